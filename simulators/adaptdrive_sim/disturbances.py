@@ -39,7 +39,7 @@ Plant = TypeVar("Plant")
 
 
 class Disturbed(Protocol):
-    """What can be disturbed: a plant, its drive, and the sensors beside it."""
+    """Parts that can be disturbed: a plant, its drive, and its sensor modules."""
 
     @property
     def world(self) -> World:
@@ -47,7 +47,7 @@ class Disturbed(Protocol):
 
     @property
     def has_sensors(self) -> bool:
-        """Whether there are sensor modules."""
+        """True where there are sensor modules."""
 
     def inject(self, fault: int) -> None:
         """Set the fault word of the drive."""
@@ -172,7 +172,7 @@ _ACTIONS: dict[str, Callable[[Disturbed, Any, float], None]] = {
     "series_Ohm": _set_series,
     "charge": _set_charge,
 }
-"""What each does, with its value and with its duration."""
+"""Effect of each, with its value and with its duration."""
 
 
 def from_words(action: str, values: Sequence[float]) -> dict[str, float]:

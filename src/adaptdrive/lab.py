@@ -70,7 +70,7 @@ def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars
 
 
 class RecordOptions(TypedDict, total=False):
-    """How `identify` reads a file or a table; what is left out is guessed.
+    """Options of `identify` for a file or a table; it guesses those that are left out.
 
     Attributes:
         input: Column of the input.

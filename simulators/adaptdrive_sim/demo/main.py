@@ -90,7 +90,7 @@ async def _perform(hand: _Hand, services: list[Service], settings: DemoSettings)
 
 
 class _Hand:
-    """What the keys of a viewer do."""
+    """Maps the keys of a viewer to what they do."""
 
     def __init__(
         self,

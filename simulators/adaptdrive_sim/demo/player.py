@@ -32,7 +32,7 @@ _LOOK_s = 0.1
 
 
 class Stage(Protocol):
-    """Where a story is played."""
+    """Place in which a story is played."""
 
     @property
     def time_s(self) -> float:
@@ -80,12 +80,12 @@ class Player:
 
     @property
     def over(self) -> bool:
-        """Whether the story has ended."""
+        """True once the story has ended."""
         return self.at_s >= self.duration_s or self._record.completed
 
     @property
     def position(self) -> str:
-        """Where the story is."""
+        """Present scene and time of the story."""
         scenes = len(self._story.scenes)
         held = " · paused" if self.paused else ""
         return (

@@ -136,7 +136,7 @@ class RealStage:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the summary has of the surroundings."""
+        """Surroundings of the demonstration, for its summary."""
         found = {name: self.places[name] for name in ("bus", "broker")}
         session = None if self.session is None else str(self.session)
         return found | {"directory": self.places["folder"], "session": session}

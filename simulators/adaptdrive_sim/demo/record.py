@@ -1,4 +1,4 @@
-"""What was heard of a demonstration, beyond what every view of a drive needs."""
+"""Messages of a demonstration, beyond what every view of a drive needs."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ _LONGEST_GAP = 5.5
 
 @dataclass(frozen=True, slots=True)
 class RecordView:
-    """How a record is to be read; what is None is guessed.
+    """Options for reading a record; None leaves the choice to the reader.
 
     Attributes:
         input: Name of the column of the input.

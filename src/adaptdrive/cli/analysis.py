@@ -82,7 +82,7 @@ def plot(session: str | None = None, /, *, view: SessionView = _WHOLE) -> int:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class FileView:
-    """How a CSV file is read; not for a session.
+    """Options for reading a CSV file; not for a session.
 
     Attributes:
         input: Name of the column of the input; guessed when left out, as are the next two.

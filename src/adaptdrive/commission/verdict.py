@@ -1,4 +1,4 @@
-"""What follows from a complete experiment: the load, the settings, the predicted response."""
+"""Results of a complete experiment: the load, the settings, the predicted response."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ The last of degC is the sign of GB2312, read as Windows code page 1252.
 """
 
 _MULTIPLE = re.compile(r"(\d*\.?\d+)\s*(?:\*\s*)?(?=[^\d\s/.*])")
-"""What stands before a unit that counts in parts of it, such as 0.1 V."""
+"""Factor before a unit, such as 0.1 in 0.1 V."""
 
 
 def _folded(written: str) -> str:

@@ -25,7 +25,7 @@ from adaptdrive.hardware.fault_latch import FAULT, FaultWord
 from adaptdrive.hardware.field import Field
 
 Use = Literal["measured", "word", "state", "command", "constant"]
-"""What a value is taken or sent as; a state is the report of the bridge."""
+"""Role of a value that is received or sent; a state is the report of the bridge."""
 
 BRIDGE = "bridge"
 _COMMAND = "signals.command"
@@ -81,7 +81,7 @@ def sensor_entries(bus: SensorBusSection, place: str) -> Iterator[Given]:
 
 @dataclass(frozen=True, slots=True)
 class Source(Generic[Item]):
-    """Where a quantity comes from.
+    """Source of a quantity.
 
     Attributes:
         quantity: Field of `Reading`, or one of its other values.
@@ -104,7 +104,7 @@ class Source(Generic[Item]):
 
 @dataclass(frozen=True, slots=True)
 class Sink(Generic[Item]):
-    """Where a part of the command goes: base + factor × that field of `Command`.
+    """Destination of a part of the command: base + factor × that field of `Command`.
 
     Attributes:
         name: Field of `Command`; the reference of a constant, whose factor is 0.

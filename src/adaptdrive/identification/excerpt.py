@@ -79,7 +79,7 @@ class Blocks:
 
     @property
     def moments(self) -> bool:
-        """Whether the outputs are those at the end of each block instead of means."""
+        """True where the outputs are those at the end of each block instead of means."""
         return self.late == 1.0
 
     def inputs(self, delay: float) -> Array:

@@ -1,4 +1,4 @@
-"""What the operators' side has the log keep, and what an earlier run has left there."""
+"""Records of the operators' side in the log, and those that an earlier run has left there."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ ERRORS = (AdaptdriveError, OSError, sqlite3.Error, pa.ArrowException)
 
 @dataclass(frozen=True, slots=True)
 class _Logged:
-    """What the log has of a session.
+    """Records of a session in the log.
 
     Attributes:
         header: The session.

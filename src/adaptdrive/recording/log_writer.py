@@ -60,7 +60,7 @@ class Item:
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What the threads report to the event loop.
+    """Reports of the threads to the event loop.
 
     Attributes:
         synced: Records other than rows that the disk keeps by now, None for no news of them.

@@ -1,4 +1,4 @@
-"""What the log hands on from segment to segment: a fold over its records.
+"""State that the log carries from segment to segment: a fold over its records.
 
 Replies are remembered for commands that come again, events until the broker has them, and of trips
 and estimates the last one. The first record of a segment has all of it, so that a segment can be
@@ -45,7 +45,7 @@ class Begin(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Recalled:
-    """What an earlier run has left.
+    """State that an earlier run has left.
 
     Attributes:
         replies: Id, age in seconds and contents of each reply, the oldest first.

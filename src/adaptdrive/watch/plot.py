@@ -15,7 +15,7 @@ MARK_STYLE = "magenta"
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """How a curve looks; without colours its line still tells it from the others.
+    """Style of a curve; without colours its line still distinguishes it.
 
     Attributes:
         style: Colour.

@@ -40,7 +40,7 @@ _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a view shows around a drive.
+    """Context that a view shows around a drive.
 
     Attributes:
         keys: What each key does.

@@ -38,7 +38,7 @@ def mended(text: str) -> tuple[str, list[str]]:
     remarks: list[str] = []
     kept: dict[str, _Part] = {}
     for part in _parts(text, remarks):
-        problem = "is there twice" if part.name.lower() in kept else _problem(part, kept)
+        problem = "is there twice" if part.name.lower() in kept else _flaw_of(part, kept)
         if problem:
             remarks.append(f"line {part.line}: [{part.name}] is left out: it {problem}")
         elif part.name not in _UNUSED:
@@ -65,7 +65,7 @@ def _parts(text: str, remarks: list[str]) -> list[_Part]:
     return parts
 
 
-def _problem(part: _Part, kept: dict[str, _Part]) -> str | None:
+def _flaw_of(part: _Part, kept: dict[str, _Part]) -> str | None:
     """Return why a section cannot be used, None where it can; its numbers are mended."""
     entries, found = part.entries, _OBJECT.fullmatch(part.name)
     if part.name == "DeviceInfo":

@@ -62,7 +62,7 @@ _MOST_BITS = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What a DBC file describes.
+    """Messages and signals that a DBC file describes.
 
     Attributes:
         database: Its messages and signals.
