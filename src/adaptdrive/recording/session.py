@@ -166,7 +166,9 @@ def create_session(new: NewSession) -> Path:
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
     try:
-        write_facts(unfinished, new.info, new.config_text)
+        # without a sync, for which the thread of the log would wait: all of it is in the log
+        (unfinished / CONFIG_FILE).write_text(new.config_text, encoding="utf-8")
+        (unfinished / INFO_FILE).write_bytes(_text(new.info))
         return rename_free(unfinished, session_name(new.info))
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -280,8 +282,11 @@ def write_facts(directory: Path, info: SessionInfo, config_text: str) -> None:
 
 def write_info(directory: Path, info: SessionInfo) -> None:
     """Write `session.json`, so that a reader sees the old one or the new one, whole."""
-    text = msgspec.json.format(msgspec.json.encode(info), indent=2) + b"\n"
-    replace_regular(directory / INFO_FILE, text)
+    replace_regular(directory / INFO_FILE, _text(info))
+
+
+def _text(info: SessionInfo) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(info), indent=2) + b"\n"
 
 
 def read_info(directory: Path) -> SessionInfo:
