@@ -98,9 +98,20 @@ def _run(module: str, *words: str) -> Run:
     began_s = time.monotonic()
     command = [sys.executable, "-m", module, *words]
     with subprocess.Popen(command, env=BUSY, stdout=subprocess.DEVNULL) as one:
+        peak_MiB = _peak_MiB(one)
         _, status, usage = os.wait4(one.pid, 0)
         one.returncode = os.waitstatus_to_exitcode(status)
     if one.returncode:
         raise RuntimeError(f"{' '.join(words)} ended with status {one.returncode}")
     cpu_s = usage.ru_utime + usage.ru_stime
-    return Run(time.monotonic() - began_s, cpu_s, usage.ru_maxrss / 1024.0)
+    return Run(time.monotonic() - began_s, cpu_s, peak_MiB)
+
+
+def _peak_MiB(one: subprocess.Popen[bytes]) -> float:
+    """Watch a process until it ends; what the kernel counts at its end has this one in it."""
+    peak_kB, status = 0, Path(f"/proc/{one.pid}/status")
+    while os.waitid(os.P_PID, one.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        lines = status.read_text(encoding="utf-8").splitlines()
+        peak_kB = max([peak_kB, *(int(line.split()[1]) for line in lines if "VmHWM" in line)])
+        time.sleep(0.02)
+    return peak_kB / 1024.0

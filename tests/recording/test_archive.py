@@ -341,3 +341,30 @@ def test_the_archiver_outlives_signals_that_end_the_daemon(place: Place) -> None
         archiver.send_signal(number)
     assert archiver.wait() == 0
     assert verify(place.session).whole
+
+
+ARCHIVER = """
+import sys
+from adaptdrive.recording import archiver
+archiver.main()
+lines = open("/proc/self/status").read().splitlines()
+print(next(line for line in lines if line.startswith("VmHWM")).split()[1])
+print([name for name in ("numpy", "pandas", "pyarrow.compute") if name in sys.modules])
+"""
+
+
+def test_an_archiver_takes_the_memory_of_minutes(place: Place) -> None:
+    """Ten minutes of ticks; an hour takes as much, to be held by 90 MiB with the log's threads."""
+    place.begin()
+    for part in range(3):
+        batches = [
+            make_batch([make_tick(first + number) for number in range(30)])
+            for first in range(24_000 * part, 24_000 * (part + 1), 30)
+        ]
+        write_log(place.log, place.header(), *batches)
+    command = [sys.executable, "-c", ARCHIVER, str(place.log), str(place.sessions), "10"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    answer = subprocess.check_output(command, env=environment, text=True).splitlines()
+    assert place.session.ticks.num_rows == 72_000
+    assert answer[-1] == "[]"
+    assert int(answer[-2]) / 1024 < 88.0

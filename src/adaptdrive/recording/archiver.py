@@ -18,7 +18,6 @@ import msgspec
 
 from adaptdrive.clock.now import now_s
 from adaptdrive.errors import escaped
-from adaptdrive.recording.archive import ERRORS, archive
 from adaptdrive.recording.records import News
 from adaptdrive.runtime.reports import Severity
 
@@ -61,9 +60,23 @@ def draw(directory: Path) -> bool:
     return drawn.returncode == 0
 
 
+class _LeftOut:
+    """Keeps libraries from this process that Arrow would load, and that nothing here uses."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> None:
+        """Refuse NumPy and pandas: together they take 70 MiB."""
+        if name in {"numpy", "pandas"}:
+            raise ModuleNotFoundError(name)
+
+
 def main() -> None:
     """Archive, report the records of trips, and draw their figures."""
     step_aside()
+    sys.meta_path.insert(0, _LeftOut)
+    os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"  # it gives back what it took
+    from adaptdrive.recording.archive import ERRORS, archive  # noqa: PLC0415 - after that
+
     try:
         trips = archive(Path(sys.argv[1]), now_s(), float(sys.argv[3]), report)
     except ERRORS as problem:

@@ -23,8 +23,9 @@ from adaptdrive.recording.tables import (
     ticks_schema,
 )
 
-_TICKS_AT_ONCE = 25_000
-_ROWS_AT_ONCE = 2_000
+_TICKS_AT_ONCE = 5_000
+_ROWS_AT_ONCE = 200
+"""Rows of a batch: as Python values they take many times their size on disk."""
 _KINDS = {SLOW: Kind.SLOW, SENSORS: Kind.SENSORS}
 
 

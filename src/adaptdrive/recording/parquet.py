@@ -14,8 +14,8 @@ from pyarrow import parquet as pq
 from adaptdrive.errors import RecordingError
 from adaptdrive.files import require_regular
 
-ROW_GROUP = 25_000
-"""Rows of a row group: four minutes of ticks, of which an archiver holds one in memory."""
+ROW_GROUP = 20_000
+"""Rows of a row group: some three minutes of ticks, of which an archiver holds one in memory."""
 
 _BATCH_ROWS = 1 << 15
 """Rows that are read at a time: a few megabytes."""
