@@ -8,8 +8,7 @@ from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from adaptdrive_sim.campaign.kinds import run_seed
-from adaptdrive_sim.campaign.main import run_batch, workers
+from adaptdrive_sim.campaign.main import run_batch, run_seed, workers
 from adaptdrive_sim.campaign.settings import Campaign
 
 _BATCH = 4

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive_sim.campaign.kinds import read_any_campaign
+from adaptdrive_sim.campaign.main import read_any_campaign
 from adaptdrive_sim.campaign.settings import CampaignError
 
 

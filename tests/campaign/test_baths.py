@@ -12,8 +12,7 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bath_bench import BathScenario, BathStand, draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
-from adaptdrive_sim.campaign.kinds import read_any_campaign, run_seed
-from adaptdrive_sim.campaign.main import run_campaign
+from adaptdrive_sim.campaign.main import read_any_campaign, run_campaign, run_seed
 from adaptdrive_sim.campaign.settings import FOLDER, Campaign
 from adaptdrive_sim.plants.bath import Bath
 from tests.campaign.flaws import message_about

@@ -13,8 +13,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim import cli
 from adaptdrive_sim.campaign.bench import Stand, deployed, draw
 from adaptdrive_sim.campaign.judge import FLOOR, cost, judge
-from adaptdrive_sim.campaign.kinds import run_seed
-from adaptdrive_sim.campaign.main import ClusterError, repeat_run, run_campaign, workers
+from adaptdrive_sim.campaign.main import ClusterError, repeat_run, run_campaign, run_seed, workers
 from adaptdrive_sim.campaign.report import claims, failures, shared_failures
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign
 from adaptdrive_sim.parameters import ParameterError

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive_sim.campaign.kinds import run_seed
+from adaptdrive_sim.campaign.main import run_seed
 from adaptdrive_sim.campaign.settings import read_campaign
 
 WIDE = read_campaign(Path("wide.toml"))

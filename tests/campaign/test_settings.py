@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive_sim.campaign.kinds import read_any_campaign
+from adaptdrive_sim.campaign.main import read_any_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, CampaignError, read_campaign
 from tests.campaign.flaws import message_about
 

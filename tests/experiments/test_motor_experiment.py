@@ -6,9 +6,8 @@ import pytest
 
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Disturbance, run_case
-from adaptdrive_sim.experiments.claims import NOISY
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles, model_errors, rms_between
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.outcome import NOISY, ExperimentOutcome
 from adaptdrive_sim.experiments.published import MOTOR
 from tests.experiments.cases import make_case, outcomes, run_all, run_all_compiled
 

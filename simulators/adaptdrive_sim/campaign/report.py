@@ -172,12 +172,11 @@ def print_results(rows: list[Row], seconds: float, campaign: Path, console: Cons
     )
     console.print(_claim_table(claims(rows)))
     console.print(_cost_table(rows))
-    found = failures(rows)
-    if found:
-        console.print(_failure_table(found, campaign))
-    shared = shared_failures(rows)
-    if shared:
-        console.print(_shared_table(shared))
+    if found := failures(rows):
+        console.print(_failure_table(found, "failure", "repeat", campaign))
+    if shared := shared_failures(rows):
+        heading = "neither controller"
+        console.print(_failure_table(shared, heading, "what the run shows", campaign))
 
 
 def _claim_table(found: list[CampaignClaim]) -> Table:
@@ -208,20 +207,12 @@ def _cost_table(rows: list[Row]) -> Table:
     return table
 
 
-def _failure_table(found: list[Failure], campaign: Path) -> Table:
-    table = Table("failure", "seed", "cost ratio", "repeat")
-    for failure in found[:_SHOWN]:
-        command = f"adaptdrive-sim campaign {campaign} --output DIR --only {failure.seed}"
-        table.add_row(failure.cause, str(failure.seed), f"{failure.ratio:.3f}", command)
-    if len(found) > _SHOWN:
-        table.caption = f"and {len(found) - _SHOWN} more, see results.parquet"
-    return table
-
-
-def _shared_table(found: list[Failure]) -> Table:
-    table = Table("neither controller", "seed", "cost ratio", "what the run shows")
-    for failure in found[:_SHOWN]:
-        table.add_row(failure.cause, str(failure.seed), f"{failure.ratio:.3f}", failure.reason)
+def _failure_table(found: list[Failure], heading: str, last: str, campaign: Path) -> Table:
+    """Return the first failures; the last column is a reason, or the command that repeats one."""
+    table = Table(heading, "seed", "cost ratio", last)
+    for one in found[:_SHOWN]:
+        command = f"adaptdrive-sim campaign {campaign} --output DIR --only {one.seed}"
+        table.add_row(one.cause, str(one.seed), f"{one.ratio:.3f}", one.reason or command)
     if len(found) > _SHOWN:
         table.caption = f"and {len(found) - _SHOWN} more, see results.parquet"
     return table

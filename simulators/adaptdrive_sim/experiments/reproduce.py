@@ -32,9 +32,14 @@ from adaptdrive_sim.experiments.case import (
     case_settings,
     run_case,
 )
-from adaptdrive_sim.experiments.claims import ExperimentClaim, claims
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge, summary
+from adaptdrive_sim.experiments.outcome import (
+    ExperimentClaim,
+    ExperimentOutcome,
+    claims,
+    judge,
+    summary,
+)
 from adaptdrive_sim.experiments.published import BATH, DROPPED, MOTOR
 from adaptdrive_sim.experiments.sweep import (
     listen,
