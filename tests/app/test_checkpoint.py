@@ -80,8 +80,6 @@ def test_without_a_record_there_is_nothing_to_report() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"load__model__tau_motor_s": "9.5"},
-        {"estimator__tau_lambda_s": "5.0"},
         {"drive__name": '"other"'},
         {"signals__output__scale": "0.9"},
         {"bus__channel": '"plant"'},
@@ -109,6 +107,30 @@ def test_a_message_with_another_scale_does_not_take_it(tmp_path: Path) -> None:
 
 def test_what_has_nothing_to_do_with_the_load_may_change(record: bytes) -> None:
     assert recall(record, parse(mqtt__port="1884", supervisor__warm_up_s="60"))[0] == VALUES
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"load__model__tau_motor_s": "9.5"},
+        {"load__period_s": "2.0"},
+        {"load__pole": "0.8"},
+        {"estimator__tau_lambda_s": "5.0"},
+        {"supervisor__ratio_max": "8.0"},
+    ],
+)
+def test_what_commissioning_writes_may_change(record: bytes, change: dict[str, str]) -> None:
+    assert recall(record, parse(**change))[0] == VALUES
+
+
+def test_another_input_map_of_a_bath_does_not_take_it() -> None:
+    source = EXAMPLES / "bath.toml"
+    text = source.read_text(encoding="utf-8")
+    other = re.sub("heater_Ohm = .*", "heater_Ohm = 9.5", text)
+    slower = re.sub("(?m)^tau_s = .*", "tau_s = 300.0", text)
+    assert len({text, other, slower}) == 3
+    keys = [cp.configuration_key(parse_configuration(one, source)) for one in (text, other, slower)]
+    assert keys[0] == keys[2] != keys[1]
 
 
 def test_the_limits_of_a_charge_have_nothing_to_do_with_its_battery() -> None:

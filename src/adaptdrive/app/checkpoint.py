@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
@@ -28,12 +28,14 @@ _EVERY_S = 60.0
 """Shortest time between two records."""
 
 _REPORTS_HELD = 8
-_SECTIONS = {
-    *("drive", "bus", "signals", "sensor_bus", "derived"),  # what is measured, and of which drive
-    *("voltage_loop", "load", "estimator"),
+_MEASURED = ("drive", "bus", "signals", "sensor_bus", "derived", "voltage_loop")
+_INPUT = {"turns_ratio", "droop_Ohm", "heater_Ohm"}
+_MEANING: dict[str, Any] = {
+    **dict.fromkeys(_MEASURED, True),
+    "load": {"type": True, "model": _INPUT},
 }
-_LIMITS = {"load": {"charge"}}
-"""Within them: what only ends a charge."""
+"""What is measured, of which drive, and what makes the input of it: `adaptdrive commission` changes
+none of these."""
 
 _DESCRIPTIONS = ("database", "databases", "eds")
 """Keys of a bus that name a file in which scales and offsets of its signals are."""
@@ -86,7 +88,7 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
 
 def configuration_key(configuration: Configuration) -> str:
     """Hash of everything in a configuration that gives estimates their meaning."""
-    sections = configuration.model_dump(mode="json", include=_SECTIONS, exclude=_LIMITS)
+    sections = configuration.model_dump(mode="json", include=_MEANING)
     for bus in (sections["bus"], *sections["sensor_bus"]):
         bus |= {name: _contents(bus[name]) for name in _DESCRIPTIONS if name in bus}
     text = json.dumps(sections, sort_keys=True)
