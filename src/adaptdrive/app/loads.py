@@ -11,13 +11,15 @@ from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.methods import METHODS
 
 
 def build_load(configuration: Configuration) -> Load:
     """The load with its nominal model."""
     match configuration.load:
         case MotorSection(model=model):
-            return motor_load(model.gain, model.tau_motor_s, model.tau_filter_s)
+            lag_s = short_lag_s(configuration) or model.tau_filter_s
+            return motor_load(model.gain, model.tau_motor_s, lag_s)
         case BathSection(model=model):
             return bath_load(
                 model.resistance_K_per_W,
@@ -34,6 +36,20 @@ def build_load(configuration: Configuration) -> Load:
                 model.relaxation_s,
                 _charging(configuration.load),
             )
+
+
+def short_lag_s(configuration: Configuration) -> float:
+    """Return a second lag of a motor that is too short to be learnt; 0 where there is none.
+
+    What is shorter than a slow period counts as half a period at most, so that it is wrong by half
+    a period at most, whatever `tau_filter_s` says.
+    """
+    load = configuration.load
+    learnt = load.design == "exact" and METHODS[configuration.estimator.method].physical
+    if not (isinstance(load, MotorSection) and learnt):
+        return 0.0
+    lag_s = load.model.tau_filter_s
+    return min(lag_s, 0.5 * load.period_s) if lag_s < load.period_s else 0.0
 
 
 def total_lag_s(load: Load) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.app.interlocks import trip_limits, watches
-from adaptdrive.app.loads import build_load
+from adaptdrive.app.loads import build_load, short_lag_s
 from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
 from adaptdrive.app.pole_range import pole_range
 from adaptdrive.config import Configuration
@@ -159,7 +159,7 @@ def _learning(configuration: Configuration) -> Learning:
         start_at_nominal=True,
         alert=estimator.alert,
         covariance_max=0.0 if directional else estimator.covariance_max,
-        short_lag_s=_short_lag_s(configuration),
+        short_lag_s=short_lag_s(configuration),
         bias=estimator.bias or battery,
         initial_state=estimator.initial_state,
         resolution=configuration.load.resolution,
@@ -175,15 +175,6 @@ def _initial_covariance(configuration: Configuration) -> float:
     if estimator.initial_covariance is not None:
         return estimator.initial_covariance
     return _OPEN if METHODS[estimator.method].physical else PAPER_COVARIANCE
-
-
-def _short_lag_s(configuration: Configuration) -> float:
-    """Time constant of a lag that samples of a slow period cannot show; 0 where there is none."""
-    load = configuration.load
-    if not (isinstance(load, MotorSection) and METHODS[configuration.estimator.method].physical):
-        return 0.0
-    short = load.model.tau_filter_s < load.period_s
-    return load.model.tau_filter_s if short else 0.0
 
 
 def _jacket(configuration: Configuration) -> Jacket:
