@@ -32,6 +32,7 @@ from adaptdrive.hardware.field import Field, natural_limits, sensible_limits
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
 
+_EXPEDITED_BITS = 32
 VENDOR = (0x1018, 1)
 PRODUCT = (0x1018, 2)
 
@@ -97,6 +98,8 @@ class Entry:
         Raises:
             ValueError: They are not as long as the entry.
         """
+        if self.bits < 8 * len(data) <= _EXPEDITED_BITS:
+            data = data[: self.bits // 8]  # a reply in one frame that does not state its length
         if 8 * len(data) != self.bits:
             raise ValueError(f"{len(data)} bytes are not the {self.bits} bits of {self.label}")
         if self.real:

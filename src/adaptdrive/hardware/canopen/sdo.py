@@ -25,7 +25,7 @@ from adaptdrive.hardware.canopen.dictionary import Address, Entry, label
 T = TypeVar("T")
 
 _NUMBER_BYTES = 4
-"""Bytes of the longest number that a set-up reads."""
+"""Bytes of the longest number that a set-up reads, and of a reply in one frame."""
 
 _SEGMENT_BYTES = 7
 """Bytes that one frame of a long answer carries."""
@@ -108,7 +108,7 @@ class Server:
         return bytes(data)
 
     def number(self, address: Address) -> int:
-        """Return an unsigned entry.
+        """Return an unsigned entry, of which a drive may send more bytes than it has.
 
         Raises:
             BusError: The drive refuses the read, or gives more bytes than such an entry has.
@@ -149,9 +149,18 @@ class Server:
         """
         self.write(address, data)
         kept = self.read(address)
-        if kept != data:
+        if not holds(kept, data):
             found, wanted = kept[::-1].hex(), data[::-1].hex()
             raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
+
+    def settle(self, address: Address, data: bytes) -> None:
+        """Write an entry that does not hold some bytes yet: one that is read-only may hold them.
+
+        Raises:
+            BusError: The drive does not take it.
+        """
+        if not holds(self.read(address), data):
+            self.write(address, data)
 
     def offer(self, address: Address, data: bytes) -> None:
         """Write an entry that the drive need not take.
@@ -170,6 +179,17 @@ class Server:
             return self.refuse(f"no answer when asked to {verb} {label(address)}")
         words = str(problem).partition(", ")[2] or f"abort code 0x{problem.code:08X}"
         return self.refuse(f"cannot {verb} {label(address)}: {words[0].lower()}{words[1:]}")
+
+
+def holds(found: bytes, wanted: bytes) -> bool:
+    """Return whether an entry has some bytes; a reply in one frame may be longer than the entry.
+
+    Args:
+        found: The reply, which has up to four bytes where its length is not stated or stated as 4.
+        wanted: The bytes of the entry.
+    """
+    short = len(wanted) <= len(found) <= _NUMBER_BYTES
+    return found[: len(wanted)] == wanted if short else found == wanted
 
 
 async def in_thread(bus: CanOpenBus, link: SdoLink, work: Callable[[Server], T]) -> T:

@@ -22,7 +22,7 @@ from adaptdrive.hardware.canopen.mapping import (
 )
 from adaptdrive.hardware.canopen.pdo import Channel, Pdo
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, DISABLE_VOLTAGE
-from adaptdrive.hardware.canopen.sdo import Server
+from adaptdrive.hardware.canopen.sdo import Server, holds
 
 SYNC_COB_ID = 0x080
 
@@ -57,11 +57,11 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
     _disable_voltage(server)
     for address, data in watch_writes(bus, mapping):
         # a consumer that is written anew waits for a first heartbeat: its time-out would not end
-        if address != HEARTBEATS_HEARD or server.read(address) != data:
+        if address != HEARTBEATS_HEARD or not holds(server.read(address), data):
             server.write_surely(address, data)
     _end_quick_stops(server, mapping)
     for address, data in sync_writes(bus, mapping, half_cycle_s):
-        server.write(address, data)
+        server.settle(address, data)
     for channel in mapping.unused:
         _switch_off(server, channel)
     for pdo in mapping.transmits:
