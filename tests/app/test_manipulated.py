@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import time
+from pathlib import Path
 
 import pytest
 
 from adaptdrive.app.advice import advice
+from adaptdrive.app.examine import examine_text
 from adaptdrive.app.interlocks import trip_limits
+from adaptdrive.app.ports import build_port, bus_kind
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.errors import RefusedError
@@ -63,3 +67,75 @@ def test_a_drive_without_a_switch_is_stopped_by_its_set_point() -> None:
     assert flaws(**one_bit) == {}
     cautions = {flaw.place: flaw.message for flaw in advice(parse(**one_bit))}
     assert "a set-point of 0 is its only stop" in cautions["signals.command.bridge"]
+
+
+TORQUE = """[drive]
+name = "trac"
+enable_bit = "bridge"
+manipulated = { name = "torque", unit = "Nm" }
+[drive.limits]
+boost_reference_min_V = -100.0
+boost_reference_max_V = 100.0
+[bus]
+type = "can"
+interface = "socketcan"
+channel = "can0"
+database = "inv.dbc"
+clock = "Motion"
+command_timeout_s = 0.5
+[signals]
+boost_voltage_V = "Torque.Torque_Feedback"
+output = { signal = "Motion.Motor_Speed", unit = "rpm" }
+bridge = "States.Inverter_Enable_State"
+faults = ["Faults.Post_Fault_Lo", "Faults.Run_Fault_Lo"]
+[signals.command]
+boost_reference_V = "Command.Torque_Command"
+bridge = "Command.Inverter_Enable"
+[voltage_loop]
+where = "drive"
+lag_s = 0.05
+[load]
+type = "motor"
+output_unit = "rad/s"
+reference_min = -200.0
+reference_max = 200.0
+[load.model]
+gain = 2.5
+tau_motor_s = 5.0
+tau_filter_s = 1.0
+[interlocks]
+output_max = 250.0
+boost_voltage_max_V = 130.0
+"""
+
+DBC = """VERSION ""
+BS_: 500000 : 1,2
+BU_: INV VCU
+BO_ 165 Motion: 8 INV
+ SG_ Motor_Speed : 16|16@1- (1,0) [-32768|32767] "RPM" VCU
+BO_ 170 States: 8 INV
+ SG_ Inverter_Enable_State : 48|1@1+ (1,0) [0|1] "On/Off" VCU
+BO_ 171 Faults: 8 INV
+ SG_ Post_Fault_Lo : 0|16@1+ (1,0) [0|65535] "" VCU
+ SG_ Run_Fault_Lo : 32|16@1+ (1,0) [0|65535] "" VCU
+BO_ 172 Torque: 8 INV
+ SG_ Torque_Feedback : 16|16@1- (0.1,0) [-3276.8|3276.7] "N.m" VCU
+BO_ 192 Command: 8 VCU
+ SG_ Torque_Command : 0|16@1- (0.1,0) [-3276.8|3276.7] "Nm" INV
+ SG_ Inverter_Enable : 40|1@1+ (1,0) [0|1] "On/Off" INV
+ SG_ 5V_Rail : 41|30@1+ (1,0) [0|0] "" INV
+"""
+
+
+def test_a_torque_inverter_on_can_is_described_by_a_file_with_flaws(tmp_path: Path) -> None:
+    (tmp_path / "inv.dbc").write_text(DBC)
+    path = tmp_path / "torque.toml"
+    path.write_text(TORQUE)
+    configuration = examine_text(TORQUE, path)
+    cautions = [flaw.message for flaw in advice(configuration)]
+    assert "line 16: a name that begins with a digit" in cautions
+    assert any(one.startswith("line 16: signal '_5V_Rail' does not fit") for one in cautions)
+    limits = {name for name, _, _ in bus_kind("can").time_limits(configuration, path)}
+    assert {"stale output", "stale fault.0", "stale fault.1"} <= limits
+    probed = build_port(configuration, time.monotonic, path, passive=True)
+    assert probed.stop_slack_s is not None

@@ -25,6 +25,7 @@ from adaptdrive.hardware.dbc.database import (
 )
 from adaptdrive.hardware.dbc.orders import build_orders, find_orders
 from adaptdrive.hardware.dbc.pages import carried_signals, page_of, sent_pages
+from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import compile_field
 from adaptdrive_sim.devices.drive import Frame
@@ -154,7 +155,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
     database = description.database
     catalogue = SignalCatalogue(description, fd=bus.fd, integrity=bus.integrity)
     sinks = _find_sinks(catalogue, configuration)
-    orders = find_orders(catalogue, configuration.signals)
+    orders = find_orders(catalogue, configuration.signals, demands_of(configuration))
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
     if catalogue.flaws:

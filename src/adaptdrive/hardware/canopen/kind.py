@@ -10,7 +10,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row, stale_limits
-from adaptdrive.hardware.canopen.mapping import map_drive
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping, map_drive
 from adaptdrive.hardware.canopen.port import CanOpenPort
 from adaptdrive.hardware.canopen.watch import CanOpenWatch
 from adaptdrive.hardware.demands import demands_of
@@ -27,12 +27,17 @@ def _build(
     *,
     passive: bool,
 ) -> Port:
-    bus, signals = _bus(configuration), configuration.signals
+    bus, mapping = _bus(configuration), _mapped(configuration, source)
     if passive:
-        return CanOpenWatch(bus, map_drive(bus, signals, source), clock)
+        return CanOpenWatch(bus, mapping, clock)
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    mapping = map_drive(bus, signals, source, demands_of(configuration))
     return CanOpenPort(bus, mapping, half_cycle_s, clock, configuration.interlocks.stop_s)
+
+
+def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:
+    """Return the objects of a drive, held against what its limits ask."""
+    bus, demands = _bus(configuration), demands_of(configuration)
+    return map_drive(bus, configuration.signals, source, demands)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
@@ -43,7 +48,7 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield that a few lost frames may stop the drive, and what is wrong in its EDS."""
     bus = _bus(configuration)
-    yield from map_drive(bus, configuration.signals).cautions
+    yield from _mapped(configuration).cautions
     survived = math.ceil(bus.heartbeat_timeout_s / bus.heartbeat_s - 1e-9) - 2
     if survived < _LOST_HEARTBEATS:
         yield Flaw(

@@ -11,7 +11,7 @@ from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row
 from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
-from adaptdrive.hardware.dbc.mapping import CanSource, Timing, map_drive
+from adaptdrive.hardware.dbc.mapping import CanMapping, CanSource, Timing, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.dbc.sensors import build_can_sensors
 from adaptdrive.hardware.demands import demands_of
@@ -26,16 +26,20 @@ def _build(
     *,
     passive: bool,
 ) -> Port:
-    bus, demands = _bus(configuration), demands_of(configuration)
-    mapping = map_drive(bus, configuration.signals, _timing(configuration), source, demands)
-    return CanPort(bus, mapping, clock, hears_all=passive)
+    return CanPort(_bus(configuration), _mapped(configuration, source), clock, hears_all=passive)
+
+
+def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanMapping:
+    """Return the messages of a drive, held against what its limits ask."""
+    timing, demands = _timing(configuration), demands_of(configuration)
+    return map_drive(_bus(configuration), configuration.signals, timing, source, demands)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
     """Yield the age of each value, with the slack of a message that comes seldom."""
     stale_s = configuration.interlocks.stale_s
-    mapping = map_drive(_bus(configuration), configuration.signals, _timing(configuration), source)
-    for one in (one for status in mapping.statuses for one in status.sources):
+    statuses = _mapped(configuration, source).statuses
+    for one in (one for status in statuses for one in status.sources):
         keys = f"bus.stale_cycles, {one.cycle_by}" if one.slack_s else "interlocks.stale_s"
         yield f"stale {one.quantity}", stale_s + one.slack_s, keys
 
@@ -43,7 +47,7 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
     bus, timing = _bus(configuration), _timing(configuration)
-    mapping = map_drive(bus, configuration.signals, timing)
+    mapping = _mapped(configuration)
     statuses = mapping.statuses
     slack_s = min(one.slack_s for status in statuses for one in status.sources)
     key = "bus.stale_cycles" if slack_s else "interlocks.stale_s"
