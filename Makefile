@@ -19,7 +19,7 @@ demonstrable := $(or $(wildcard $(installed)),$(venv)/.demo-$(inputs))
 # Without a cache of bytecode each of the processes that the tests start compiles the sources again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test quick lint bench proof branches tables docs wheel compiled deb constraints clean
+.PHONY: help demo test quick lint bench proof branches tables rivals docs wheel compiled deb constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -55,8 +55,11 @@ soak: export MINUTES = 120
 soak: $(installed) ## let a drive live for DAYS=7 of virtual time and MINUTES=120 of real time, and write docs/proof.md
 	$(bin)/python -m tests.proof docs/proof.md soak-virtual soak-real
 
-tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of README and docs/control.md
+tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of docs/control.md
 	nice $(bin)/python -m tests.benchmarks.paper_tables $(SEED)
+
+rivals: $(installed) ## compare with other controllers, and write the tables of README and docs/compared.md
+	nice $(bin)/python -m tests.benchmarks.rivals.results
 
 docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m tests.config.reference_page docs/configuration.md

@@ -1,7 +1,7 @@
-"""The tables of the paper's motor experiment in README and docs/control.md.
+"""The tables of the paper's motor experiment in docs/control.md.
 
 `make tables` runs every controller with twenty seeds from a first one on (`SEED=81000`), and writes
-the tables between their marks in the pages, with seeds and date. Nothing in the controller was
+the tables between their marks in the page, with seeds and date. Nothing in the controller was
 tuned on the default seeds.
 """
 
@@ -134,21 +134,6 @@ def _when(found: list[float | None]) -> str:
     return text if len(known) == len(found) else f"{text}, {len(found) - len(known)} never"
 
 
-def readme(first: int) -> str:
-    """The README's table: the last cycle with three disks, in percent of the step."""
-    names = [name for name in CONTROLLERS if "direct" not in name]
-    rows = [
-        [noise, *(_percent(name, noise, first) for name in names)]
-        for noise in ("none", "0.2 %", "0.2 %, spikes", "2 %", "5 %")
-    ]
-    return table(["noise of each sample, % of the step", *names], rows)
-
-
-def _percent(controller: str, noise: str, first: int) -> str:
-    found = runs(controller, noise, first)
-    return spread([100.0 * one.cycles[LAST_CYCLES[-1]].model_error_rms for one in found], "{:.1f}")
-
-
 def tables(first: int) -> Iterator[tuple[str, str]]:
     """Every table by the name of its mark."""
     yield "three-disks", model_errors(first, LAST_CYCLES[2])
@@ -156,7 +141,6 @@ def tables(first: int) -> Iterator[tuple[str, str]]:
     yield "fewer-disks", f"One disk:\n\n{one}\n\nTwo disks:\n\n{two}"
     yield "overshoot", overshoots(first)
     yield "convergence", convergence(first)
-    yield "readme", readme(first)
 
 
 def write(page: Path, name: str, text: str) -> None:
@@ -173,8 +157,7 @@ def main(words: list[str]) -> None:
     today = dt.datetime.now(tz=dt.UTC).date().isoformat()
     note = f"\n\nSeeds {first} to {first + SEEDS - 1}, {today}."
     for name, text in tables(first):
-        for page in (ROOT / "README.md", ROOT / "docs" / "control.md"):
-            write(page, name, text + note)
+        write(ROOT / "docs" / "control.md", name, text + note)
         sys.stdout.write(f"{name}\n{text}{note}\n\n")
         sys.stdout.flush()
 

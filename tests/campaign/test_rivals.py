@@ -9,7 +9,8 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.run import run_held
 from tests.benchmarks.rivals.cases import CASES
-from tests.benchmarks.rivals.runs import figures
+from tests.benchmarks.rivals.results import PAGES, read, rendered
+from tests.benchmarks.rivals.runs import CONTROLLERS, figures, takes_part
 
 pytestmark = pytest.mark.slow
 
@@ -34,3 +35,15 @@ def test_with_three_disks_adaptive_follows_better(rival: str) -> None:
 def test_adaptive_comes_near_to_a_controller_that_knows_load_and_limits(name: str) -> None:
     known, adaptive = (figures(CASES[name], SEED, one).rms for one in ("MPC", "adaptive"))
     assert adaptive < known + 2.0
+
+
+def test_the_pages_show_the_figures_of_the_result_file() -> None:
+    result = read()
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert rendered(text, result) == text, f"make rivals writes {page.name}"
+
+
+def test_every_case_has_figures_of_every_controller() -> None:
+    for name in CASES:
+        assert set(read()["cases"][name]) == {c for c in CONTROLLERS if takes_part(c, name)}

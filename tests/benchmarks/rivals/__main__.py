@@ -10,7 +10,7 @@ import sys
 from statistics import median
 
 from tests.benchmarks.rivals.cases import CASES
-from tests.benchmarks.rivals.runs import CONTROLLERS, Figures, figures
+from tests.benchmarks.rivals.runs import CONTROLLERS, Figures, figures, takes_part
 
 FIRST_SEED = 44_000_000
 COLUMNS = {
@@ -48,7 +48,7 @@ def main() -> None:
     for case in (CASES[name] for name in options.cases.split(",")):
         heads = "".join(f"{head:>18}" for head in COLUMNS)
         sys.stdout.write(f"{case.name}: {case.title}\n  {'':30}{heads}\n")
-        for name in names:
+        for name in (name for name in names if takes_part(name, case.name)):
             sys.stdout.write(line(name, [figures(case, seed, name) for seed in seeds]) + "\n")
             sys.stdout.flush()
 

@@ -146,12 +146,13 @@ class LeastSquares:
     def __init__(self, task: Task) -> None:
         self.task, self.led = task, task.led
         a, b = task.model(task.nominal)
-        self.order, self.scale = len(a) - 1, abs(task.output) / task.rest
-        rest = (sum(a) * task.output - sum(b) * task.rest) / abs(task.output)
-        self.theta = np.array([*-a[1:], *b[1:] / self.scale, rest])
+        self.order = len(a) - 1
+        rest = (sum(a) * task.output - sum(b) * task.rest) / task.output
+        self.theta = np.array([*-a[1:], *b[1:] * task.rest / task.output, rest])
         self.spread = np.eye(len(self.theta))
         self.inputs, self.outputs = [task.rest] * 8, [task.output] * 8
         self.r, self.s = place_poles(list(a), list(b), self.desired)
+        self.b, self.aim = list(b), task.output
 
     @property
     def desired(self) -> list[float]:
@@ -166,27 +167,38 @@ class LeastSquares:
         self.outputs = [output, *self.outputs[:7]]
         past = float(np.dot(self.r[1:], self.inputs[: len(self.r) - 1]))
         fed_back = float(np.dot(self.s, self.outputs[: len(self.s)]))
-        wanted = sum(self.s) * float(self.led[k]) - past - fed_back
+        wanted = sum(self.s) * self.aimed(k) - past - fed_back
         self.inputs = [self.task.limited(wanted), *self.inputs[:7]]
         return self.inputs[0]
 
+    def aimed(self, k: int) -> float:
+        """Set-point, without the zero of a load that responds at once."""
+        if self.task.nominal.numerator[0] == 0.0:
+            return float(self.led[k])
+        pole, references = self.task.pole, self.task.references
+        moved = float(references[k] - pole * references[max(0, k - 1)])
+        scale = (1.0 - pole) / (sum(self.s) * self.b[1])
+        self.aim = scale * moved - self.b[2] / self.b[1] * self.aim
+        return self.aim
+
     def learn(self, output: float) -> None:
-        """One step of recursive least squares, on outputs over the one at the start."""
-        size, taps = abs(self.task.output), len(self.theta) - self.order - 1
-        past = np.array(self.outputs[: self.order]) / size
-        phi = np.array([*past, *np.array(self.inputs[:taps]) * self.scale / size, 1.0])
+        """One step of recursive least squares, on values over those at the start."""
+        taps = len(self.theta) - self.order - 1
+        outputs = np.array([output, *self.outputs]) / self.task.output
+        inputs = np.array(self.inputs[:taps]) / self.task.rest
+        phi = np.array([*outputs[1 : self.order + 1], *inputs, 1.0])
         gain = self.spread @ phi / (self.forgetting + phi @ self.spread @ phi)
-        self.theta = self.theta + gain * (output / size - phi @ self.theta)
+        self.theta = self.theta + gain * (outputs[0] - phi @ self.theta)
         self.spread = (self.spread - np.outer(gain, phi @ self.spread)) / self.forgetting
         self.spread *= min(1.0, self.most / np.trace(self.spread))
 
     def design(self) -> None:
         """Pole placement for the estimate; a design that is not finite is not used."""
         a = [1.0, *-self.theta[: self.order]]
-        b = [0.0, *self.theta[self.order : -1] * self.scale]
+        b = [0.0, *self.theta[self.order : -1] * self.task.output / self.task.rest]
         r, s = place_poles(a, b, self.desired)
         if np.all(np.isfinite([*r, *s])):
-            self.r, self.s = r, s
+            self.r, self.s, self.b = r, s, b
 
 
 class Predictive:
@@ -210,6 +222,8 @@ class Predictive:
         """Observer and prediction for a load."""
         self.load = load
         self.a, self.b = a, b = self.task.model(load)
+        if load.numerator[0] != 0.0:  # a single pole is asked for: the load's zero is cancelled
+            self.desired = np.convolve(b[1:] / b[1], [1.0, -self.task.pole])
         n, horizon = max(len(a), len(b)) - 1, self.horizon
         disturbance = self.task.output * sum(a) / sum(b) - self.task.rest
         if self.x.size:
@@ -255,7 +269,7 @@ class Predictive:
         aim[self.horizon] += self.moves[0, 0] * (self.inputs[0] - needed[0])
         inputs = self.inverse @ aim
         low, high = self.task.low, self.task.high
-        if min(inputs) < low or max(inputs) > high:
+        if inputs.min() < low or inputs.max() > high:
             inputs = lsq_linear(self.matrix, aim, (low, high), method="bvls").x
         self.inputs = [self.task.limited(float(inputs[0])), *self.inputs[:11]]
         self.x = self.f @ self.x + self.g * self.inputs[0]
@@ -271,8 +285,9 @@ class Predictive:
         course, _ = lfilter([sum(self.desired)], self.desired, future, zi=start)
         whole = np.array([*reversed(self.course), *course])
         self.course = [float(course[0]), *self.course[:11]]
-        wanted = lfilter(self.b / sum(self.b), [1.0], whole)[-self.horizon :]
-        needed = lfilter(self.a / sum(self.b), [1.0], whole)[-self.horizon - 2 : -1]
+        first, end = len(self.course), len(whole)
+        wanted = np.convolve(whole, self.b / sum(self.b))[first + 1 : end]
+        needed = np.convolve(whole, self.a / sum(self.b))[first - 1 : end - 1]
         return wanted, needed - float(self.x[-1])
 
 

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 OURS = {"fixed": Mode.FIXED, "adaptive": Mode.ADAPTIVE}
 PAPER = "paper's design"
 CONTROLLERS = (*OURS, *RIVALS, PAPER)
+LIMITED = ("E", "F")
+"""Cases in which somebody who knows the waveform does something else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,13 @@ class Figures:
     variation: float
     in_force: float
     wrong: float
+
+
+def takes_part(controller: str, case: str) -> bool:
+    """Return whether a controller is run in the case of that name."""
+    if controller == "MPC, preview":
+        return case in LIMITED
+    return controller != PAPER or not case.startswith("battery")
 
 
 def task_of(stand: DrawnRun) -> Task:

@@ -42,8 +42,10 @@ def step_response(task: Task, designed_for: Load, on: Load) -> Array:
 
 
 def share_wrong(stand: DrawnRun, task: Task, trace: Array) -> float:
-    """Share of the trusted estimates that make a response which is off by more than the limit."""
+    """Share of the trusted estimates whose response is off from its design by over the limit."""
     load, wrong, seen = stand.own.load, 0, 0
+    if load.numerator[0] != 0.0:
+        return 0.0  # its set-points are filtered
     trusted = (trace[:, bench.ADAPTIVE] > 0.0) & (trace[:, bench.ACCEPTED] > 0.0)
     for time_s in stand.change_times_s:
         trusted &= (stand.times_s < time_s) | (stand.times_s > time_s + GRACE_s)
@@ -52,6 +54,6 @@ def share_wrong(stand: DrawnRun, task: Task, trace: Array) -> float:
         numerator, denominator = load.realise(values)
         guess = replace(load, numerator=tuple(numerator), denominator=tuple(denominator))
         truth = stand.true_load(k)
-        errors = step_response(task, guess, truth) - step_response(task, truth, truth)
+        errors = step_response(task, guess, truth) - step_response(task, guess, guess)
         seen, wrong = seen + 1, wrong + (not np.max(np.abs(errors)) <= LIMIT)
     return wrong / max(1, seen)
