@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -13,6 +14,7 @@ from rich.text import Text
 
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive.recording.marks import SessionMark, write_marks
+from adaptdrive.recording.reader import read_session
 from adaptdrive.watch.plot import CONTROLLERS, plot
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import TRIPPED, DemoRecord
@@ -104,20 +106,28 @@ def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
     yield f"{summary['demo']}: {verdict} for {summary['duration_s']:.0f} s"
     counted = (f"{summary[name]} {name}" for name in ("ticks", "missed", "held"))
     yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
-    if session is not None and (figure := _figure(session)) is not None:
-        yield f"  figure     {_short(figure)}"
-        yield f"  once more  {program()} plot {_short(session)}"
+    if session is not None and (drawn := _figure(session)) is not None:
+        yield f"  figure     {_short(drawn[0])}"
+        yield f"  once more  {program()} plot {_short(session)} --from {drawn[1]}"
     else:
         yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
 
 
-def _figure(session: Path) -> Path | None:
-    """Draw the session; None where it cannot be drawn here."""
+def _figure(session: Path) -> tuple[Path, int] | None:
+    """Draw the session from its start on; None where it cannot be drawn here.
+
+    Returns:
+        The figure, and the second of the session from which on the drive was enabled.
+    """
     try:
         from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
 
-        return plot_session(session)[0]
-    except (ImportError, AdaptdriveError, OSError):
+        read = read_session(session)
+        first_s = read.ticks["monotonic_s"][0].as_py()
+        starts = (event.monotonic_s - first_s for event in read.events if event.kind == "state")
+        begin = max(0, math.ceil(next(starts, 0.0)))
+        return plot_session(session, begin)[0], begin
+    except (ImportError, AdaptdriveError, OSError, IndexError):
         return None
 
 
