@@ -129,7 +129,7 @@ def test_asked_to_end_the_daemon_says_goodbye(make_site: MakeSite) -> None:
 def test_what_the_daemon_says_at_its_end_is_in_the_session(make_site: MakeSite) -> None:
     site = make_site()
     site.start("--initial-voltage", "280")
-    site.demand("setpoint", 3.1)
+    site.ask("setpoint", 3.1)
     numbers = itertools.count()
     with ThreadPoolExecutor(1) as aside:
         ending = aside.submit(site.stop_daemon)
