@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from adaptdrive.control import redesign
+from adaptdrive.control import assurance, redesign
 from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.noise_limit import noise_gain
@@ -77,8 +78,30 @@ def test_the_noise_of_the_input_in_force_is_known(
     assert adapted(state, settings) == Verdict.TRUSTED
     a, b = model(2.0)
     asked = [*asked_loop(b, 2, POLE), *[0.0] * (len(state.new_loop) - 5)]
-    plain = noise * settings.learning.output_scale * noise_gain(a, b, asked)
-    assert state.input_noise == pytest.approx(plain if found is None else found, rel=1e-6)
+    least = 1e-4 * settings.learning.output_scale * noise_gain(a, b, asked)
+    assert state.input_noise == pytest.approx(least if found is None else found, rel=1e-6)
+    fast = noise * settings.learning.output_scale * noise_gain(a, b, state.fast_loop)
+    assert state.fast_noise == pytest.approx(fast if found is None else found, rel=1e-6)
+
+
+def test_the_fast_law_is_the_quiet_one_where_the_covariance_leaves_it_unsure(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings = replace(CAREFUL, jacket=replace(JACKET, noise_max=8.0, spread_max=0.05))
+    sure, unsure = known(), known()
+    for state in (sure, unsure):
+        state.estimator.surprise.noise = 1e-12
+    adapted(sure, settings)
+    assert sure.fast_gains != sure.adaptive_gains
+    found = assurance.response_spread
+
+    def spread(*given: Any) -> float:
+        return found(*given) if given[2] == sure.adaptive_gains else 0.06
+
+    monkeypatch.setattr(redesign, "response_spread", spread)
+    adapted(unsure, settings)
+    assert unsure.fast_gains == unsure.adaptive_gains == sure.adaptive_gains
+    assert unsure.fast_loop == unsure.new_loop
 
 
 def test_the_reference_filter_gets_the_loop_and_the_poles_asked_for() -> None:

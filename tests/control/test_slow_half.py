@@ -201,7 +201,7 @@ def mean_error_at_the_lower_limit(confidence: float) -> float:
         EXACT.jacket, warm_up_periods=10**6, patience_periods=10**6, confidence=confidence
     )
     settings, state = replace(EXACT, jacket=jacket), in_force(a, b, slowness)
-    state.input_noise = 8.0
+    state.input_noise = state.fast_noise = 8.0
     noise = 8.0 / noise_gain(a, b, slowed_loop([1.0], MOTOR.order, len(b) - 3, 0.7, slowness))
     random, errors = np.random.default_rng(5), []
     inputs, outputs = [REST_V] * (len(b) - 1), [3.0] * 2
@@ -227,7 +227,7 @@ def test_the_history_goes_beyond_a_limit_by_the_noise_of_the_law_in_force(adapti
     a, b = discrete_model(EXACT, MOTOR, list(MOTOR.numerator), list(MOTOR.denominator), 1.0)
     jacket = replace(EXACT.jacket, patience_periods=10**6, confidence=2.0, blend_periods=1)
     settings, state = replace(EXACT, jacket=jacket), in_force(a, b, 0.0)
-    state.input_noise = 8.0
+    state.input_noise = state.fast_noise = 8.0
     far = sample(reference=4000.0, adaptive=adaptive)
     assert slow_step(settings, MOTOR, state, far) == state.sent == 400.0
     assert state.inputs[0] == (416.0 if adaptive else 400.0)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from adaptdrive.control.surprise import Surprise, is_surprising, watch_noise
+from adaptdrive.control.surprise import LEAST_NOISE, Surprise, is_surprising, watch_noise
 
 SIGMA = 0.02
 POWER = SIGMA * SIGMA
@@ -106,7 +106,7 @@ def test_a_noiseless_output_keeps_the_least_variance() -> None:
         watch_noise(state, 0.0)
         is_surprising(state, 0.0)
     assert state.power == FLOOR
-    assert state.noise == FLOOR
+    assert state.noise == LEAST_NOISE
     state = Surprise(power=FLOOR, noise=0.0, samples=0)
     is_surprising(state, 0.0)
     assert state.power == FLOOR

@@ -20,8 +20,10 @@ from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector
 
 _CEILING_RISE = 1.002
-_LOWEST_CEILING = 0.01
 """Rise of the ceiling of V_c for each reading: slow, so that the power limit does not oscillate."""
+
+_LOWEST_CEILING = 0.01
+"""Lowest ceiling of V_c, as a share of the largest V_c: from 0 it would not rise again."""
 
 _LIMITED_SHARE = 0.25
 """Share of a slow period with k or V_c at a limit above which V_c counts as not followed."""

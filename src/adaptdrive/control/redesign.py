@@ -11,7 +11,8 @@ from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.assurance import response_spread
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
-from adaptdrive.control.evidence import MEMORY
+from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR
+from adaptdrive.control.fast_feedback import fast_loop
 from adaptdrive.control.integrated import restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.noise_limit import noise_gain, quiet_loop
@@ -33,8 +34,10 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
     if state.accepted or _is_recalled(settings, state, verdict):
         _take_gains(settings.jacket, state, gains)
         _take_loop(load, state, settings.jacket.gain_slew, sample.pole)
+        _take_fast_law(settings, load, state, sample)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
-        state.input_noise = _input_noise(settings, state)
+        state.input_noise = _input_noise(settings, state, state.new_loop, NOISE_FLOOR)
+        state.fast_noise = _input_noise(settings, state, state.fast_loop, 0.0)
 
 
 def _is_recalled(settings: ControllerSettings, state: SlowState, verdict: int) -> bool:
@@ -90,25 +93,49 @@ def _take_loop(load: Load, state: SlowState, share: float, pole: float) -> None:
         target.loop[i] += share * (state.new_loop[i] - target.loop[i])
 
 
-def _output_noise(settings: ControllerSettings, state: SlowState) -> float:
+def _take_fast_law(
+    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
+) -> None:
+    """Take over the fast law, or the quiet one where the covariance leaves the fast one unsure."""
+    a, b, quiet = state.model_a, state.model_b, state.new_loop
+    noise, limit = _output_noise(settings, state, 0.0), settings.jacket.noise_max
+    loop = fast_loop(a, b, load.order, sample.pole, quiet, noise, limit)
+    gains = loop_gains(a, b, loop)
+    most = settings.jacket.spread_max
+    if most > 0.0 and not _spread(settings, load, state, gains, loop, sample) <= most:
+        loop, gains = quiet, loop_gains(a, b, quiet)
+    copy_into(state.fast_loop, loop)
+    copy_into(state.fast_gains, gains)
+
+
+def _output_noise(
+    settings: ControllerSettings, state: SlowState, least: float = NOISE_FLOOR
+) -> float:
     """σ_y of a slow sample: what a disturbance or an error of the estimate adds is not in it.
 
     At rest a rounded output stands still, and seems to have no noise.
+
+    Args:
+        settings: Designs, rates and rules.
+        state: The estimate.
+        least: Least σ_y², in the units of the scaled output.
     """
     if not settings.learning.method.physical:
         return 0.0
     estimator = state.estimator
-    seen = math.sqrt(estimator.surprise.noise)
+    seen = math.sqrt(max(least, estimator.surprise.noise))
     return max(seen, estimator.rounding) * settings.learning.output_scale
 
 
-def _input_noise(settings: ControllerSettings, state: SlowState) -> float:
-    """σ_u of the loop in force, at most its limit; 0 where there is no limit."""
+def _input_noise(
+    settings: ControllerSettings, state: SlowState, loop: Vector, least: float
+) -> float:
+    """σ_u of a loop, at most its limit; 0 where there is no limit."""
     limit = settings.jacket.noise_max
     if not limit > 0.0:
         return 0.0
-    gain = noise_gain(state.model_a, state.model_b, state.new_loop)
-    return min(limit, gain * _output_noise(settings, state))
+    gain = noise_gain(state.model_a, state.model_b, loop)
+    return min(limit, gain * _output_noise(settings, state, least))
 
 
 def _redesign(
@@ -141,15 +168,29 @@ def _judge_response(
     settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, sample: SlowSample
 ) -> int:
     """Check how far the response may be off within the covariance of the estimate."""
-    learning, limit = settings.learning, settings.jacket.spread_max
-    if not (limit > 0.0 and learning.method.physical):
+    limit = settings.jacket.spread_max
+    if not (limit > 0.0 and settings.learning.method.physical):
         return sup.Verdict.TRUSTED
-    loop, b, values, period_s = state.new_loop, state.model_b, state.values, sample.period_s
-    root = learning.method.root(state.estimator, learning, load, values)
-    state.spread = response_spread(
-        settings, load, gains, loop, b, values, root, sample.pole, period_s
-    )
+    state.spread = _spread(settings, load, state, gains, state.new_loop, sample)
     return sup.Verdict.TRUSTED if state.spread <= limit else sup.Verdict.UNCERTAIN
+
+
+def _spread(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    gains: Vector,
+    loop: Vector,
+    sample: SlowSample,
+) -> float:
+    """How far the response may be off within the covariance of the estimate; 0 where none is."""
+    learning, b, values = settings.learning, state.model_b, state.values
+    if not learning.method.physical:
+        return 0.0
+    root = learning.method.root(state.estimator, learning, load, values)
+    return response_spread(
+        settings, load, gains, loop, b, values, root, sample.pole, sample.period_s
+    )
 
 
 def judge_physical(

@@ -48,8 +48,7 @@ def filter_reference(state: ReferenceFilter, reference: float) -> float:
         state: Overwritten.
         reference: r'[k].
     """
-    at_one = total(state.loop)
-    if at_one == 0.0 or not all_finite(state.course):
+    if total(state.loop) == 0.0 or not all_finite(state.course):
         for i in range(len(state.course)):
             state.course[i] = reference
         return reference
@@ -57,10 +56,15 @@ def filter_reference(state: ReferenceFilter, reference: float) -> float:
     for i in range(1, len(state.asked)):
         course -= state.asked[i] * state.course[i - 1]
     shift_in(state.course, course)
+    return reference_of(state.loop, state.course)
+
+
+def reference_of(loop: Vector, course: Vector) -> float:
+    """Return r"[k] for a loop A_c."""
     result = 0.0
-    for i in range(len(state.loop)):
-        result += state.loop[i] * state.course[i]
-    return result / at_one
+    for i in range(len(loop)):
+        result += loop[i] * course[i]
+    return result / total(loop)
 
 
 def condition_reference(state: ReferenceFilter, shortage: float, gain: float) -> None:

@@ -19,7 +19,11 @@ from adaptdrive.control.design import compensator_gains, discrete_model, referen
 from adaptdrive.control.load import Load
 from adaptdrive.control.probing import probe
 from adaptdrive.control.redesign import adapt
-from adaptdrive.control.reference_filter import condition_reference, filter_reference
+from adaptdrive.control.reference_filter import (
+    condition_reference,
+    filter_reference,
+    reference_of,
+)
 from adaptdrive.control.rest import distance_from_rest, nominal_gain
 from adaptdrive.control.rls import predict
 from adaptdrive.control.settings import ControllerSettings, Jacket
@@ -207,7 +211,8 @@ def _act(
     state.adaptive = sample.adaptive and sound
     fixed = control_law(state.fixed_gains, state.inputs, state.outputs, reference)
     filtered = filter_reference(state.reference_filter, reference)
-    other = control_law(state.adaptive_gains, state.inputs, state.outputs, filtered)
+    quiet = control_law(state.adaptive_gains, state.inputs, state.outputs, filtered)
+    other = _fast_law(state, quiet)
     ready = total(state.adaptive_gains) != 0.0
     step = fixed - other if state.adaptive else other - fixed
     state.handover_step = step if ready else math.nan
@@ -216,22 +221,33 @@ def _act(
         wanted = state.sent
     limited = min(max(wanted, sample.low), highest)
     state.saturated, state.sent = limited != wanted, limited
-    _remember(jacket, state, wanted, sample.low, highest)
+    _remember(jacket, state, wanted, quiet, sample.low, highest)
     return limited
 
 
+def _fast_law(state: SlowState, quiet: float) -> float:
+    """Return u[k] of the fast adaptive law, before limits; the quiet one before a design."""
+    if total(state.fast_loop) == 0.0:
+        return quiet
+    filtered = reference_of(state.fast_loop, state.reference_filter.course)
+    return control_law(state.fast_gains, state.inputs, state.outputs, filtered)
+
+
 def _remember(
-    jacket: Jacket, state: SlowState, wanted: float, lowest: float, highest: float
+    jacket: Jacket, state: SlowState, wanted: float, quiet: float, lowest: float, highest: float
 ) -> None:
     """Take the input into the history of both laws, limited.
 
     Noise that a limit cuts off on one side would move the mean of the input, and the loop would
     keep that as an error. What noise may ask for beyond a limit is therefore remembered as asked.
+    The course gives way to a limit that the response to the reference needs, as the quiet law has
+    it, not to one that a correction needs.
     """
-    beyond = jacket.confidence * state.input_noise if state.blend >= 1.0 else 0.0
-    kept = min(max(wanted, lowest - beyond), highest + beyond)
-    _condition(state, kept - wanted)
-    shift_in(state.inputs, kept)
+    share = jacket.confidence if state.blend >= 1.0 else 0.0
+    beyond = share * state.input_noise
+    _condition(state, min(max(quiet, lowest - beyond), highest + beyond) - quiet)
+    beyond = share * state.fast_noise
+    shift_in(state.inputs, min(max(wanted, lowest - beyond), highest + beyond))
 
 
 def _blended(jacket: Jacket, state: SlowState, fixed: float, other: float) -> float:

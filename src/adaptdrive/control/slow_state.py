@@ -45,7 +45,9 @@ class SlowState:
         outputs: y[k] ... y[k-m].
         nominal: Nominal physical parameters.
         fixed_gains: Gains for the nominal model.
-        adaptive_gains: Gains for the last accepted estimate.
+        adaptive_gains: Gains for the last accepted estimate, of the quiet law.
+        fast_gains: The same of the law that acts.
+        fast_loop: A_c of these; zeros before there is a design.
         values: Estimated physical parameters.
         pole: Pole that the fixed gains were designed for.
         period_s: Period that they were designed for.
@@ -69,7 +71,8 @@ class SlowState:
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
         sent: The input in force, within its limits.
-        input_noise: σ_u of the adaptive law.
+        input_noise: σ_u of the quiet law, with the noise that explanations count at the least.
+        fast_noise: σ_u of the law that acts.
         watch: The watch over the adaptive law.
         unresponsive: Whether the load has stopped to answer.
         cycles: The watch over the fixed law.
@@ -82,6 +85,8 @@ class SlowState:
     nominal: Vector
     fixed_gains: Vector
     adaptive_gains: Vector
+    fast_gains: Vector
+    fast_loop: Vector
     values: Vector
     pole: float
     period_s: float
@@ -109,6 +114,7 @@ class SlowState:
     blend: float = 0.0
     sent: float = 0.0
     input_noise: float = 0.0
+    fast_noise: float = 0.0
     unresponsive: bool = False
     cycling: bool = False
 
@@ -174,6 +180,8 @@ def new_slow_state(
         nominal=nominal,
         fixed_gains=[0.0] * (taps + load.order + 1),
         adaptive_gains=[0.0] * (taps + load.order + 1),
+        fast_gains=[0.0] * (taps + load.order + 1),
+        fast_loop=[0.0] * (load.order + taps + 1),
         values=[math.nan] * len(nominal),
         pole=math.nan,
         period_s=math.nan,

@@ -36,6 +36,9 @@ _SLOW_RATE = 0.03
 _MEDIAN = 0.455
 """Median over mean of the square of Gaussian noise (χ² with one degree of freedom)."""
 
+LEAST_NOISE = 1e-2 * NOISE_FLOOR
+"""Least mean square of noise that is followed: a tenth of the deviation that explanations count."""
+
 
 @dataclass(slots=True)
 class Surprise:
@@ -55,7 +58,7 @@ class Surprise:
     sum: float = 0.0
     samples: int = 0
     alarms: int = 0
-    noise: float = 0.0
+    noise: float = NOISE_FLOOR
     last: float = 0.0
     slope: float = 0.0
 
@@ -93,7 +96,7 @@ def watch_noise(state: Surprise, innovation: float) -> None:
     squared = bend * bend / 6.0  # a power would raise where it overflows
     state.last, state.slope = innovation, slope
     rate = _FAST_RATE if state.samples <= WINDOW else _SLOW_RATE
-    state.noise = max(NOISE_FLOOR, move_median(max(NOISE_FLOOR, state.noise), squared, rate))
+    state.noise = max(LEAST_NOISE, move_median(state.noise, squared, rate))
 
 
 def move_median(power: float, squared: float, rate: float) -> float:
