@@ -30,14 +30,12 @@ def rows(extent: Extent) -> Iterator[Row]:
 
 def _asleep(seconds: float) -> Iterator[Row]:
     census = measure(1, seconds, recording=True)
-    share, resident, recorder = census.cpu_share, census.resident, census.recorder
+    share, resident = census.cpu_share, census.resident
     target = f"at most {SLEEPING_PERCENT:g} %"
     yield Row("CPU share of a daemon", share, "%", target=target, met=share <= SLEEPING_PERCENT)
     note = "memory locked as it is touched"
     met = resident <= 80.0
     yield Row("resident memory of a daemon", resident, "MiB", None, "", "at most 80", met, note)
-    met = recorder <= 120.0
-    yield Row("resident memory of its recorder", recorder, "MiB", None, "", "at most 120", met)
 
 
 def _start() -> Row:

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from tests.benchmarks.rows import Extent, Row
 from tests.benchmarks.site import Running, await_broker, broker, enable, runs, start_daemon
 from tests.benchmarks.tools import PRIORITY, bus_ports, cpu_s, process
-from tests.support import children, resident_MiB
+from tests.support import resident_MiB
 
 WANTED = 24
 COUNTS = (8, 16, 24)
@@ -32,14 +32,12 @@ class Census:
         late: Half cycles that were played too late, which no daemon can be blamed for.
         cpu_share: CPU share of one daemon in the mean, in percent.
         resident: Largest resident memory of a daemon.
-        recorder: Largest resident memory of a recorder process, NaN without one.
     """
 
     missed: int
     late: int
     cpu_share: float
     resident: float
-    recorder: float
 
 
 def rows(extent: Extent) -> Iterator[Row]:
@@ -108,13 +106,11 @@ def _count(daemons: list[Running], broker_port: int, late: Path, seconds: float)
     shares = [cpu_s(pid) - one for pid, one in zip(pids, used, strict=True)]
     passed_s = time.monotonic() - began_s
     after = _ticks(broker_port, len(pids))
-    recorders = [resident_MiB(child) for pid in pids for child in children(pid)]
     return Census(
         missed=sum(after.values()) - sum(before.values()),
         late=_lines(late) - late_before,
         cpu_share=100.0 * sum(shares) / passed_s / len(pids),
         resident=max(map(resident_MiB, pids)),
-        recorder=max(recorders, default=float("nan")),
     )
 
 

@@ -1,6 +1,6 @@
 """A drive at 120 Hz in real time with all its processes, and a panel with an operator.
 
-Broker with users, simulated drive, daemon, recorder and journal are those of a site. Figures of
+Broker with users, simulated drive, daemon and log are those of a site. Figures of
 each process must stay flat, and the session must hold all that the panel heard.
 """
 
@@ -20,7 +20,7 @@ from adaptdrive.recording.session import Dropped, Ending
 from tests.panel.browser import panel_site_in
 from tests.soak.meters import HEAD, Meter, of_process
 from tests.soak.watcher import Watcher
-from tests.support import Process, children
+from tests.support import Process
 from tests.system.site import Site
 
 SAMPLES = 200
@@ -73,10 +73,8 @@ def _watched(site: Site, panel: Watcher, minutes: float) -> list[Meter]:
     """Operate the drive and measure its processes."""
     site.run_drive()
     assert site.daemon is not None
-    (recorder,) = children(site.daemon.pid)
     meters = [
         _meter("daemon", site.daemon.pid),
-        _meter("recorder", recorder),
         _meter("broker", _pid(site.broker)),
         _meter("simulated drive", _pid(site.device)),
     ]
