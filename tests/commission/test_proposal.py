@@ -42,7 +42,7 @@ def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Prediction, float]:
     finish(found, Rig(draw, random))
     assert found.outcome is not None
     load = build_load(draw.configuration)
-    identified = evaluate(found, load)
+    identified = evaluate(found, [load])
     proposal = propose(identified, draw.text, FOLDER / "drawn.toml")
     rest_V = rest_voltage(found.outcome.low_V, found.outcome.high_V, load)
     prediction = predict(identified, proposal.configuration, rest_V, draw.target.move)

@@ -59,8 +59,12 @@ def test_the_delay_counts_latency_lag_and_half_a_sample() -> None:
 
 
 def test_a_decision_takes_effect_after_latency_and_lag_which_the_paper_leaves_out() -> None:
-    assert reference_lead(EXACT) == reference_lead(SINGLE) == pytest.approx((2 + 9) / 120)
-    assert reference_lead(PAPER) == 0.0
+    assert (
+        reference_lead(EXACT, MOTOR)
+        == reference_lead(SINGLE, MOTOR)
+        == pytest.approx((2 + 9) / 120)
+    )
+    assert reference_lead(PAPER, MOTOR) == 0.0
 
 
 @pytest.mark.parametrize(

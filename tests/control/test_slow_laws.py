@@ -21,7 +21,7 @@ POLE = 0.7
 BLEND = 4
 JACKET = replace(EXACT.jacket, warm_up_periods=0, blend_periods=BLEND, ratio_min=0.5, ratio_max=4.0)
 SETTINGS = replace(EXACT, jacket=JACKET)
-LEAD = reference_lead(SETTINGS)
+LEAD = reference_lead(SETTINGS, MOTOR)
 UNTAUGHT = 0.2
 """Share of stand-in ticks from which a sample teaches nothing: the estimate stays."""
 

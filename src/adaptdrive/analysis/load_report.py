@@ -22,7 +22,7 @@ def as_text(found: RecordLoad) -> str:
     rows = [f"{'parameter':<20}{'record':>24}{'simulation':>24}{'on-line':>24}{'[load.model]':>14}"]
     for name, value in load.parameters.items():
         pairs = (value, load.simulated_parameters[name], found.online.get(name, _UNKNOWN))
-        nominal = f"{found.nominal[name]:.5g}" if found.nominal else "-"
+        nominal = f"{found.nominal[name]:.5g}" if name in found.nominal else "-"
         rows.append(f"{name:<20}{''.join(f'{_pm(one):>24}' for one in pairs)}{nominal:>14}")
     rows += ["", *checks(load, found.unit), *warnings(load), ""]
     rows += ["[load.model]  # proposed"] if found.nominal else []

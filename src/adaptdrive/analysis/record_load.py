@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass, replace
 
 from adaptdrive.analysis.record import Record
-from adaptdrive.app.loads import build_load
+from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Estimate
 from adaptdrive.errors import IdentificationError
-from adaptdrive.identification.identify import FEWEST_IN_PART, identify
+from adaptdrive.identification.identify import FEWEST_IN_PART, identify_any
 from adaptdrive.identification.proposal import proposed_model, time_constants
 from adaptdrive.identification.result import IdentifiedLoad
 
@@ -69,7 +69,7 @@ def identify_record(
     if lags is not None:
         raise IdentificationError("lags and a configuration were given: it says how many there are")
     structure = build_load(configuration)
-    load = identify(record.excerpts, structure, block=block)
+    load = identify_any(record.excerpts, candidate_loads(configuration), block=block)
     nominal = structure.physical(list(structure.numerator), list(structure.denominator))
     return RecordLoad(
         name=name,
@@ -85,8 +85,7 @@ def identify_record(
 def _plain(record: Record, block: int, lags: int | None) -> IdentifiedLoad:
     """Return the load between any input and output with the lags that the record shows."""
     counts = (1, 2) if lags is None else (lags,)
-    fits = [identify(record.excerpts, plain_load(count), block=block) for count in counts]
-    return min(fits, key=_criterion)
+    return identify_any(record.excerpts, [plain_load(count) for count in counts], block=block)
 
 
 def plain_load(lags: int) -> Load:
@@ -101,10 +100,3 @@ def plain_load(lags: int) -> Load:
     if lags != 2:
         raise IdentificationError(f"{lags} lags: a load has one or two")
     return motor_load(1.0, 1.0, 1.0)
-
-
-def _criterion(load: IdentifiedLoad) -> float:
-    """Return the Bayesian information criterion, for each error."""
-    count = sum(map(len, load.errors))
-    fitted = len(load.denominator) + len(load.noise)
-    return 2.0 * math.log(load.noise_std) + math.log(count) / count * fitted

@@ -9,10 +9,10 @@ from pathlib import Path
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.excerpts import Stretch, block_samples, read_stretches
 from adaptdrive.analysis.record_load import RecordLoad
-from adaptdrive.app.loads import build_load
+from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.identify import FEWEST_IN_PART, identify
+from adaptdrive.identification.identify import FEWEST_IN_PART, identify_any
 from adaptdrive.identification.proposal import proposed_model
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.what_if import reconfigured
@@ -52,7 +52,8 @@ def identify_session(
     stretches = read_stretches(session, begin_s, end_s)
     block = block_samples(stretches)
     long = [one for one in stretches if len(one.columns["output"]) >= FEWEST_IN_PART * block]
-    load = identify([one.excerpt for one in long], structure, block=block)
+    excerpts = [one.excerpt for one in long]
+    load = identify_any(excerpts, candidate_loads(configuration), block=block)
     nominal = structure.physical(list(structure.numerator), list(structure.denominator))
     return SessionLoad(
         name=session.path.name,

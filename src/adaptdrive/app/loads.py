@@ -27,6 +27,8 @@ def build_load(configuration: Configuration) -> Load:
                 model.turns_ratio,
                 model.droop_Ohm,
                 model.heater_Ohm,
+                model.lag_s,
+                model.delay_s,
             )
         case BatterySection(model=model):
             return battery_load(
@@ -50,6 +52,18 @@ def short_lag_s(configuration: Configuration) -> float:
         return 0.0
     lag_s = load.model.tau_filter_s
     return min(lag_s, 0.5 * load.period_s) if lag_s < load.period_s else 0.0
+
+
+def candidate_loads(configuration: Configuration) -> list[Load]:
+    """The structures that a record of the load may show: a bath with one lag or with two."""
+    if not isinstance(configuration.load, BathSection):
+        return [build_load(configuration)]
+    model = configuration.load.model
+    stage = (model.turns_ratio, model.droop_Ohm, model.heater_Ohm)
+    return [
+        bath_load(model.resistance_K_per_W, model.tau_s, *stage, lag_s)
+        for lag_s in (0.0, model.lag_s or model.tau_s)
+    ]
 
 
 def total_lag_s(load: Load) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from adaptdrive.commission.samples import Samples
 from adaptdrive.control.load import Load
 from adaptdrive.errors import CommissionError
 from adaptdrive.identification.excerpt import Excerpt
-from adaptdrive.identification.identify import identify
+from adaptdrive.identification.identify import identify, identify_any
 from adaptdrive.identification.result import IdentifiedLoad
 
 _BLOCKS_TO_REST = 60
@@ -29,12 +30,13 @@ _LONGEST_DELAY = 1
 """Longest dead time in samples: a tenth of a second is longer than any bus takes."""
 
 
-def evaluate(experiment: LoadExperiment, load: Load) -> IdentifiedLoad:
+def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> IdentifiedLoad:
     """Identify the load from the samples of an experiment.
 
     Args:
         experiment: One that is complete.
-        load: Structure and input map of the load.
+        loads: Structure and input map of the load; of several, which have any dead time, the one
+            that the samples show.
 
     Raises:
         CommissionError: It is not complete, or leaves a parameter open.
@@ -44,7 +46,11 @@ def evaluate(experiment: LoadExperiment, load: Load) -> IdentifiedLoad:
     if outcome is None:
         raise CommissionError("the experiment is not complete")
     excerpt = resampled(experiment.record, outcome.began_s)
-    found = identify([excerpt], load, block=_block(outcome, excerpt), longest_delay=_LONGEST_DELAY)
+    block = _block(outcome, excerpt)
+    if len(loads) > 1:
+        found = identify_any([excerpt], loads, block=block)
+    else:
+        found = identify([excerpt], loads[0], block=block, longest_delay=_LONGEST_DELAY)
     for name, one in found.parameters.items():
         if not (one.value > 0.0 and one.std <= _largest_deviation(name, found)):
             raise CommissionError(

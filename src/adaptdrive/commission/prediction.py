@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,13 +58,16 @@ class _Plant:
         self._power_W_per_V2 = (
             _POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2
         )
+        late = round(identified.delay_s / period_s)
+        self._late = deque([self._input(rest_V)] * late)
         self._state = np.zeros(len(self._denominator) - 1)
         self._state[0] = self._input(rest_V) / self._denominator[-1]
 
     def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
         """Advance by one reading of the drive."""
         del duration_s
-        fed = self._input(boost_voltage_V)
+        self._late.append(self._input(boost_voltage_V))
+        fed = self._late.popleft()
         self._state = self._transition @ self._state + self._entry * fed
         direct = fed - self._denominator[:0:-1] @ self._state
         output = self._numerator[:0:-1] @ self._state + self._numerator[0] * direct

@@ -24,6 +24,9 @@ _RATIO_MAX = (4.0, 10.0)
 _FILTER_SHARE = 0.5
 """λ time constant over the sum of the time constants."""
 
+_LAG_PERIODS = 10.0
+"""Slow periods in the sum of the time constants for each of them, at least."""
+
 _ROUND = (1.0, 2.0, 5.0, 10.0)
 _SHORTEST_PERIOD_S = 0.1
 _LONGEST_PERIOD_S = 3600.0
@@ -33,6 +36,9 @@ _FEWEST_LATENCIES = 2
 
 _SAMPLED_SHARE = 0.75
 """Longest part of a slow period over which the output is averaged."""
+
+_FAST_POLES = (0.50, 0.55, 0.60, 0.65)
+"""Poles that are tried first for a bath whose sensor lags: what it shows late is asked for soon."""
 
 _POLES = (0.70, 0.75, 0.80, 0.85, 0.90, 0.93, 0.95, 0.97)
 _LEAST_GAIN = 2.0
@@ -83,7 +89,7 @@ def propose(
     if resolution > 0.0:
         values["load.resolution"] = _rounded(resolution)
     values |= {f"load.model.{name}": _rounded(one.value) for name, one in model.items()}
-    for pole in _POLES:
+    for pole in (*_FAST_POLES, *_POLES) if "lag_s" in model else _POLES:
         if not present.load.pole_min <= pole <= present.load.pole_max:
             continue
         tried = {**values, "load.pole": pole}
@@ -100,7 +106,10 @@ def propose(
 def _pace(identified: IdentifiedLoad, present: Configuration) -> dict[str, float | int]:
     """Return slow period, samples and λ time constant for the pace of the load."""
     total_s = identified.denominator[-2] / identified.denominator[-1]
-    period_s = _period_s(total_s / present.load.traits.lag_periods, present)
+    lags = len(identified.denominator) - 1
+    period_s = _period_s(
+        total_s / max(present.load.traits.lag_periods, _LAG_PERIODS * lags), present
+    )
     ticks = round(2.0 * present.drive.line_frequency_Hz * period_s)
     samples = min(present.load.samples, math.floor(_SAMPLED_SHARE * ticks))
     return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from adaptdrive.app.loads import build_load
+from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.commission.evaluate import evaluate
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.prediction import predict, rest_voltage
@@ -34,7 +34,7 @@ def judged(
     if outcome is None:
         raise CommissionError("the experiment is not complete")
     load = build_load(present)
-    identified = evaluate(experiment, load)
+    identified = evaluate(experiment, candidate_loads(present))
     proposal = propose(identified, text, path, experiment.record.coarseness())
     rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
     prediction = predict(identified, proposal.configuration, rest_V, experiment.target.move)

@@ -166,6 +166,12 @@ class BathModel(Section):
 
     resistance_K_per_W: PositiveFloat = Field(description="thermal resistance R to the inflow")
     tau_s: PositiveFloat = Field(description="time constant R C")
+    lag_s: NonNegativeFloat = Field(
+        default=0.0, description="second time constant, of a sensor that lags; 0 for none"
+    )
+    delay_s: Annotated[NonNegativeFloat, Field(le=600.0)] = Field(
+        default=0.0, description="dead time from heater to sensor"
+    )
     turns_ratio: PositiveFloat = Field(description="N2, secondary volts per boost volt")
     droop_Ohm: FiniteFloat = Field(ge=0.0, description="R_d of the dc/dc stage")
     heater_Ohm: PositiveFloat = Field(description="R_h of the heater")

@@ -13,7 +13,7 @@ from adaptdrive.config.buses import AnyBus, bus_checks
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.estimator import Estimator, Supervisor
-from adaptdrive.config.load import AnyLoad, MotorSection, SimulatorSection
+from adaptdrive.config.load import AnyLoad, BathSection, MotorSection, SimulatorSection
 from adaptdrive.config.references import stated_unit_flaws
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import (
@@ -158,6 +158,15 @@ def _lag_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("voltage_loop.lag_s", problem)
 
 
+def _bath_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    load = configuration.load
+    if isinstance(load, BathSection) and load.design == "paper":
+        for name in ("lag_s", "delay_s"):
+            if (value := getattr(load.model, name)) > 0.0:
+                problem = f"{value} s needs load.design 'exact': the paper's bath has neither"
+                yield Flaw(f"load.model.{name}", problem)
+
+
 def _course_flaws(configuration: Configuration) -> Iterator[Flaw]:
     load = configuration.load
     if not isinstance(load, MotorSection) or load.boost_course == "held":
@@ -207,6 +216,7 @@ _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]],
     ),
     (_command_flaws, frozenset({"bus", "signals", "voltage_loop", "drive"})),
     (_lag_flaws, frozenset({"voltage_loop", "load"})),
+    (_bath_flaws, frozenset({"load"})),
     (_trip_flaws, frozenset({"drive", "load", "interlocks"})),
     (_course_flaws, frozenset({"load", "voltage_loop"})),
 )

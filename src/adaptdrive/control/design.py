@@ -1,8 +1,8 @@
 """From a load model to the gains of the compensator, for both designs.
 
 `exact`: the held model with every delay of the loop in it: the latency of the decision, the lag
-of the voltage loop, and the averaging of the output. `paper`: the paper's own discretisation of a
-single, undelayed sample.
+of the voltage loop, the dead time of the load, and the averaging of the output. `paper`: the
+paper's own discretisation of a single, undelayed sample.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ def loop_delay_ticks(rates: Rates) -> float:
     return delay - 0.5 if rates.samples > 1 else delay
 
 
-def reference_lead(settings: ControllerSettings) -> float:
+def reference_lead(settings: ControllerSettings, load: Load) -> float:
     """Delay from a decision to its mean effect, in slow periods; the paper leaves it out."""
     if not settings.exact:
         return 0.0
     rates = settings.rates
-    return (rates.latency_ticks + rates.lag_ticks) / rates.ticks_per_period
+    delay_ticks = rates.latency_ticks + rates.lag_ticks + load.delay_s / rates.nominal_tick_s
+    return delay_ticks / rates.ticks_per_period
 
 
 def window_ticks(rates: Rates) -> float:
@@ -46,7 +47,8 @@ def past_inputs(settings: ControllerSettings, load: Load) -> int:
         return load.paper_taps
     rates = settings.rates
     ticks = float(rates.ticks_per_period)
-    return input_taps(load.order, ticks, loop_delay_ticks(rates), window_ticks(rates))
+    delay = loop_delay_ticks(rates) + load.delay_s / rates.nominal_tick_s
+    return input_taps(load.order, ticks, delay, window_ticks(rates))
 
 
 def discrete_model(
@@ -61,8 +63,8 @@ def discrete_model(
         return load.paper_model(numerator, denominator, period_s)
     rates = settings.rates
     tick_s = period_s / rates.ticks_per_period
-    delay_s, window_s = loop_delay_ticks(rates) * tick_s, window_ticks(rates) * tick_s
-    return held_model(numerator, denominator, period_s, delay_s, window_s)
+    delay_s = loop_delay_ticks(rates) * tick_s + load.delay_s * tick_s / rates.nominal_tick_s
+    return held_model(numerator, denominator, period_s, delay_s, window_ticks(rates) * tick_s)
 
 
 def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:

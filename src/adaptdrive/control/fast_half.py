@@ -40,7 +40,10 @@ class FilterBank:
         outputs: λy ... λ^m y.
         inputs: λu ... λ^m u.
         output: y at the last tick.
-        load_input: u at the last tick.
+        load_input: u at the last tick, a dead time ago.
+        fed: u at the last tick.
+        late: u of the last tick and of those of the dead time.
+        oldest: Place of the oldest of them.
         sums: Sums over the window: y, λy ... λ^m y, u, λu ... λ^m u.
         count: Samples in `sums`.
         screen: What stands in front of the output's chain.
@@ -54,6 +57,9 @@ class FilterBank:
     inputs: Vector
     output: float
     load_input: float
+    fed: float
+    late: Vector
+    oldest: int
     sums: Vector
     count: int
     screen: Screen
@@ -110,6 +116,9 @@ def new_filter_bank(
         inputs=[load_input] * order,
         output=output,
         load_input=load_input,
+        fed=load_input,
+        late=[load_input] * (1 + round(load.delay_s / tick_period_s)),
+        oldest=0,
         sums=[0.0] * (2 * order + 2),
         count=0,
         screen=Screen(output, 0.0, WIDE * max(abs(output), abs(expected))),
@@ -170,12 +179,19 @@ def filter_sample(bank: FilterBank, output: float, load_input: float, ticks: int
     for i in range(ticks):
         y0 = bank.output + (output - bank.output) * i / ticks
         y1 = bank.output + (output - bank.output) * (i + 1) / ticks
-        u0 = bank.load_input + (load_input - bank.load_input) * i / ticks
-        u1 = bank.load_input + (load_input - bank.load_input) * (i + 1) / ticks
+        u0 = bank.load_input
+        bank.load_input = _delayed(bank, bank.fed + (load_input - bank.fed) * (i + 1) / ticks)
         advance(bank.outputs, bank.decay, bank.held, bank.ramp, y0, y1)
-        advance(bank.inputs, bank.decay, bank.held, bank.ramp, u0, u1)
+        advance(bank.inputs, bank.decay, bank.held, bank.ramp, u0, bank.load_input)
     bank.output = output
-    bank.load_input = load_input
+    bank.fed = load_input
+
+
+def _delayed(bank: FilterBank, load_input: float) -> float:
+    """Return the input of a dead time ago, and keep the present one."""
+    bank.late[bank.oldest] = load_input
+    bank.oldest = (bank.oldest + 1) % len(bank.late)
+    return bank.late[bank.oldest]
 
 
 def accumulate(bank: FilterBank) -> None:

@@ -39,6 +39,7 @@ class Load:
         paper_model: The discretisation that the paper uses for this load.
         paper_taps: Past inputs in that model, trailing zeros included.
         charging: For a battery: when its current must taper and end.
+        delay_s: Dead time from the input to the output.
     """
 
     numerator: tuple[float, ...]
@@ -52,6 +53,7 @@ class Load:
     paper_model: Discretise
     paper_taps: int
     charging: Charging | None = None
+    delay_s: float = 0.0
 
     @property
     def order(self) -> int:

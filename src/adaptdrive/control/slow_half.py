@@ -60,7 +60,7 @@ def slow_step(
     governed = _governed_reference(load, state, sample)
     reference = probe(settings.probing, load, state, sample, governed)
     _look_at_loop(settings, load, state, sample, reference)
-    led = lead_reference(reference, state.reference, reference_lead(settings))
+    led = lead_reference(reference, state.reference, reference_lead(settings, load))
     state.reference = reference
     if sample.manual:
         return _follow_hand(state, sample)

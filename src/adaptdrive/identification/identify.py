@@ -68,6 +68,29 @@ def identify(
     return result_of(load, fitted, simulation, usable[0].period_s)
 
 
+def identify_any(
+    excerpts: Sequence[Excerpt], loads: Sequence[Load], *, block: int = 1
+) -> IdentifiedLoad:
+    """Identify a load of one of several structures: that of least Bayesian information criterion.
+
+    Args:
+        excerpts: Parts of a record.
+        loads: The structures.
+        block: Samples that are averaged before the fit.
+
+    Raises:
+        IdentificationError: The data do not determine the load; the reason is the message.
+    """
+    return min((identify(excerpts, load, block=block) for load in loads), key=_criterion)
+
+
+def _criterion(load: IdentifiedLoad) -> float:
+    """Return the criterion, for each error."""
+    count = sum(map(len, load.errors))
+    fitted = len(load.denominator) + len(load.noise)
+    return 2.0 * math.log(load.noise_std) + math.log(count) / count * fitted
+
+
 def _noise(fitted: Fitted) -> Array:
     """Return the noise model of what the fit leaves."""
     problem = fitted.problem

@@ -8,11 +8,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.config.load import AnyLoad, BatterySection, MotorSection
+from adaptdrive.config.load import AnyLoad, BathModel, BathSection, BatterySection, MotorSection
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.result import IdentifiedLoad
 
 Array = NDArray[np.float64]
+
+_SHOWN = 3.0
+"""Dead time over its deviation above which the record shows it."""
 
 _STEP = 1e-6
 
@@ -31,8 +34,20 @@ def proposed_model(identified: IdentifiedLoad, section: AnyLoad) -> dict[str, Es
             return _motor(identified, model.tau_motor_s, model.tau_filter_s)
         case BatterySection(model=model):
             return _battery(identified, model.turns_ratio, model.droop_Ohm)
+        case BathSection():
+            return _bath(identified, section.model)
         case _:
             return dict(identified.parameters)
+
+
+def _bath(identified: IdentifiedLoad, model: BathModel) -> dict[str, Estimate]:
+    """Return resistance and time constant, and what the record shows of a sensor that lags."""
+    gain, *taus_s = time_constants(identified).values()
+    found = dict(zip(("resistance_K_per_W", "tau_s", "lag_s"), (gain, *taus_s), strict=False))
+    if identified.delay_s > _SHOWN * identified.delay_std_s:
+        found["delay_s"] = Estimate(identified.delay_s, identified.delay_std_s)
+    gone = [name for name in ("lag_s", "delay_s") if name not in found and getattr(model, name)]
+    return found | dict.fromkeys(gone, Estimate(0.0, 0.0))
 
 
 def time_constants(identified: IdentifiedLoad) -> dict[str, Estimate]:
@@ -59,7 +74,7 @@ def _motor(
     slow, fast = Estimate(middle_s + gap_s, std_s), Estimate(middle_s - gap_s, std_s)
     motor, tachometer = (slow, fast) if tau_motor_s >= tau_filter_s else (fast, slow)
     return {
-        "gain": identified.parameters["gain"],
+        "gain": next(iter(identified.parameters.values())),
         "tau_motor_s": motor,
         "tau_filter_s": tachometer,
     }

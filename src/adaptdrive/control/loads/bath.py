@@ -2,14 +2,18 @@
 
     H(s) = R / (R C s + 1)                                          eq. (11)
 
-y is the temperature above that of the inflow. u is the power into the heater, a square-law map of
-the boost voltage (8): p = N2² v² R_h / (R_d + R_h)², inverted by (9).
+Where the sensor lags too, H has a second lag τ_s, which is kept in sum and product as a motor's is,
+and a dead time. y is the temperature above that of the inflow. u is the power into the heater, a
+square-law map of the boost voltage (8): p = N2² v² R_h / (R_d + R_h)², inverted by (9).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from adaptdrive.control.discretise import exponential
 from adaptdrive.control.load import Load
+from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.vectors import Vector
 
 NAMES = ("resistance_K_per_W", "tau_s")
@@ -21,6 +25,8 @@ def bath_load(
     turns_ratio: float,
     droop_Ohm: float,
     heater_Ohm: float,
+    lag_s: float = 0.0,
+    delay_s: float = 0.0,
 ) -> Load:
     """A bath with the given nominal parameters.
 
@@ -30,18 +36,28 @@ def bath_load(
         turns_ratio: N2, secondary volts per boost volt.
         droop_Ohm: R_d of the dc/dc stage.
         heater_Ohm: R_h.
+        lag_s: τ_s; 0 for a sensor that follows at once.
+        delay_s: Dead time.
     """
+    input_gain = turns_ratio**2 * heater_Ohm / (droop_Ohm + heater_Ohm) ** 2
+    if lag_s > 0.0:
+        lagging = motor_load(resistance_K_per_W, tau_s, lag_s)
+        names = (NAMES[0], *lagging.names[1:])
+        return replace(
+            lagging, input_gain=input_gain, input_exponent=2, names=names, delay_s=delay_s
+        )
     return Load(
         numerator=(0.0, resistance_K_per_W / tau_s),
         denominator=(1.0, 1.0 / tau_s),
         input_powers=(1,),
-        input_gain=turns_ratio**2 * heater_Ohm / (droop_Ohm + heater_Ohm) ** 2,
+        input_gain=input_gain,
         input_exponent=2,
         names=NAMES,
         physical=physical,
         realise=realise,
         paper_model=paper_model,
         paper_taps=1,
+        delay_s=delay_s,
     )
 
 
