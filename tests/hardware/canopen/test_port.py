@@ -347,7 +347,7 @@ async def test_a_node_without_values_confirms_its_stop_once_it_is_set_up_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limited = "ParameterName=DC link circuit voltage\n"
-    eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=400000\n"))
+    eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=450000\n"))
     with contextlib.closing(Peer(f"canopen limited {tmp_path.name}", eds)) as peer:
         async with running(peer, eds=eds) as bench:
             await bench.run_drive()
