@@ -113,13 +113,3 @@ def test_a_jump_of_the_bias_is_followed_at_once() -> None:
         target = 0.01 * (-1.0) ** number + (50.0 if number == 59 else 0.0)
         follow(integrated, LEARNING, MOTOR, regressor, target, float(number), 1e-4, 0.1, ROUNDING)
     assert dense(integrated)[0][-1] == pytest.approx(50.0, rel=1e-3)
-
-
-@pytest.mark.parametrize("largest", [0.5, 40.0])
-def test_what_no_sample_shows_is_forgotten_up_to_a_largest_variance(largest: float) -> None:
-    learning = replace(LEARNING, covariance_max=largest)
-    integrated = started()
-    regressor = [0.0] * (len(integrated.branch.theta) - 1) + [1.0]
-    for number in range(2000):
-        follow(integrated, learning, MOTOR, regressor, 0.0, float(number), 1e-4, 0.1, ROUNDING)
-    assert dense(integrated)[1][0, 0] <= largest * 1.01

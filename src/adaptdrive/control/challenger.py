@@ -24,6 +24,7 @@ from adaptdrive.control.evidence import CLEAR, LIFE, RARER
 from adaptdrive.control.hypotheses import (
     ANEW,
     Branch,
+    copy_estimate,
     count_prediction,
     predict_sample,
     restart_past,
@@ -31,7 +32,7 @@ from adaptdrive.control.hypotheses import (
     widen,
 )
 from adaptdrive.control.load import Load
-from adaptdrive.control.rivals import PRIOR_SAMPLES, Rivals, copy_estimate, is_possible
+from adaptdrive.control.rivals import PRIOR_SAMPLES, Rivals, is_possible
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import DRIFT
 from adaptdrive.control.vectors import Vector

@@ -15,7 +15,7 @@ from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.challenger import Challenger
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
-from adaptdrive.control.hypotheses import DISTURBANCE_SHARE, new_branch
+from adaptdrive.control.hypotheses import DISTURBANCE_SHARE, copy_estimate, new_branch
 from adaptdrive.control.integrated import Integrated, restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
@@ -276,8 +276,4 @@ def remember_residual(
 
 def hold_estimate(state: EstimatorState) -> None:
     """Let the explanations of the next alarm start from the estimate of now."""
-    now = state.rivals.now
-    copy_into(now.theta, state.theta)
-    copy_into(now.upper, state.upper)
-    copy_into(now.diagonal, state.diagonal)
-    now.origin_s = state.origin_s
+    copy_estimate(state.rivals.now, state)

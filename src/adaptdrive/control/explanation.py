@@ -15,13 +15,12 @@ from adaptdrive.control.estimator import (
     take_in,
 )
 from adaptdrive.control.evidence import FEWEST, WINDOW
-from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING, Branch
+from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING, copy_estimate
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state, input_offset
 from adaptdrive.control.rls import normalised
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import is_surprising
-from adaptdrive.control.vectors import copy_into
 
 _LOUDER = 4.0
 """Largest rise of σ² after an alarm that nothing explains, or that follows upon another."""
@@ -121,20 +120,12 @@ def _settle(state: EstimatorState, learning: Learning, load: Load) -> None:
 def _publish(state: EstimatorState, learning: Learning) -> None:
     """Make the likeliest explanation the estimate."""
     best = riv.branch_of(state.rivals, state.rivals.kind)
-    _adopt(state, best)
+    copy_estimate(state, best)
     state.excitation = best.excitation
     state.innovation = best.innovation * learning.output_scale
     state.idle_periods = 0
-    riv.copy_estimate(state.rivals.now, best)
+    copy_estimate(state.rivals.now, best)
     remember_residual(state, learning, best.excitation, best.innovation)
-
-
-def _adopt(state: EstimatorState, branch: Branch) -> None:
-    """Overwrite θ, P and origin of the estimate by those of an explanation or a challenger."""
-    copy_into(state.theta, branch.theta)
-    copy_into(state.upper, branch.upper)
-    copy_into(state.diagonal, branch.diagonal)
-    state.origin_s = branch.origin_s
 
 
 def _challenge_anew(state: EstimatorState, learning: Learning, load: Load, target: float) -> bool:
@@ -165,7 +156,7 @@ def _challenge(state: EstimatorState, learning: Learning, load: Load, target: fl
 def _take_over(state: EstimatorState) -> None:
     """Make the challenger the estimate; the comparison that is under way ends."""
     challenger, rivals = state.challenger, state.rivals
-    _adopt(state, challenger.branch)
+    copy_estimate(state, challenger.branch)
     power = chal.posterior_power(challenger)
     state.surprise.power = power
     state.surprise.sum = 0.0

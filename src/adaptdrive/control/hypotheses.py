@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 from adaptdrive.control import rls
 from adaptdrive.control import ud_factors as ud
@@ -30,7 +31,7 @@ from adaptdrive.control.regression import (
     initial_state_count,
 )
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.vectors import Vector, copy_into
 
 NOTHING = 0
 DISTURBANCE = 1
@@ -43,6 +44,15 @@ DISTURBANCE_SHARE = 0.1
 
 _TINY = 1e-12
 """Divisor that counts as 0: 4,500 rounding errors of 1."""
+
+
+class Learner(Protocol):
+    """What learns: θ, P = U D Uᵀ, and since when the functions of the initial state are counted."""
+
+    theta: Vector
+    upper: Vector
+    diagonal: Vector
+    origin_s: float
 
 
 @dataclass(slots=True)
@@ -112,6 +122,14 @@ def predict_sample(
     fill_initial_state(regressor, learning, load, time_s - branch.origin_s)
     branch.excitation = ud.excitation(branch.upper, branch.diagonal, regressor)
     branch.innovation = target - rls.predict(branch.theta, regressor)
+
+
+def copy_estimate(target: Learner, source: Learner) -> None:
+    """Overwrite θ, P and origin."""
+    copy_into(target.theta, source.theta)
+    copy_into(target.upper, source.upper)
+    copy_into(target.diagonal, source.diagonal)
+    target.origin_s = source.origin_s
 
 
 def squared_error(branch: Branch, forgetting: float) -> float:

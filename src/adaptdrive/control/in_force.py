@@ -8,10 +8,11 @@ from adaptdrive.control import integrated as integ
 from adaptdrive.control import rls
 from adaptdrive.control.certainty import root_of
 from adaptdrive.control.estimator import EstimatorState
+from adaptdrive.control.hypotheses import copy_estimate
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector, copy_into
+from adaptdrive.control.vectors import Vector
 
 
 def let_both_predict(
@@ -40,11 +41,7 @@ def let_both_predict(
 
 def _begin(state: EstimatorState) -> None:
     """Start where the estimate whose bias rests is."""
-    branch = state.integrated.branch
-    copy_into(branch.theta, state.theta)
-    copy_into(branch.upper, state.upper)
-    copy_into(branch.diagonal, state.diagonal)
-    branch.origin_s = state.origin_s
+    copy_estimate(state.integrated.branch, state)
     integ.restart(state.integrated)
 
 

@@ -142,8 +142,6 @@ def _learn(integrated: Integrated, learning: Learning, regressor: Vector, target
     theta, upper, diagonal = branch.theta, branch.upper, branch.diagonal
     rls.update_beside(theta, upper, diagonal, regressor, target, rho, learning.gate, 1)
     _let_bias_walk(branch, _WALK * _WALK)
-    if learning.covariance_max > 0.0:
-        ud.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
 
 
 def _let_bias_walk(branch: Branch, variance: float) -> None:

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.certainty import is_sure
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, RARER, WINDOW
@@ -28,6 +27,7 @@ from adaptdrive.control.hypotheses import (
     NOTHING,
     Anchor,
     Branch,
+    copy_estimate,
     count_prediction,
     new_branch,
     predict_sample,
@@ -127,14 +127,6 @@ def note_disturbance(rivals: Rivals, offset: float) -> None:
     moved = offset - rivals.offset
     if math.isfinite(moved):
         rivals.moved += moved * moved
-
-
-def copy_estimate(target: Branch, source: Branch) -> None:
-    """Overwrite θ, P and origin."""
-    copy_into(target.theta, source.theta)
-    copy_into(target.upper, source.upper)
-    copy_into(target.diagonal, source.diagonal)
-    target.origin_s = source.origin_s
 
 
 def drop_anchor(rivals: Rivals, regressor: Vector, time_s: float) -> None:
@@ -238,9 +230,6 @@ def _take_in(
     mean = (PRIOR_SAMPLES * power + branch.squares) / power
     branch.score = -0.5 * (branch.logs + weight * math.log(mean / weight)) - _rarity(rivals, kind)
     learn_sample(branch.theta, branch.upper, branch.diagonal, regressor, target, learning, 0.0)
-    if learning.covariance_max > 0.0:
-        information = (1.0 - forgetting) / learning.covariance_max
-        ud.bound(branch.upper, branch.diagonal, information)
 
 
 def _rarity(rivals: Rivals, kind: int) -> float:
