@@ -69,6 +69,7 @@ SUPERVISION = _control({
     "supervisor": "test_supervisor",
     "assurance": "test_assurance",
     "noise_limit": "test_noise_limit",
+    "fast_feedback": "test_fast_feedback",
     "reference_filter": "test_reference_filter",
     "rest": "test_rest",
     "reach": "test_rest",
