@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import pairwise
 
 import msgspec
 import pytest
@@ -69,6 +70,18 @@ async def test_a_story_plays_its_scenes_and_ends() -> None:
     assert theatre.player.at_s == pytest.approx(70.0, abs=0.1)
     assert theatre.player.position.startswith("1:10 of 1:10 · scene 2 of 2")
     assert theatre.record_now.trips == []
+
+
+async def test_the_key_of_the_disks_always_changes_their_number() -> None:
+    theatre = Theatre(70.0)
+    seen = [theatre.record_now.truth["disks"]]
+    for _ in range(6):
+        command = theatre.player.dropped()
+        assert command is not None
+        assert (await theatre.ask(command)).accepted
+        theatre.services(theatre.record_now)  # publishes the truth
+        seen.append(theatre.record_now.truth["disks"])
+    assert all(one != other for one, other in pairwise(seen))
 
 
 async def test_after_a_trip_everything_is_brought_back_and_the_scene_begins_again() -> None:

@@ -129,5 +129,5 @@ class _Hand:
         except AdaptdriveError as problem:
             self._record.answer = f"panel: {problem}"
         else:
-            self._record.answer = f"panel: {address} (log in without a name)"
+            self._record.answer = f"panel: {address}"
             in_thread(lambda: webbrowser.open(address), "adaptdrive-browser")

@@ -123,12 +123,13 @@ class Player:
         self.paused, self.say = True, f"{why} The story is paused; space goes on with it."
 
     def dropped(self) -> KeyCommand | None:
-        """Return the next disturbance of the key `d`."""
-        if not self._story.drop:
-            return None
-        self._drops += 1
-        request = self._story.drop[self._drops % len(self._story.drop)]
-        return self._disturbance(request)
+        """Return the next disturbance of the key `d`, which changes the load."""
+        for _ in self._story.drop:
+            self._drops += 1
+            request = self._story.drop[self._drops % len(self._story.drop)]
+            if (command := self._disturbance(request)) is not None:
+                return command
+        return None
 
     @property
     def _scene(self) -> Scene:

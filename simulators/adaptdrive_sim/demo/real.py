@@ -89,7 +89,6 @@ class RealStage:
             "bus": str(self.bus),
             "broker": self.broker,
             "try": f"{program()} mode {self.drive_name} adaptive --broker {self.broker}",
-            "or": f"{program()} watch {self.drive_name} --broker {self.broker}",
         }
 
     async def __aenter__(self) -> Self:
