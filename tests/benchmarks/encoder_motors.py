@@ -11,7 +11,7 @@ hardly shows in samples of 1 s. The command prints median and worst of
   the one asked for by more than 5 % of the step. From the change to 20 s after the next edge of
   the reference none is counted: no sample shows the new inertia.
 
-Seeds from 610000 on were used for tuning, those from 710000 on for judging only.
+Seeds from 610000 and from 710000 on were used for tuning, those from 720000 on for judging only.
 """
 
 from __future__ import annotations
