@@ -34,8 +34,7 @@ _MEANING: dict[str, Any] = {
     **dict.fromkeys(_MEASURED, True),
     "load": {"type": True, "model": _INPUT},
 }
-"""What is measured, of which drive, and what makes the input of it: `adaptdrive commission` changes
-none of these."""
+"""Keys of measurement, drive and input; `adaptdrive commission` changes none of them."""
 
 _DESCRIPTIONS = ("database", "databases", "eds")
 """Keys of a bus that name a file in which scales and offsets of its signals are."""

@@ -47,7 +47,7 @@ _TINY = 1e-12
 
 
 class Learner(Protocol):
-    """What learns: θ, P = U D Uᵀ, and since when the functions of the initial state are counted."""
+    """State that learns: θ, P = U D Uᵀ, and the age of the functions of the initial state."""
 
     theta: Vector
     upper: Vector

@@ -183,7 +183,7 @@ def _spread(
     loop: Vector,
     sample: SlowSample,
 ) -> float:
-    """How far the response may be off within the covariance of the estimate; 0 where none is."""
+    """Return how far the response may be off within the covariance of the estimate; 0 for none."""
     learning, b, values = settings.learning, state.model_b, state.values
     if not learning.method.physical:
         return 0.0

@@ -51,7 +51,7 @@ TRIPS = (
         "compare the setting that the text names; `adaptdrive probe` shows the frames",
     ),
     Trip(
-        r"^stale: .*; the polls give no reading: no reply",
+        r"^stale: .*; the polls give no reading: no reply (within \S+ s|has come .*)$",
         f"{_STALE}; the polls give no reading: no reply within 0.05 s",
         "the Modbus device does not answer, or answers later than `bus.timeout_s`; with events "
         "`latency`, the machine is overloaded",
