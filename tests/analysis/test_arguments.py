@@ -10,8 +10,8 @@ from adaptdrive.cli import main
 
 COMPUTATIONS = {
     "plot": "adaptdrive.analysis.plot.draw_session",
-    "identify": "adaptdrive.analysis.session_load.identify",
-    "whatif": "adaptdrive.analysis.session_load.identify",
+    "identify": "adaptdrive.analysis.session_load.identify_any",
+    "whatif": "adaptdrive.analysis.session_load.identify_any",
 }
 
 

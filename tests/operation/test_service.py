@@ -269,7 +269,7 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
         *("waveform", "pole", "trip", "shutting_down", "stop", "voltage_V"),
         *("reach", "coasting"),
         *("since", "last_trip", "clock", "time"),
-        *("drive", "output", "limits", "modes", "version"),
+        *("drive", "output", "limits", "modes", "version", "manipulated"),
     ]
     assert second["waveform"] == SQUARE
     assert second["setpoint"] is None

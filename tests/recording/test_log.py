@@ -16,7 +16,7 @@ from adaptdrive.recording import log_writer, reserve
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import is_live, log_files, recall, records
-from adaptdrive.recording.log_writer import LogWriter, Outcome
+from adaptdrive.recording.log_writer import LogNews, LogWriter
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import Dropped
@@ -30,7 +30,7 @@ class Bench:
 
     def __init__(self, folder: Path, backlog_bytes: int = 1 << 20, segment_s: float = 3600) -> None:
         self.folder = folder
-        self.outcomes: list[Outcome] = []
+        self.outcomes: list[LogNews] = []
         header = Header(INFO, "", segment_s=segment_s)
         self.now_s = 100.0
         self.log = Log(

@@ -31,7 +31,7 @@ _ATTEMPTS = 5
 _LOOK_s = 0.1
 
 
-class Stage(Protocol):
+class StoryStage(Protocol):
     """Place in which a story is played."""
 
     @property
@@ -60,7 +60,7 @@ class Player:
     """
 
     def __init__(
-        self, story: Story, stage: Stage, record: DemoRecord, duration_s: float | None
+        self, story: Story, stage: StoryStage, record: DemoRecord, duration_s: float | None
     ) -> None:
         self.say = "The drive starts: its capacitor is charged."
         self.at_s = 0.0

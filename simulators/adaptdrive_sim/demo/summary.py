@@ -53,7 +53,7 @@ def summarise(record: DemoRecord, player: Player, failure: str) -> dict[str, Any
 
 def _problems(record: DemoRecord, player: Player) -> Iterator[str]:
     """Yield everything that makes the demonstration a failure, in one sentence each."""
-    if not record.control_s:
+    if not (record.control_s or record.running):
         yield "the drive never ran"
     elif not record.running and not record.completed and not player.paused:
         yield f"the drive is not running but in {record.state.get('state')}"

@@ -61,7 +61,7 @@ class RecordView:
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class InputOutputRecord:
     """A record that a fit takes.
 
     Attributes:
@@ -76,14 +76,14 @@ class Record:
     input: str
     output: str
 
-    def without_short(self, samples: int) -> Record:
+    def without_short(self, samples: int) -> InputOutputRecord:
         """Return the record without parts of fewer samples, but for the only one."""
         kept = [n for n, one in enumerate(self.excerpts) if len(one.output) >= samples] or [0]
         excerpts = [self.excerpts[n] for n in kept]
         return replace(self, excerpts=excerpts, begins_s=[self.begins_s[n] for n in kept])
 
 
-def read_record(columns: Columns, view: RecordView) -> Record:
+def read_record(columns: Columns, view: RecordView) -> InputOutputRecord:
     """Return the record that columns contain.
 
     Args:
@@ -101,7 +101,7 @@ def read_record(columns: Columns, view: RecordView) -> Record:
         raise IdentificationError(f"{columns.source}: {len(time_s)} rows are no record")
     period_s = view.sample_time_s or float(np.median(np.diff(time_s)))
     gaps = np.flatnonzero(np.diff(time_s) > _LONGEST_GAP * period_s) + 1
-    record = Record([], [], str(view.input), str(view.output))
+    record = InputOutputRecord([], [], str(view.input), str(view.output))
     for number, rows in enumerate(np.split(np.arange(len(time_s)), gaps)):
         even_s = time_s[rows[0]] + period_s * np.arange(
             1 + math.floor((time_s[rows[-1]] - time_s[rows[0]]) / period_s + 1e-6)
@@ -197,7 +197,7 @@ def _named(columns: Columns, known: frozenset[str]) -> str | None:
     return None
 
 
-def _require_movement(columns: Columns, view: RecordView, record: Record) -> None:
+def _require_movement(columns: Columns, view: RecordView, record: InputOutputRecord) -> None:
     """Make sure that the input changes, or has changed at the start."""
     if not record.excerpts:
         raise IdentificationError(f"{columns.source}: has no rows from --from to --to")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from adaptdrive.analysis.record import Record
+from adaptdrive.analysis.record import InputOutputRecord
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration
 from adaptdrive.control.load import Load
@@ -44,7 +44,10 @@ class RecordLoad:
 
 
 def identify_record(
-    record: Record, name: str, configuration: Configuration | None = None, lags: int | None = None
+    record: InputOutputRecord,
+    name: str,
+    configuration: Configuration | None = None,
+    lags: int | None = None,
 ) -> RecordLoad:
     """Identify the load of a record.
 
@@ -82,7 +85,7 @@ def identify_record(
     )
 
 
-def _plain(record: Record, block: int, lags: int | None) -> IdentifiedLoad:
+def _plain(record: InputOutputRecord, block: int, lags: int | None) -> IdentifiedLoad:
     """Return the load between any input and output with the lags that the record shows."""
     counts = (1, 2) if lags is None else (lags,)
     return identify_any(record.excerpts, [plain_load(count) for count in counts], block=block)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -22,7 +23,7 @@ ORIGIN = "by adaptdrive commission"
 def with_values(path: Path, text: str, values: Mapping[str, float | int]) -> str:
     """Return a TOML document with new values, in its order.
 
-    A comment after a value that changes goes: it describes the old value.
+    A comment with a figure after a value that changes goes: it describes the old value.
 
     Args:
         path: The file that it is from.
@@ -42,8 +43,10 @@ def with_values(path: Path, text: str, values: Mapping[str, float | int]) -> str
         table: Any = document
         for part in tables:
             table = table.setdefault(part, tomlkit.table())
-        if table.get(name) != value:
-            table[name] = tomlkit.item(value).comment(ORIGIN)
+        old = table.get(name)
+        if old != value:
+            stays = old is not None and not re.search(r"\d", old.trivia.comment)
+            table[name] = value if stays else tomlkit.item(value).comment(ORIGIN)
     return tomlkit.dumps(document)
 
 

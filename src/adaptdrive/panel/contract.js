@@ -9,7 +9,7 @@
  *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
  *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null,
  *   stop: string|null, time: string, since: string, last_trip: Trip|null, clock: string,
- *   output: {name: string, unit: string}, modes: string[],
+ *   output: {name: string, unit: string}, manipulated: {name: string, unit: string}, modes: string[],
  *   limits: Record<string, [number|null, number|null]>, reach: [number|null, number|null]
  * }} State
  * @typedef {{

@@ -95,7 +95,7 @@ const DrivePage = (() => {
       ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
     ]);
     const unit = state?.manipulated?.unit ?? "V";
-    const given = unit === "V" ? "boost voltage" : state.manipulated.name;
+    const given = unit === "V" ? "boost voltage" : state?.manipulated?.name ?? "";
     drawRows(parts.rest, [
       [`${given} asked for`, Dom.number(load?.boost_reference_V, unit), limitText(state?.limits?.boost_V, unit)],
       [given, Dom.number(fast?.boost_voltage_V, unit), limitText(state?.limits?.boost_trip_V, unit)],

@@ -47,13 +47,14 @@ const Payloads = (() => {
 
   /** @param {Record<string, unknown>} raw @returns {State} */
   function state(raw) {
-    const output = fields(raw.output), reach = fields(raw.reach);
+    const output = fields(raw.output), manipulated = fields(raw.manipulated), reach = fields(raw.reach);
     return {
       state: text(raw.state), mode: text(raw.mode), controller: text(raw.controller),
       reason: text(raw.reason), time: text(raw.time), since: text(raw.since), clock: text(raw.clock),
       stop: textOrNull(raw.stop), trip: textOrNull(raw.trip), last_trip: trip(raw.last_trip), enabled: raw.enabled === true,
       setpoint: number(raw.setpoint), pole: number(raw.pole), waveform: waveform(raw.waveform),
       output: { name: text(output.name) || "output", unit: text(output.unit) },
+      manipulated: { name: text(manipulated.name) || "v_bst", unit: text(manipulated.unit) || "V" },
       modes: Array.isArray(raw.modes) ? raw.modes.slice(0, 10).map(text) : ["fixed", "adaptive"],
       limits: map(raw.limits, range), reach: [number(reach.low), number(reach.high)],
     };

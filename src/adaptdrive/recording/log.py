@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from adaptdrive.recording.frames import Kind
-from adaptdrive.recording.log_writer import NOTES, ROWS, Item, LogWriter, Outcome
+from adaptdrive.recording.log_writer import NOTES, ROWS, Item, LogNews, LogWriter
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import Dropped
@@ -44,7 +44,7 @@ class Log:
         recalled: Recalled,
         clock: Clock,
         *,
-        hear: Callable[[Outcome], None],
+        hear: Callable[[LogNews], None],
         begin_rows: Callable[[], None] = lambda: None,
         start_thread: Callable[[], None] = lambda: None,
         backlog_bytes: int = LARGEST_BACKLOG_BYTES,
@@ -184,13 +184,13 @@ class Log:
             elif oldest.kind is Kind.SLOW:
                 self.dropped += Dropped(slow=oldest.rows)
 
-    def _tell(self, outcome: Outcome) -> None:
+    def _tell(self, outcome: LogNews) -> None:
         """Pass news of a thread to the event loop, which may have ended."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._take, outcome)
 
-    def _take(self, outcome: Outcome) -> None:
+    def _take(self, outcome: LogNews) -> None:
         self.problems.update(outcome.problems)
         if outcome.synced is not None:
             self._synced, self._in_vain_s = outcome.synced, 0.0

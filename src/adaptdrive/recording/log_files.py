@@ -18,7 +18,7 @@ import msgspec
 from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
 from adaptdrive.files import read_regular
 from adaptdrive.recording.frames import LARGEST_BYTES, Kind, Loss, Record, read_frames
-from adaptdrive.recording.memory import Begin, Memory, Recalled
+from adaptdrive.recording.memory import Begin, LogMemory, Recalled
 from adaptdrive.recording.session import Ending, SessionInfo, time_in_name
 
 SUFFIX = ".log"
@@ -173,7 +173,7 @@ def recall(folder: Path, now: datetime) -> Recalled:
     except RecordingError as problem:
         return Recalled(flaws=(str(problem),))
     known = _since_last_begin(files, flaws)
-    memory = Memory(NO_LOG, 0.0)
+    memory = LogMemory(NO_LOG, 0.0)
     for file in known:
         try:
             for record in records([file], flaws):

@@ -23,7 +23,7 @@ import msgspec
 from adaptdrive.recording import reserve
 from adaptdrive.recording.frames import Kind, Record, framed
 from adaptdrive.recording.log_files import new_file
-from adaptdrive.recording.memory import Memory, Recalled
+from adaptdrive.recording.memory import LogMemory, Recalled
 from adaptdrive.recording.records import Header
 
 _LARGEST_FILE_BYTES = 4 << 20
@@ -59,7 +59,7 @@ class Item:
     rows: int = 0
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class LogNews(msgspec.Struct, frozen=True):
     """Reports of the threads to the event loop.
 
     Attributes:
@@ -96,7 +96,7 @@ class LogWriter:
         header: Header,
         recalled: Recalled,
         clock: Callable[[], tuple[float, float]],
-        tell: Callable[[Outcome], None],
+        tell: Callable[[LogNews], None],
         begin_rows: Callable[[], None],
         start_thread: Callable[[], None],
     ) -> None:
@@ -120,7 +120,7 @@ class LogWriter:
         self._tell = tell
         self._begin_rows = begin_rows
         self._start_thread = start_thread
-        self._memory = Memory(recalled, clock()[0])
+        self._memory = LogMemory(recalled, clock()[0])
         self._number, self._file_number = recalled.number, recalled.file
         self._wakes: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._syncs: queue.SimpleQueue[tuple[int, int] | None] = queue.SimpleQueue()
@@ -166,7 +166,7 @@ class LogWriter:
                 self._wakes.get(timeout=None if self._idle else _PAUSE_S)
             self._write_all()
         self._end_file()
-        self._tell(Outcome(written=True))
+        self._tell(LogNews(written=True))
         self._syncs.put(None)
 
     @property
@@ -244,7 +244,7 @@ class LogWriter:
                 self._part, self._part_began_s = self._part + 1, now_s
             self._begin_file()
             if due:
-                self._tell(Outcome(part=self._part))
+                self._tell(LogNews(part=self._part))
 
     def _begin_file(self) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -299,7 +299,7 @@ class LogWriter:
     def _report(self, what: str, problem: str) -> None:
         if problem != self._problems[what]:
             self._problems[what] = problem
-            self._tell(Outcome(problems={what: problem}))
+            self._tell(LogNews(problems={what: problem}))
 
     # -- the thread that syncs -------------------------------------------------------------------
 
@@ -313,8 +313,8 @@ class LogWriter:
                     os.close(descriptor)
             elif self._syncs.empty():  # a later sync of this file serves those before it
                 self._report(SYNC, _synced(descriptor))
-                self._tell(Outcome(synced=notes))
-        self._tell(Outcome(synced=self._notes_written, ended=True))
+                self._tell(LogNews(synced=notes))
+        self._tell(LogNews(synced=self._notes_written, ended=True))
 
 
 def _synced(descriptor: int) -> str:

@@ -66,7 +66,7 @@ class Recalled:
     flaws: tuple[str, ...] = ()
 
 
-class Memory:
+class LogMemory:
     """The fold."""
 
     def __init__(self, recalled: Recalled, now_s: float) -> None:

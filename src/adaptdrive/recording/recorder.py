@@ -18,7 +18,7 @@ import msgspec
 from adaptdrive.recording.archive_run import run_archiver
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import LARGEST_BACKLOG_BYTES, Log
-from adaptdrive.recording.log_writer import SYNC, Outcome
+from adaptdrive.recording.log_writer import SYNC, LogNews
 from adaptdrive.recording.memory import TRIP, Recalled
 from adaptdrive.recording.records import (
     Header,
@@ -393,7 +393,7 @@ class Recorder:
 
     # -- news of the log ---------------------------------------------------------------------------
 
-    def _hear(self, outcome: Outcome) -> None:
+    def _hear(self, outcome: LogNews) -> None:
         for what, problem in outcome.problems.items():
             self._hear_problem(what, problem)
         if outcome.part > 1:
