@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from adaptdrive.app.loads import build_load
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.target import Target, build_target
@@ -68,11 +69,7 @@ class Draw:
     def truth(self) -> dict[str, float]:
         """Parameters by the names of `Load.names`."""
         model = self.load.model(self.ratio, self.droop_Ohm)
-        if isinstance(self.load, Motor):
-            one, two = model["tau_motor_s"], model["tau_filter_s"]
-            return {"gain": model["gain"], "tau_sum_s": one + two, "tau_product_s2": one * two}
-        model.pop("heater_W_per_V2", None)
-        return model
+        return {name: model[name] for name in build_load(self.configuration).names}
 
     @property
     def model(self) -> dict[str, float]:
@@ -81,9 +78,9 @@ class Draw:
             own = self.load.parameters
             names = ("relaxation_Ohm", "relaxation_s")
             return {"internal_Ohm": own.series_Ohm, **{one: getattr(own, one) for one in names}}
+        keys = type(self.configuration.load.model).model_fields
         model = self.load.model(self.ratio, self.droop_Ohm)
-        model.pop("heater_W_per_V2", None)
-        return model
+        return {key: value for key, value in model.items() if key in keys}
 
 
 def span(random: Random, low: float, high: float) -> float:

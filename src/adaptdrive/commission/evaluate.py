@@ -23,8 +23,8 @@ _MOST_BLOCKS = 4000
 _LARGEST_DEVIATION = 0.5
 """Largest standard deviation of a parameter, relative to it."""
 
-_NEGLIGIBLE_LAG = 0.01
-"""Deviation of the second lag, over the sum of both, that no slow period shows."""
+_SHORT_LAG = 0.05
+"""Second lag over the sum of both that is shorter than a slow period, and so counts as none."""
 
 _LONGEST_DELAY = 1
 """Longest dead time in samples: a tenth of a second is longer than any bus takes."""
@@ -52,7 +52,7 @@ def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> IdentifiedLoa
     else:
         found = identify([excerpt], loads[0], block=block, longest_delay=_LONGEST_DELAY)
     for name, one in found.parameters.items():
-        if not (one.value > 0.0 and one.std <= _largest_deviation(name, found)):
+        if not _determined(name, found):
             raise CommissionError(
                 f"the test does not determine {name} = {one.value:.4g} ± {one.std:.2g}: ask for a "
                 "larger movement, or a longer wait"
@@ -60,16 +60,18 @@ def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> IdentifiedLoa
     return found
 
 
-def _largest_deviation(name: str, found: IdentifiedLoad) -> float:
-    """Return the largest standard deviation with which a parameter counts as known.
+def _determined(name: str, found: IdentifiedLoad) -> bool:
+    """Return whether a parameter is known well enough to control the load with it.
 
-    The product of two lags vanishes beside their sum where the load has a single one: what
-    matters is then the second lag, which is the product over the sum.
+    The product of two lags vanishes where the load has a single one. It is then known where the
+    second lag, which is the product over the sum, is shorter than a slow period two deviations up.
     """
-    relative = _LARGEST_DEVIATION * found.parameters[name].value
+    one = found.parameters[name]
+    if one.value > 0.0 and one.std <= _LARGEST_DEVIATION * one.value:
+        return True
     if name != "tau_product_s2":
-        return relative
-    return max(relative, _NEGLIGIBLE_LAG * found.parameters["tau_sum_s"].value ** 2)
+        return False
+    return one.value + 2.0 * one.std <= _SHORT_LAG * found.parameters["tau_sum_s"].value ** 2
 
 
 def resampled(record: Samples, from_s: float) -> Excerpt:
