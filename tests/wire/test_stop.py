@@ -161,7 +161,7 @@ async def test_a_node_in_a_fault_without_values_trips_and_its_stop_is_confirmed(
 ) -> None:
     monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
     limited = "ParameterName=DC link circuit voltage\n"
-    eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=400000\n"))
+    eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=450000\n"))
     with contextlib.closing(Peer(f"canopen {tmp_path.name}", eds)) as peer:
         bus = {"bus/interface": peer.interface, "bus/channel": peer.channel, "bus/eds": str(eds)}
         async with rigged(parse({**_PATIENT_NODE, **bus})) as rig:

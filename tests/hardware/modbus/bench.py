@@ -302,6 +302,18 @@ class Bench:
     def _reads(self) -> int:
         return sum(request[0] in {3, 4, 23} for request in self.peer.requests)
 
+    async def runs_until(self, condition: Callable[[], bool]) -> None:
+        """Command the drive on until a condition holds.
+
+        The command is renewed, as the fast loop renews it: a standstill of the process voids one.
+        """
+
+        def renewed() -> bool:
+            self.port.send(RUN)
+            return condition()
+
+        await until(renewed)
+
     def told(self) -> list[int]:
         """What the drive was told last: V_c and bridge."""
         return self.peer.writes[-1][1][:2]

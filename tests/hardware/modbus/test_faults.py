@@ -130,7 +130,7 @@ async def watched(kind: str, tmp_path: Path, port: int) -> AsyncIterator[Bench]:
     async with bench(kind, tmp_path, port, bus__heartbeat__drive='"state"') as one:
         one.port.send(RUN)
         await one.hears(3)
-        await until(lambda: bool(one.peer.writes))
+        await one.runs_until(lambda: bool(one.peer.writes))
         yield one
 
 
@@ -270,7 +270,7 @@ async def test_a_reply_that_repeats_another_write_confirms_no_stop(
 async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
-    async with watched(kind, tmp_path, free_tcp_port) as one:
+    async with watched(kind, tmp_path, free_tcp_port) as one, judged(QUIET_s):
         complaints: list[str | None] = []
 
         def in_turn(pdu: bytes) -> bytes:
@@ -280,10 +280,10 @@ async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(
             return busy(pdu) if len(complaints) % 2 == 1 else nothing_written(pdu)
 
         one.peer.answer = in_turn
-        await until(lambda: one.port.complaint is not None)
+        await one.runs_until(lambda: one.port.complaint is not None)
         assert complaints.count(None) <= 6
         HEALTHY(one.peer)
-        await until(lambda: one.port.complaint is None)
+        await one.runs_until(lambda: one.port.complaint is None)
 
 
 async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken(
@@ -298,7 +298,7 @@ async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken(
 
     async with watched("tcp", tmp_path, free_tcp_port) as one:
         one.peer.answer = sometimes_busy
-        await until(lambda: one.port.complaint is not None)
+        await one.runs_until(lambda: one.port.complaint is not None)
 
 
 async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None:
@@ -405,8 +405,7 @@ async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
     """Two blocks of the same length; the repetition comes before the reply to the second."""
     blocks = {"bus__max_block": "3", "bus__heartbeat__drive": '"state"', **SLOW}
     async with bench("rtu", tmp_path, free_tcp_port, **blocks) as one, judged(REPEATED_s):
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes))
+        await one.runs_until(lambda: bool(one.peer.writes))
 
         def is_mixed_up() -> bool:
             begun = 1 + one.port.statistics.timeouts  # one without a reply begins anew
@@ -500,8 +499,7 @@ async def test_a_late_reply_to_another_command_confirms_no_stop(
     changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
 ) -> None:
     async with bench("rtu", tmp_path, free_tcp_port, **changes) as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
+        await one.runs_until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
 
         def late_to_run(reply: bytes) -> Pieces:
             if reply[1] == 4:
@@ -552,8 +550,7 @@ async def test_a_stop_reaches_a_drive_that_hangs_up_at_a_write_of_its_set_point(
                 peer.hang_up()
             return reply
 
-        one.port.send(RUN)
-        await until(lambda: (9, [1]) in peer.writes)
+        await one.runs_until(lambda: (9, [1]) in peer.writes)
         peer.answer = hang_up
         one.port.send(SAFE_COMMAND)
         await until(lambda: (9, [0]) in peer.writes)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
+import math
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
 from tests.hardware.modbus.bench import FUNCTION_23, MAP, Peer, serial
+from tests.hardware.modbus.spoils import nothing_written
 from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, use_memory
 
 TIMEOUT_s = 0.15
@@ -27,6 +30,9 @@ UNSEEN_s = 0.1
 
 INSTANTS = 80
 """Looks at the clock after which the daemon stands still, one run each: a few polls."""
+
+LATE_s = 0.03
+"""Delay of each reply with which a reply and the silence before it take more than two polls."""
 
 COMMANDS = 3
 """Commands after which the looks are counted: the drive has reported its bridge on."""
@@ -79,7 +85,12 @@ class WatchedPeer(Peer):
 
 
 class Rig:
-    """A port in virtual time whose drive watches its commands."""
+    """A port in virtual time whose drive watches its commands.
+
+    Attributes:
+        stands_at: Number of the look at the clock at which the daemon stands still.
+        decisions: Readings that are followed by a command.
+    """
 
     def __init__(self, device: Path, changes: dict[str, str | None], timeout_s: float) -> None:
         held = "bus__read_write" in changes
@@ -96,6 +107,7 @@ class Rig:
         self._looks = 0
         self._been_on = False
         self.stands_at = -1
+        self.decisions = math.inf
         document = parse(**{**MAP, **serial(device), **changes, **on})
         self._port = build_port(document, self._clock, "standstills.toml")
 
@@ -106,6 +118,8 @@ class Rig:
         return self.loop.time()
 
     def _decide(self, reading: Reading) -> None:
+        if len(self.ear.readings) > self.decisions:
+            return
         stopped = self._been_on and not reading.bridge
         self._been_on = self._been_on or reading.bridge
         wanted = Command(0.0, 250.0 + len(self.ear.readings) // 50, bridge=True)
@@ -152,3 +166,17 @@ def test_the_shortest_time_out_lets_no_healthy_drive_stop(
     rig.run(20.0)
     assert rig.peer.revived_s == []
     assert rig.peer.fed > 300
+
+
+def test_a_wait_for_a_silent_line_is_no_standstill(tmp_path: Path) -> None:
+    """A command stays valid while the line must be silent, as after a reply to another request."""
+    numbers = itertools.count(1)
+
+    def sometimes_another(pdu: bytes) -> bytes:
+        return nothing_written(pdu) if pdu[0] == 16 and next(numbers) % 4 == 0 else pdu
+
+    rig = Rig(tmp_path / "line", {}, 1.0)
+    rig.drive.copies, rig.peer.answer = lambda _: (LATE_s,), sometimes_another
+    rig.decisions = 1
+    rig.run(2.0)
+    assert next(numbers) > 12

@@ -249,9 +249,17 @@ class Commander:
             await self.write(link)
 
     async def _read(self, link: ModbusConnection, exchange: Exchange) -> list[int]:
-        """Read a block, unless the safe command becomes urgent before it is asked for."""
+        """Read a block, unless the safe command becomes urgent before it is asked for.
+
+        Each look during the wait for a silent line is a step: the wait is no standstill.
+        """
         known = self.urgent
-        return await self._exchange(link, exchange, [], void=lambda: self.urgent and not known)
+
+        def overtaken() -> bool:
+            self.note_step()
+            return self.urgent and not known
+
+        return await self._exchange(link, exchange, [], void=overtaken)
 
     async def _exchange(
         self,

@@ -12,7 +12,7 @@ from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink
 _FROZEN_POLLS = 2.0
 """Time without a step of the port, in polls, after which the process counts as having stood still.
 
-No exchange that a running process awaits takes as long: its time-out is shorter than a poll.
+No reply that a running process awaits takes as long: its time-out is shorter than a poll.
 """
 
 
