@@ -65,12 +65,12 @@ def looped(plant: Plant, seed: int, colour: float) -> Excerpt:
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_feedback_of_the_noise_leaves_no_bias(colour: float) -> None:
     errors = []
-    for seed in range(40):
+    for seed in range(80):
         plant = KINDS["motor"](np.random.default_rng(seed))
         excerpt = looped(plant, seed + 2000, colour)
         errors.append(scores(identify([excerpt], plant.structure, longest_delay=0), plant))
     assert 0.90 <= np.mean(np.abs(errors) < 1.96) <= 0.99
-    assert np.abs(np.mean(errors, axis=0)).max() < 3.0 / np.sqrt(40)
+    assert np.abs(np.mean(errors, axis=0)).max() < 3.0 / np.sqrt(80)
 
 
 def test_a_direct_difference_of_samples_would_be_biased_in_that_loop() -> None:
