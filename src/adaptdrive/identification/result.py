@@ -90,11 +90,19 @@ class IdentifiedLoad:
         which the noise model takes for noise, or a controller that feeds the noise back.
         """
         pairs = {n: (one, self.simulated_parameters[n]) for n, one in self.parameters.items()}
-        return tuple(
-            name
-            for name, (one, other) in pairs.items()
-            if abs(one.value - other.value) > _DISPUTED * math.hypot(one.std, other.std)
-        )
+        return tuple(name for name, (one, other) in pairs.items() if _differ(one, other))
+
+
+def _differ(one: Estimate, other: Estimate) -> bool:
+    """Return whether two estimates of a parameter differ by more than chance.
+
+    Those of one sign are compared by their logarithms: data determine a parameter to a share of
+    itself, so that the deviation of an estimate that is too large is too large by the same factor.
+    """
+    if one.value * other.value <= 0.0:
+        return abs(one.value - other.value) > _DISPUTED * math.hypot(one.std, other.std)
+    deviation = math.hypot(one.std / one.value, other.std / other.value)
+    return abs(math.log(one.value / other.value)) > _DISPUTED * deviation
 
 
 def result_of(load: Load, fitted: Fitted, simulation: Fitted, sample_s: float) -> IdentifiedLoad:
