@@ -110,7 +110,17 @@ def test_the_course_after_a_limit_is_the_one_that_asks_for_no_more(slowness: flo
 
 def test_a_new_filter_has_room_for_every_pole_and_has_been_nowhere() -> None:
     state = new_reference_filter(2, 5)
-    assert (state.asked, state.loop, state.course) == ([0.0] * 5, [0.0] * 8, [0.0] * 8)
+    assert (state.asked, state.loop) == ([0.0] * 5, [0.0] * 8)
+    assert len(state.course) == 8
+    assert all(map(math.isnan, state.course))
+
+
+def test_a_filter_that_has_its_design_before_its_first_reference_begins_there() -> None:
+    """Gains that were trusted last act from the first slow period on: the course starts at rest."""
+    state = new_reference_filter(2, 5)
+    state.asked[:], state.loop[:] = [1.0, -0.9, 0.2, 0.0, 0.0], [1.0, -1.0, 0.3, *[0.0] * 5]
+    assert filter_reference(state, 3.0) == 3.0
+    assert filter_reference(state, 3.0) == pytest.approx(3.0)
 
 
 def test_a_reference_that_is_not_a_number_leaves_no_trace() -> None:

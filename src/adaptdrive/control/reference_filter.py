@@ -15,6 +15,7 @@ well: one that is known a slow period later.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from adaptdrive.control.vectors import Vector, all_finite, shift_in, total
@@ -36,9 +37,9 @@ class ReferenceFilter:
 
 
 def new_reference_filter(order: int, taps: int) -> ReferenceFilter:
-    """Return a filter without a design, which passes the reference as it is."""
+    """Return a filter without a design, whose course begins at the first reference."""
     count = order + taps + 1
-    return ReferenceFilter([0.0] * (2 * order + 1), [0.0] * count, [0.0] * count)
+    return ReferenceFilter([0.0] * (2 * order + 1), [0.0] * count, [math.nan] * count)
 
 
 def filter_reference(state: ReferenceFilter, reference: float) -> float:

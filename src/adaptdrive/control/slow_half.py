@@ -87,10 +87,14 @@ def _condition(state: SlowState, shortage: float) -> None:
 
 
 def _follow_hand(state: SlowState, sample: SlowSample) -> float:
-    """Keep the operator's input in the history of both laws, so that either can take over."""
+    """Keep the operator's input in the history of both laws, so that either can take over.
+
+    The course is the one of the output, so that the fast law asks for no other one at once.
+    """
     state.adaptive, state.blend, state.handover_step = False, 0.0, math.nan
     state.sent = sample.held
     shift_in(state.inputs, sample.held)
+    shift_in(state.reference_filter.course, sample.output)
     return sample.held
 
 

@@ -12,9 +12,8 @@ from tests.control.systems import System
 def test_the_model_is_that_of_the_simulated_motor(disks: int) -> None:
     truth = Motor(MotorParameters(), disks).model(0.25, 1.0)
     load = motor_load(truth["gain"], truth["tau_motor_s"], truth["tau_filter_s"])
-    assert truth == pytest.approx(
-        {"gain": 0.011, "tau_motor_s": 11.7 * disks, "tau_filter_s": 10.0}, rel=1e-4
-    )
+    expected_model = {"gain": 0.011, "tau_motor_s": 11.7 * disks, "tau_filter_s": 10.0}
+    assert {name: truth[name] for name in expected_model} == pytest.approx(expected_model, rel=1e-4)
     for rad_s in (0.001, 0.1, 3.0):
         s = 1j * rad_s
         expected = truth["gain"] / (
