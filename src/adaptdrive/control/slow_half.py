@@ -250,7 +250,7 @@ def _remember(
     share = jacket.confidence if state.blend >= 1.0 else 0.0
     beyond = share * state.input_noise
     _condition(state, min(max(quiet, lowest - beyond), highest + beyond) - quiet)
-    beyond = share * state.fast_noise
+    beyond = share * max(state.input_noise, state.fast_noise)
     shift_in(state.inputs, min(max(wanted, lowest - beyond), highest + beyond))
 
 
