@@ -48,7 +48,7 @@ class Run:
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    hours = 2 if extent.quick else HOURS
+    hours = extent.pick(HOURS, 2, 1)
     with TemporaryDirectory() as name:
         folder = Path(name)
         runs = list(_recorded(folder, stretch(STRETCH_s), hours))

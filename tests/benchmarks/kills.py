@@ -235,7 +235,7 @@ class Operator:
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    kills = 12 if extent.quick else int(os.environ.get("KILLS", "200"))
+    kills = extent.pick(int(os.environ.get("KILLS", "200")), 12, 2)
     with TemporaryDirectory() as name:
         yield from _judged(run(Path(name), kills, seed=int(time.time())))
 

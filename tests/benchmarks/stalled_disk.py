@@ -55,7 +55,7 @@ def rows(extent: Extent) -> Iterator[Row]:
         if disk is None:
             raise RuntimeError("no file system can be mounted")
         site = _site(folder, disk, stack)
-        windows = list(_windows(disk, 3 if extent.quick else 20))
+        windows = list(_windows(disk, extent.pick(20, 3, 1)))
         sessions = disk / "sessions"
         (session,) = (path for path in sessions.iterdir() if path.name[0] != ".")
         until(lambda: _last_s(session) > windows[-1].end_s, "recording goes on", PATIENCE_s)
