@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.alone]
 ABSENT = ("is missing", "no compiled wheel", "No such file or directory: 'cyclictest'")
 """What a machine without a program of Debian, or without a C compiler, cannot measure."""
 
-LONG = {"kills", "day", "stalled_disk", "builds", "equality"}
+LONG = {"day", "builds", "equality"}
 """Parts that take minutes in their shortest form, too."""
 
 
