@@ -15,12 +15,12 @@ import msgspec
 
 from adaptdrive.aside import in_thread
 from adaptdrive.errors import AdaptdriveError, first_error
+from adaptdrive.household.processes import ProcessDiedError
 from adaptdrive.watch.keys import KeyCommand, KeyReader
 from adaptdrive.watch.main import run_view
 from adaptdrive.watch.sending import CommandsUnderWay
 from adaptdrive.watch.terminal import refuse_dumb_terminal
 from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.processes import ProcessDiedError
 from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoSettings

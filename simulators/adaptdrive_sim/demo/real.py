@@ -15,6 +15,7 @@ from typing import Any, Self
 from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.cli.panel import panel_address
 from adaptdrive.errors import RecordingError
+from adaptdrive.household.processes import Household
 from adaptdrive.operation.conversation import NoAnswerError, conversation, end_of
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.simulator import DeviceReply
@@ -24,7 +25,6 @@ from adaptdrive.watch.main import follow_drive
 from adaptdrive.watch.sending import over_mqtt
 from adaptdrive_sim.broker import BrokerAddress, parse_address
 from adaptdrive_sim.demo.bus import Ports, choose_bus
-from adaptdrive_sim.demo.processes import Household
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story
@@ -181,7 +181,7 @@ class RealStage:
         household, log = self._household, self.workspace.log
         if self._settings.broker is None:
             listeners = [self.broker, f"127.0.0.1:{self._websocket}"]
-            module = "adaptdrive_sim.demo.broker_main"
+            module = "adaptdrive.household.broker_main"
             await household.start("broker", module, listeners, log("broker"))
         await self._until_broker(CONNECT_s if self._settings.broker else BROKER_s)
         configuration = str(self.workspace.configuration)

@@ -1,4 +1,4 @@
-"""The processes of a demonstration: started, watched, and ended in order.
+"""The processes that one terminal owns: started, watched, and ended in order.
 
 Each gets a session of its own, so that Ctrl-C on the terminal reaches this process alone, which
 then ends them one by one; and a leash, so that none outlives it however it dies.
@@ -17,8 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import NoReturn, Self
 
-from adaptdrive_sim.demo import leash
-from adaptdrive_sim.demo.settings import DemoError
+from adaptdrive.errors import AdaptdriveError
+from adaptdrive.household import leash
 
 PATIENCE_s = 20.0
 """Time for a process to end before it is killed: the daemon closes its session."""
@@ -26,7 +26,7 @@ PATIENCE_s = 20.0
 _TAIL_LINES = 8
 
 
-class ProcessDiedError(DemoError):
+class ProcessDiedError(AdaptdriveError):
     """A process ended by itself; carries the last lines of its log."""
 
     def __init__(self, name: str, status: int, log: Path) -> None:
@@ -39,7 +39,7 @@ class ProcessDiedError(DemoError):
 
 @dataclass(frozen=True, slots=True)
 class Child:
-    """One process of the demonstration."""
+    """One process of a household."""
 
     name: str
     process: asyncio.subprocess.Process
@@ -47,7 +47,7 @@ class Child:
 
 
 class Household:
-    """All processes of a demonstration; the last one started is the first to end.
+    """All processes of one terminal; the last one started is the first to end.
 
     Use it as an async context manager: whatever happens, none is left behind.
     """

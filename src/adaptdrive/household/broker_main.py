@@ -1,6 +1,6 @@
 """The embedded broker as a process: `… broker_main HOST:PORT [WEBSOCKET_HOST:PORT]`.
 
-It implements MQTT 3.1.1, keeps nothing on disk and needs no password: for demonstrations.
+It implements MQTT 3.1.1, keeps nothing on disk and needs no password: for demonstrations and desks.
 """
 
 from __future__ import annotations

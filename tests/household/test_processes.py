@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive_sim.demo import leash
-from adaptdrive_sim.demo.processes import Household, ProcessDiedError
+from adaptdrive.household import leash
+from adaptdrive.household.processes import Household, ProcessDiedError
 from tests.support import Spawn
 
 PATIENCE_S = 120.0
