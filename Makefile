@@ -45,30 +45,30 @@ lint: $(installed) ## lint, formatting, types and import layers
 bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for late ticks
 	$(bin)/python -m tests.benchmarks --minutes $(MINUTES)
 
-proof: $(installed) ## run the long forms of the tests and write docs/proof.md and the faults of docs/reliability.md; takes hours
-	$(bin)/python -m tests.proof docs/proof.md
+proof: $(installed) ## run the long forms of the tests and write docs/proof/proof.md and the faults of docs/proof/reliability.md; takes hours
+	$(bin)/python -m tests.proof docs/proof/proof.md
 
 branches: $(installed) ## list the lines and branches of the supervised modules that their own tests leave out
 	$(bin)/python -m tests.branches
 
 soak: export MINUTES = 120
-soak: $(installed) ## let a drive live for DAYS=7 of virtual time and MINUTES=120 of real time, and write docs/proof.md
-	$(bin)/python -m tests.proof docs/proof.md soak-virtual soak-real
+soak: $(installed) ## let a drive live for DAYS=7 of virtual time and MINUTES=120 of real time, and write docs/proof/proof.md
+	$(bin)/python -m tests.proof docs/proof/proof.md soak-virtual soak-real
 
-tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of docs/control.md
+tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of docs/proof/control.md
 	nice $(bin)/python -m tests.benchmarks.paper_tables $(SEED)
 
-rivals: $(installed) ## compare with other controllers, and write the tables of README and docs/compared.md
+rivals: $(installed) ## compare with other controllers, and write the tables of README and docs/proof/compared.md
 	nice $(bin)/python -m tests.benchmarks.rivals.results
 
 docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m tests.config.reference_page docs/configuration.md
 	$(bin)/python -m tests.deploy.licences docs/licences.md
 	$(bin)/python -m tests.runtime.columns_page docs/columns.md
-	$(bin)/python -m tests.control.constants_page docs/constants.md
+	$(bin)/python -m tests.control.constants_page docs/proof/constants.md
 	$(bin)/python -m tests.runtime.trips_table docs/operation.md
 	$(bin)/python -m tests.operation.asyncapi docs/mqtt
-	$(bin)/python -m tests.proof.page docs/proof.md docs/reliability.md
+	$(bin)/python -m tests.proof.page docs/proof/proof.md docs/proof/reliability.md
 
 wheel: $(installed) ## build the wheel into dist/
 	rm -rf dist

@@ -2,8 +2,8 @@
 
     XDG_CACHE_HOME=$(mktemp -d) python -m tests.benchmarks.constants tests/control/constants.tsv
 
-writes a row for each constant and change. docs/constants.md takes two columns from them, for the
-values that the code still has. The fixed controller runs once, with the constants as they are.
+writes a row for each constant and change. docs/proof/constants.md takes two columns from them, for
+the values that the code still has. The fixed controller runs once, with the constants as they are.
 """
 
 from __future__ import annotations

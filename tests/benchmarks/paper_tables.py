@@ -1,4 +1,4 @@
-"""The tables of the paper's motor experiment in docs/control.md.
+"""The tables of the paper's motor experiment in docs/proof/control.md.
 
 `make tables` runs every controller with twenty seeds from a first one on (`SEED=81000`), and writes
 the tables between their marks in the page, with seeds and date. Nothing in the controller was
@@ -157,7 +157,7 @@ def main(words: list[str]) -> None:
     today = dt.datetime.now(tz=dt.UTC).date().isoformat()
     note = f"\n\nSeeds {first} to {first + SEEDS - 1}, {today}."
     for name, text in tables(first):
-        write(ROOT / "docs" / "control.md", name, text + note)
+        write(ROOT / "docs" / "proof" / "control.md", name, text + note)
         sys.stdout.write(f"{name}\n{text}{note}\n\n")
         sys.stdout.flush()
 

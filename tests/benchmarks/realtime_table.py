@@ -1,4 +1,4 @@
-"""The table of docs/realtime.md, in Markdown: with both builds where they differ.
+"""The table of docs/proof/realtime.md, in Markdown: with both builds where they differ.
 
 `python -m tests.benchmarks.realtime_table` takes twenty minutes and an idle machine; it needs the
 wheel of `make compiled`. `--quick` takes seven, and `--build compiled` leaves the pure build out.

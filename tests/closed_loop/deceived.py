@@ -1,7 +1,7 @@
 """The fast loop with all its watches, a plant, and a sensor that may lie; in virtual time.
 
 `python -m tests.closed_loop.deceived [SEEDS [SEEDS OF FAULTS]]` prints the tables of
-docs/reliability.md: how many of the honest courses tripped, and how soon each fault did.
+docs/proof/reliability.md: how many of the honest courses tripped, and how soon each fault did.
 """
 
 from __future__ import annotations

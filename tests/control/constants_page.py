@@ -1,7 +1,7 @@
 """The page of the constants of the controller, made from the modules that define them.
 
-`python -m tests.control.constants_page docs/constants.md` writes the page; a test keeps it true. A
-constant must have a unit here, and a reason below its definition.
+`python -m tests.control.constants_page docs/proof/constants.md` writes it; a test keeps it true.
+A constant must have a unit here, and a reason below its definition.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _HEAD = """\
 
 For developers of the controller: every number that was chosen in its code, then those that
 [follow from these](#what-follows), then those with [nothing to choose](#nothing-to-choose). What a
-site may want to change is a key of the [configuration](configuration.md) instead. `make docs`
+site may want to change is a key of the [configuration](../configuration.md) instead. `make docs`
 writes this page from the modules; a test fails where a constant has no unit or no reason.
 
 Units: *ticks* are half line cycles, *periods* are slow periods T_k, *scale* is the output in the

@@ -7,7 +7,7 @@ from pathlib import Path
 from tests.control.constants_effects import COLUMNS, read_effects
 from tests.control.constants_page import constants, following, given, page, units, value_of
 
-PAGE = Path(__file__).parents[2] / "docs" / "constants.md"
+PAGE = Path(__file__).parents[2] / "docs" / "proof" / "constants.md"
 
 
 def test_every_constant_has_a_unit_and_no_unit_is_left_over() -> None:

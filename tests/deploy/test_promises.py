@@ -16,8 +16,8 @@ from tests.wire.matrix import ROWS
 CHECKOUT = Path(__file__).parents[2]
 PAGES = ["README.md", "SECURITY.md", *(str(one.relative_to(CHECKOUT))
          for one in sorted((CHECKOUT / "docs").rglob("*.md")))]  # fmt: skip
-PROMISES = CHECKOUT / "docs" / "promises.md"
-RELIABILITY = CHECKOUT / "docs" / "reliability.md"
+PROMISES = CHECKOUT / "docs" / "proof" / "promises.md"
+RELIABILITY = CHECKOUT / "docs" / "proof" / "reliability.md"
 
 TEST = re.compile(r"\b(test_\w*[a-z0-9])\b(?!\.py|…|_)")
 FILE = re.compile(r"\btests/[\w/]+\.py\b")
@@ -92,7 +92,7 @@ def test_a_missing_test_would_be_noticed() -> None:
 
 
 def test_the_pages_of_measured_results_are_current() -> None:
-    written = (CHECKOUT / "docs" / "proof.md").read_text(encoding="utf-8")
+    written = (CHECKOUT / "docs" / "proof" / "proof.md").read_text(encoding="utf-8")
     assert written == page(), "run `make docs`"
     text = RELIABILITY.read_text(encoding="utf-8")
     assert text == with_faults(text), "run `make docs`"

@@ -1,6 +1,6 @@
-"""The page of the proof, and the table of faults in `docs/reliability.md`, from kept results.
+"""The page of the proof, and the table of faults in `docs/proof/reliability.md`, from kept results.
 
-`python -m tests.proof.page docs/proof.md docs/reliability.md` writes both.
+`python -m tests.proof.page docs/proof/proof.md docs/proof/reliability.md` writes both.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ INTRODUCTION = """# Proof
 
 Results of the long tests, for anyone who wants to check a claim. A *form* is one such test with its
 length. `make proof` runs the forms that have no result of the present commit;
-`python -m tests.proof docs/proof.md FORM` runs one again. The results are in
+`python -m tests.proof docs/proof/proof.md FORM` runs one again. The results are in
 `tests/proof/results`, and this page is made from them. SEEDS, STORIES, INPUTS, KILLS, DAYS and
 MINUTES set the length of a form, MUTANTS the largest number of changes tried in a module. Each
 section begins with the command that ran.
 [Promises](promises.md) names the tests of each promise,
-[tests/README.md](../tests/README.md#faults-and-proof) describes the forms.
+[tests/README.md](../../tests/README.md#faults-and-proof) describes the forms.
 """
 
 

@@ -21,8 +21,8 @@ clocks when the row was flushed. Each column carries `unit`, `description` and `
 metadata of its Arrow field.
 
 Unit `y` is that of the output, and `u` that of the load's input; both depend on the load
-([control.md](control.md)). Estimates are in SI. Where a number is unknown it is NaN on disk and
-`null` in a message.
+([control.md](proof/control.md)). Estimates are in SI. An unknown number is NaN on disk and `null`
+in a message.
 """
 _TABLES = (
     ("## A slow step: `telemetry/load` and `slow-….parquet`", SLOW_COLUMNS),

@@ -16,7 +16,7 @@ from tests.system.conftest import MakeSite
 from tests.system.site import Site, publish, until
 
 GENEROUS_S = 10.0
-"""Far above what is measured (docs/reliability.md): this machine is busy with other tests."""
+"""Far above what is measured (docs/proof/reliability.md): this machine is busy with other tests."""
 
 FLOOD = Path(__file__).parents[1] / "benchmarks" / "flood.py"
 STOP = "adaptdrive/motor/command/disable"

@@ -33,7 +33,7 @@ from tests.wire.wires import (
 )
 
 TESTS = Path(__file__).parents[1]
-PAGE = TESTS.parent / "docs" / "reliability.md"
+PAGE = TESTS.parent / "docs" / "proof" / "reliability.md"
 _WATCHED_s = 1.0
 _ATTEMPTS = 3
 _RUNNING_s = 0.2

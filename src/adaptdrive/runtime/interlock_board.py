@@ -14,7 +14,7 @@ from adaptdrive.runtime.restart_watch import RestartWatch
 _GAP_READINGS = 2
 """Readings without a tick that a drive which is read seldom may cost: one may be lost."""
 
-_PRIORITY = "give the daemon priority by realtime.priority: docs/realtime.md"
+_PRIORITY = "give the daemon priority by realtime.priority: docs/proof/realtime.md"
 
 
 class InterlockBoard:

@@ -1,4 +1,4 @@
-"""The figures of the page docs/compared.md: `make rivals` computes them, and draws the picture.
+"""The figures of docs/proof/compared.md: `make rivals` computes them, and draws the picture.
 
 `python -m tests.benchmarks.rivals.results --only "fixed;adaptive"` computes a part anew and keeps
 the rest.
@@ -24,8 +24,8 @@ from tests.benchmarks.rivals.picture import draw
 from tests.benchmarks.rivals.runs import CONTROLLERS, PAPER, Figures, figures, takes_part
 
 ROOT = Path(__file__).parents[3]
-RESULT = ROOT / "docs" / "compared.json"
-PAGES = (ROOT / "docs" / "compared.md", ROOT / "README.md")
+RESULT = ROOT / "docs" / "proof" / "compared.json"
+PAGES = (ROOT / "docs" / "proof" / "compared.md", ROOT / "README.md")
 PICTURE = ROOT / "docs" / "images" / "compared.png"
 
 FIRST_SEED, SEEDS = 91_500_000, 20
