@@ -348,7 +348,12 @@ class Site:
         """Return a recorded session, by default the last one; of a daemon that ended, all of it."""
         if self.daemon is None or self.daemon.poll() is not None:
             until(lambda: not self._recorders(), "the recorder has written the rest")
-        return sorted((self.folder / "sessions").glob("[!.]*"))[number]
+        return sorted(self._sessions.glob("[!.]*"))[number]
+
+    @property
+    def _sessions(self) -> Path:
+        """Folder of the sessions, in the state folder where a test names one."""
+        return Path(self.environment.get("STATE_DIRECTORY") or self.folder) / "sessions"
 
     def _prefer_recorders(self) -> None:
         """Let the recorder write what is left within the 2 s that the daemon waits at its end."""
@@ -357,7 +362,7 @@ class Site:
 
     def _recorders(self) -> list[Path]:
         """Processes that write the sessions of this site."""
-        mark = os.fsencode(self.folder / "sessions")
+        mark = os.fsencode(self._sessions)
         found = []
         for words in Path("/proc").glob("[0-9]*/cmdline"):
             with contextlib.suppress(OSError):
