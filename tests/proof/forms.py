@@ -24,6 +24,7 @@ class Form:
         command: Arguments of the interpreter.
         environment: What makes it long.
         as_table: Whether its output is Markdown already.
+        is_shown: Whether the page shows its output, not only that it passed.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Form:
     command: tuple[str, ...]
     environment: dict[str, str] = field(default_factory=dict)
     as_table: bool = False
+    is_shown: bool = True
 
     @property
     def shown_command(self) -> str:
@@ -52,12 +54,14 @@ def forms() -> tuple[Form, ...]:
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
     return (
         *(Form(group, f"Faults: {group}", ("-m", "tests.faults.table", seeds, group),
-               as_table=True) for group in GROUPS),
-        Form("stories", "Stories that must energise nothing", energised, {"STORIES": stories}),
+               as_table=True, is_shown=False) for group in GROUPS),
+        Form("stories", "Stories that must energise nothing", energised, {"STORIES": stories},
+             is_shown=False),
         Form("configurations", "Configurations of any valid values", drawn,
-             {"CONFIGURATIONS": os.environ.get("CONFIGURATIONS", "500")}),
+             {"CONFIGURATIONS": os.environ.get("CONFIGURATIONS", "500")}, is_shown=False),
         Form("inputs", "Damaged inputs of each decoder", ("-m", "tests.fuzz", inputs)),
-        Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/peers")),
+        Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/peers"),
+             is_shown=False),
         Form("deceived", "Sensors that lie", ("-m", "tests.closed_loop.deceived", seeds),
              as_table=True),
         Form("kills", "Processes killed at random moments",

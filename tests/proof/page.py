@@ -6,43 +6,80 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tests.faults.rows import GROUPS
 from tests.proof.forms import Form, forms
 from tests.proof.results import RESULTS, Result, load
+from tests.proof.summaries import counted, fault_matrix, table
 
 BEGIN, END = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
 INTRODUCTION = """# Proof
 
-Results of the long tests, for anyone who wants to check a claim. A *form* is one such test with its
-length. `make proof` runs the forms that have no result of the present commit;
-`python -m tests.proof docs/proof/proof.md FORM` runs one again. The results are in
-`tests/proof/results`, and this page is made from them. SEEDS, STORIES, INPUTS, KILLS, DAYS and
-MINUTES set the length of a form, MUTANTS the largest number of changes tried in a module. Each
-section begins with the command that ran.
-[Promises](promises.md) names the tests of each promise,
-[tests/README.md](../../tests/README.md#faults-and-proof) describes the forms.
+Results of the long tests, for readers who check a claim. A *form* is one such test with its length.
+`make proof` runs the forms that have no result of the present commit;
+`python -m tests.proof docs/proof/proof.md FORM` repeats one. This page is made from
+`tests/proof/results`, which also holds machine, processor time and the whole output of each run.
+SEEDS, STORIES, CONFIGURATIONS, INPUTS, KILLS, DAYS and MINUTES set the length of a form, MUTANTS
+the largest number of changes tried in a module. [Promises](promises.md) names the tests of each
+promise, [tests/README.md](../../tests/README.md#faults-and-proof) describes the forms. The faults
+in virtual time are in [reliability](reliability.md#faults-in-virtual-time).
 """
+MUTANTS_TEXT = """## Small changes of the code
+
+`python -m tests.mutation NAME` changes one comparison, constant, operator or statement at a time;
+the tests of the module must notice it. An *explained* change has no effect, for a stated reason.
+Each survivor is in the results.
+"""
+BRANCHES_TEXT = """## Lines and branches
+
+`python -m tests.branches NAME` counts what the tests of each module run and take.
+"""
+MUTANTS = ("name", "modules", "changes", "tried", "noticed", "explained", "survived", "run")
+BRANCHES = ("name", "modules", "lines", "not run", "branches", "not taken", "run")
+
+Run = tuple[Form, Result | None]
 
 
 def page(folder: Path = RESULTS) -> str:
     """Return the page as Markdown."""
-    return "\n".join([INTRODUCTION, *(_section(form, load(form.name, folder)) for form in forms())])
+    ran = [(form, load(form.name, folder)) for form in forms()]
+    single = [run for run in ran if not run[0].name.startswith(("mutants-", "branches-"))]
+    runs = table(("form", "command", "run"), (_row(run) for run in single))
+    outputs = [_section(*run) for run in single if run[0].is_shown]
+    mutants = table(MUTANTS, _counts(ran, "mutants", 5))
+    branches = table(BRANCHES, _counts(ran, "branches", 4))
+    tables = [f"{MUTANTS_TEXT}\n{mutants}\n", f"{BRANCHES_TEXT}\n{branches}\n"]
+    return "\n".join([INTRODUCTION, f"## Runs\n\n{runs}\n", *outputs, *tables])
+
+
+def _verdict(result: Result | None) -> str:
+    if result is None:
+        return "has not run"
+    verdict = "passed" if result.status == 0 else f"FAILED with status {result.status}"
+    return f"{verdict} {result.day[:10]}, {result.commit}"
+
+
+def _row(run: Run) -> str:
+    form, result = run
+    command = form.shown_command if result is None else result.command
+    return f"| {form.name} | `{command}` | {_verdict(result)} |"
 
 
 def _section(form: Form, result: Result | None) -> str:
-    head = f"## {form.title}\n\n"
-    if result is None:
-        return f"{head}`{form.name}` has not run.\n"
-    verdict = "passed" if result.status == 0 else f"FAILED with status {result.status}"
-    took = "" if result.processor_min is None else f"{result.processor_min} min of processor time, "
-    facts = (
-        f"`{result.command}`: {verdict}; {result.day} UTC, commit {result.commit}, "
-        f"{took}{result.machine}."
-    )
-    body = result.text if form.as_table else f"```\n{result.text}\n```"
-    return f"{head}{facts}\n\n{body}\n"
+    text = "" if result is None else result.text
+    body = text if form.as_table else f"```\n{text}\n```"
+    return f"## {form.title}\n\n{body}\n"
+
+
+def _counts(ran: Sequence[Run], kind: str, columns: int) -> Iterator[str]:
+    """Yield a row of sums for each form of a kind."""
+    for form, result in ran:
+        if form.name.startswith(f"{kind}-"):
+            text = "" if result is None else result.text
+            name = form.title.rpartition(": ")[2].removeprefix("adaptdrive.")
+            yield f"{counted(name, text, columns)} {_verdict(result)} |"
 
 
 def with_faults(text: str, folder: Path = RESULTS) -> str:
@@ -58,15 +95,10 @@ def with_faults(text: str, folder: Path = RESULTS) -> str:
 
 
 def _faults(folder: Path) -> str:
-    """The tables of all groups as one, after what was run."""
+    """The tables of all groups as one."""
     found = [load(group, folder) for group in GROUPS]
     results = [result for result in found if result is not None]
-    facts = "; ".join(f"`{one.command}`, {one.day[:10]}, commit {one.commit}" for one in results)
-    if not results:
-        return "Not measured yet.\n"
-    tables = [one.text.splitlines() for one in results]
-    body = [line for table in tables for line in table[2:]]
-    return "\n".join([f"Measured with {facts}.", "", *tables[0][:2], *body, ""])
+    return f"{fault_matrix(one.text for one in results)}\n" if results else "Not measured yet.\n"
 
 
 def write(proof: Path, reliability: Path) -> None:

@@ -1,0 +1,62 @@
+"""Short tables for the pages, from the kept texts of long forms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+LOADS = ("motor, CAN", "motor, Modbus", "bath, Modbus", "battery, CAN")
+FAULTS = "| fault | motor, CAN | motor, Modbus | bath, Modbus | battery, CAN | highest / limit |"
+
+
+def cells_of(text: str) -> Iterator[list[str]]:
+    """Yield the cells of each row of the Markdown tables in a text, heads and rules left out."""
+    lines = text.splitlines()
+    for line, following in zip(lines, [*lines[1:], ""], strict=True):
+        if line.startswith("| ") and not following.startswith("|---"):
+            yield [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def fault_matrix(texts: Iterable[str]) -> str:
+    """Return one row for each fault, with a cell for each load, from the tables of all groups."""
+    found: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for text in texts:
+        for group, fault, load, *rest in cells_of(text):
+            found.setdefault((group, fault), {})[load] = rest
+    rows = [_fault(*names, loads) for names, loads in found.items()]
+    return "\n".join([FAULTS, "|---|---|---|---|---|---|", *rows])
+
+
+def _fault(group: str, fault: str, loads: dict[str, list[str]]) -> str:
+    cells = [_reaction(*loads[load][:3]) if load in loads else "" for load in LOADS]
+    highest = max(rest[3] for rest in loads.values())
+    flaws = "; ".join(dict.fromkeys(rest[4] for rest in loads.values() if rest[4]))
+    return f"| {group}: {fault} | {' | '.join(cells)} | {highest}{flaws and f'; {flaws}'} |"
+
+
+def _reaction(must: str, tripped: str, reaction: str) -> str:
+    """Median/worst/longest time to the trip, s; the share where not every run tripped."""
+    count, runs = tripped.split(" of ")
+    times = reaction.replace(" s (", "/").strip(")")
+    if must == "hold":
+        return "holds" if count == "0" else f"FAILED: {tripped} tripped"
+    if must.startswith("trip in"):
+        limit = must.removeprefix("trip in ").removesuffix(" s")
+        return f"{times}/{limit}" if count == runs else f"FAILED: {times}/{limit}, {tripped}"
+    return f"{times}, {tripped}" if times else tripped
+
+
+def totals(text: str, columns: int) -> list[str]:
+    """Return the sums of the columns of numbers behind the name, as many as asked for."""
+    rows = [row[1 : columns + 1] for row in cells_of(text)]
+    return [str(sum(int(row[i]) for row in rows)) for i in range(columns)]
+
+
+def counted(name: str, text: str, columns: int) -> str:
+    """Return a row: what was tried, the number of modules, and the sum of each column."""
+    modules = sum(1 for _ in cells_of(text))
+    return "| " + " | ".join([name, str(modules), *totals(text, columns)]) + " |"
+
+
+def table(head: Sequence[str], rows: Iterable[str]) -> str:
+    """Return a Markdown table from its heads and its finished rows."""
+    return "\n".join(["| " + " | ".join(head) + " |", "|---" * len(head) + "|", *rows])
