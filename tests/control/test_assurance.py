@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from adaptdrive.control.assurance import closes_stably, response_spread
+from adaptdrive.control.assurance import closes_stably, possible_models, response_spread
 from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
@@ -74,7 +74,8 @@ def spread(values: list[float], root: Array, pole: float = 0.7) -> float:
     """How far the response may be off with the gains for a motor."""
     a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0)
     gains, loop = compensator_gains(a, b, 2, pole), asked_loop(b, 2, pole)
-    return response_spread(BOLD, MOTOR, gains, loop, b, values, list(root.ravel()), pole, 1.0)
+    models = possible_models(BOLD, MOTOR, values, list(root.ravel()), 1.0)
+    return response_spread(2, models, gains, loop, b, pole)
 
 
 def responses(values: list[float], loads: Array, pole: float = 0.7) -> Array:
@@ -134,5 +135,6 @@ def test_a_parameter_of_0_stays_there(deviation: float) -> None:
     a, b = discrete_model(BOLD, battery, *battery.realise(values), 1.0)
     gains, loop = compensator_gains(a, b, 1, 0.7), asked_loop(b, 1, 0.7)
     root = list(np.diag([0.0, 0.0, deviation]).ravel())
-    found = response_spread(BOLD, battery, gains, loop, b, values, root, 0.7, 1.0)
+    models = possible_models(BOLD, battery, values, root, 1.0)
+    found = response_spread(1, models, gains, loop, b, 0.7)
     assert found == 0.0 if deviation == 0.0 else 0.0 < found < 0.2

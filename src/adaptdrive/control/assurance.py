@@ -39,45 +39,65 @@ _LONGEST = 10 * WINDOW
 """Samples of a response that are compared at most: twice the delay of four poles at 0.96."""
 
 
-def response_spread(
-    settings: ControllerSettings,
-    load: Load,
-    gains: Vector,
-    loop: Vector,
-    model_b: Vector,
-    values: Vector,
-    root: Vector,
-    pole: float,
-    period_s: float,
-) -> float:
-    """Return how far the response to a step may be off, as a share of the step.
+def possible_models(
+    settings: ControllerSettings, load: Load, values: Vector, root: Vector, period_s: float
+) -> Vector:
+    """Return A and B of the estimate, and of p + c l_j and p - c l_j for each j, in one vector.
 
     Args:
         settings: Design, and the confidence.
         load: The load.
+        values: Estimated physical parameters p.
+        root: L, flat, square.
+        period_s: T_k.
+
+    Returns:
+        The models; NaN alone where nothing is known of the covariance.
+    """
+    if not all_finite(root):
+        return [math.nan]
+    count, confidence = len(values), settings.jacket.confidence
+    models = _model(settings, load, values, period_s)
+    for j in range(count):
+        for sign in (confidence, -confidence):
+            vertex = _moved(values, root, j, sign)
+            models = [*models, *_model(settings, load, vertex, period_s)]
+    return models
+
+
+def _model(settings: ControllerSettings, load: Load, values: Vector, period_s: float) -> Vector:
+    numerator, denominator = load.realise(values)
+    a, b = discrete_model(settings, load, numerator, denominator, period_s)
+    return [*a, *b]
+
+
+def response_spread(
+    order: int, models: Vector, gains: Vector, loop: Vector, model_b: Vector, pole: float
+) -> float:
+    """Return how far the response to a step may be off, as a share of the step.
+
+    Args:
+        order: m.
+        models: Those of `possible_models`.
         gains: r_1 ... r_n, s_0 ... s_m.
         loop: A_c, which they give the estimate.
         model_b: B of the estimate.
-        values: Estimated physical parameters p.
-        root: L, flat, square.
         pole: Pole asked for.
-        period_s: T_k.
 
     Returns:
         The share; infinite where a load within the covariance makes the loop unstable, or nothing
         is known of it.
     """
-    if not all_finite(root):
+    if math.isnan(models[0]):
         return math.inf
-    count, confidence = len(values), settings.jacket.confidence
-    driven = _driven(load, gains, loop, model_b, pole)
-    own = _response(settings, load, gains, values, driven, period_s)
+    size = order + 1 + len(model_b)
+    driven = _driven(order, gains, loop, model_b, pole)
+    own = _response(order, models[:size], gains, driven)
     squares = [0.0] * len(own)
-    for j in range(count):
+    for first in range(size, len(models), 2 * size):
         largest = [0.0] * len(own)
-        for sign in (confidence, -confidence):
-            vertex = _moved(values, root, j, sign)
-            other = _response(settings, load, gains, vertex, driven, period_s)
+        for begin in (first, first + size):
+            other = _response(order, models[begin : begin + size], gains, driven)
             for i in range(len(own)):
                 largest[i] = max(largest[i], abs(other[i] - own[i]))
         for i in range(len(own)):
@@ -113,27 +133,19 @@ def _moved(values: Vector, root: Vector, column: int, factor: float) -> Vector:
     return vertex
 
 
-def _driven(load: Load, gains: Vector, loop: Vector, b: Vector, pole: float) -> Vector:
+def _driven(order: int, gains: Vector, loop: Vector, b: Vector, pole: float) -> Vector:
     """t0 r" of a unit step behind the reference filter, until the response has settled."""
-    asked = asked_loop(b, load.order, pole)
-    count = min(_LONGEST, round(4.0 * load.order * pole / (1.0 - pole)) + len(b))
+    asked = asked_loop(b, order, pole)
+    count = min(_LONGEST, round(4.0 * order * pole / (1.0 - pole)) + len(b))
     course = _filtered([total(asked)], asked, [1.0] * count)
-    share = total(gains[len(gains) - load.order - 1 :]) / total(loop)
+    share = total(gains[len(gains) - order - 1 :]) / total(loop)
     return _filtered([share * one for one in loop], [1.0], course)
 
 
-def _response(
-    settings: ControllerSettings,
-    load: Load,
-    gains: Vector,
-    values: Vector,
-    driven: Vector,
-    period_s: float,
-) -> Vector:
+def _response(order: int, model: Vector, gains: Vector, driven: Vector) -> Vector:
     """y[k] of a load in the loop of some gains; infinite where that is not stable."""
-    numerator, denominator = load.realise(values)
-    a, b = discrete_model(settings, load, numerator, denominator, period_s)
-    closed = _closed_loop(gains, a, b, load.order)
+    a, b = model[: order + 1], model[order + 1 :]
+    closed = _closed_loop(gains, a, b, order)
     if not (all_finite(closed) and is_stable(closed, MARGIN_RADIUS)):
         return [math.inf] * len(driven)
     return _filtered(b, closed, driven)

@@ -37,7 +37,10 @@ SPENT = 0.25
 """Share of the limit of σ_u that the fast law may spend."""
 
 _FREQUENCIES = 40
-"""Frequencies at which margins are looked for, 7/8 apart, from half the sampling rate down."""
+"""Frequencies at which margins are looked for, from half the sampling rate down."""
+
+_NEXT = 0.875
+"""Each frequency over the one before."""
 
 _HALVINGS = 6
 """Halvings of the way to half the pole asked for, until the fastest is found within 0.01."""
@@ -60,10 +63,11 @@ def fast_loop(
     kept = kept_factor(b, pole)
     free = len(a) + len(b) - 2 - 2 * order
     low, high = 0.0, 1.0 if limit > 0.0 else 0.0
+    circle = unit_circle(len(a) + len(b) - 1)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         loop = _faster_loop(kept, order, free, pole, middle)
-        if noise * noise_gain(a, b, loop) <= SPENT * limit and has_margins(a, b, loop):
+        if noise * noise_gain(a, b, loop) <= SPENT * limit and has_margins(a, b, loop, circle):
             low = middle
         else:
             high = middle
@@ -77,30 +81,44 @@ def _faster_loop(kept: Vector, order: int, free: int, pole: float, speed: float)
     return multiply(asked, desired_polynomial(observer, free))
 
 
-def has_margins(a: Vector, b: Vector, loop: Vector) -> bool:
+def unit_circle(count: int) -> Vector:
+    """Return the powers of q^-1 below a degree at all frequencies: real, imaginary, and so on."""
+    circle = [0.0] * (2 * count * _FREQUENCIES)
+    angle = math.pi
+    for k in range(_FREQUENCIES):
+        for i in range(count):
+            circle[2 * (k * count + i)] = math.cos(i * angle)
+            circle[2 * (k * count + i) + 1] = math.sin(i * angle)
+        angle *= _NEXT
+    return circle
+
+
+def has_margins(a: Vector, b: Vector, loop: Vector, circle: Vector) -> bool:
     """Return whether the controller that gives a model this loop keeps the margins.
 
     Args:
         a: A of the model.
         b: B of the model.
         loop: A_c, stable.
+        circle: That of `unit_circle` for the entries of A R and B S.
     """
     r, s = place_poles(a, b, loop)
     forward, back = multiply(a, r), multiply(b, s)
     angle = math.pi
-    for _ in range(_FREQUENCIES):
+    for first in range(0, len(circle), len(circle) // _FREQUENCIES):
         shift = 2.0 * math.sin(0.5 * DELAY_MARGIN * angle)  # |1 - z^-d|
-        least = max(MODULUS_MARGIN * magnitude(forward, angle), shift * magnitude(back, angle))
-        if not magnitude(loop, angle) > least:
+        least = MODULUS_MARGIN * _magnitude(forward, circle, first)
+        least = max(least, shift * _magnitude(back, circle, first))
+        if not _magnitude(loop, circle, first) > least:
             return False
-        angle *= 0.875
+        angle *= _NEXT
     return True
 
 
-def magnitude(polynomial: Vector, angle: float) -> float:
-    """Return the magnitude of a polynomial in q^-1 at a frequency in radians per period."""
+def _magnitude(polynomial: Vector, circle: Vector, first: int) -> float:
+    """Return the magnitude of a polynomial in q^-1 at the frequency that begins at an entry."""
     real, imaginary = 0.0, 0.0
     for i in range(len(polynomial)):
-        real += polynomial[i] * math.cos(i * angle)
-        imaginary += polynomial[i] * math.sin(i * angle)
+        real += polynomial[i] * circle[first + 2 * i]
+        imaginary += polynomial[i] * circle[first + 2 * i + 1]
     return math.hypot(real, imaginary)

@@ -9,7 +9,7 @@ import math
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
-from adaptdrive.control.assurance import response_spread
+from adaptdrive.control.assurance import possible_models, response_spread
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR
 from adaptdrive.control.fast_feedback import fast_loop
@@ -102,7 +102,7 @@ def _take_fast_law(
     loop = fast_loop(a, b, load.order, sample.pole, quiet, noise, limit)
     gains = loop_gains(a, b, loop)
     most = settings.jacket.spread_max
-    if most > 0.0 and not _spread(settings, load, state, gains, loop, sample) <= most:
+    if most > 0.0 and not _spread(settings, load, state, gains, loop, sample.pole) <= most:
         loop, gains = quiet, loop_gains(a, b, quiet)
     copy_into(state.fast_loop, loop)
     copy_into(state.fast_gains, gains)
@@ -168,10 +168,13 @@ def _judge_response(
     settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, sample: SlowSample
 ) -> int:
     """Check how far the response may be off within the covariance of the estimate."""
-    limit = settings.jacket.spread_max
-    if not (limit > 0.0 and settings.learning.method.physical):
+    limit, learning = settings.jacket.spread_max, settings.learning
+    if not (limit > 0.0 and learning.method.physical):
         return sup.Verdict.TRUSTED
-    state.spread = _spread(settings, load, state, gains, state.new_loop, sample)
+    root = learning.method.root(state.estimator, learning, load, state.values)
+    models = possible_models(settings, load, state.values, root, sample.period_s)
+    copy_into(state.possible, models)
+    state.spread = _spread(settings, load, state, gains, state.new_loop, sample.pole)
     return sup.Verdict.TRUSTED if state.spread <= limit else sup.Verdict.UNCERTAIN
 
 
@@ -181,16 +184,12 @@ def _spread(
     state: SlowState,
     gains: Vector,
     loop: Vector,
-    sample: SlowSample,
+    pole: float,
 ) -> float:
     """Return how far the response may be off within the covariance of the estimate; 0 for none."""
-    learning, b, values = settings.learning, state.model_b, state.values
-    if not learning.method.physical:
+    if not settings.learning.method.physical:
         return 0.0
-    root = learning.method.root(state.estimator, learning, load, values)
-    return response_spread(
-        settings, load, gains, loop, b, values, root, sample.pole, sample.period_s
-    )
+    return response_spread(load.order, state.possible, gains, loop, state.model_b, pole)
 
 
 def judge_physical(

@@ -59,6 +59,7 @@ class SlowState:
         charge: The charger of a battery.
         reference: r[k-1].
         nominal_theta: θ of the nominal model.
+        possible: Models within the covariance of the estimate (`assurance`).
         spread: How far the response may be off within the covariance, as a share of a step.
         model_a: A of this period's estimate.
         model_b: B of it.
@@ -98,6 +99,7 @@ class SlowState:
     charge: ChargeState
     reference: float
     nominal_theta: Vector
+    possible: Vector
     spread: float
     watch: WatchState
     cycles: CyclingState
@@ -193,6 +195,7 @@ def new_slow_state(
         charge=ChargeState(max(0.0, output)),
         reference=output,
         nominal_theta=est.nominal_theta(settings.learning, load, taps),
+        possible=[math.nan] * ((2 * len(nominal) + 1) * (load.order + taps + 2)),
         spread=math.nan,
         watch=WatchState(fast=resting, slow=resting),
         cycles=CyclingState(),
