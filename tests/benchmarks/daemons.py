@@ -31,12 +31,14 @@ class Census:
         missed: Half cycles without a tick, and stand-in ticks, of all of them.
         late: Half cycles that were played too late, which no daemon can be blamed for.
         cpu_share: CPU share of one daemon in the mean, in percent.
+        echo_share: That of a bare echo in Python that heard as many frames meanwhile.
         resident: Largest resident memory of a daemon.
     """
 
     missed: int
     late: int
     cpu_share: float
+    echo_share: float
     resident: float
 
 
@@ -81,12 +83,16 @@ def measure(
             daemons.append(start_daemon(stack, home, bus_port, broker_port, configured))
         for daemon in daemons:
             await_broker(daemon)
-        ports = ",".join(str(daemon.bus_port) for daemon in daemons)
+        (echo_port,) = bus_ports(1)
+        echo = stack.enter_context(
+            process([sys.executable, "-m", "tests.benchmarks.echo", str(echo_port)])
+        )
+        ports = ",".join(str(port) for port in [*(d.bus_port for d in daemons), echo_port])
         late = folder / "late"
         player = [sys.executable, "-m", "tests.benchmarks.player", ports, str(PRIORITY + 10)]
         stack.enter_context(process([*player, late]))
         _run_drives(daemons)
-        return _count(daemons, broker_port, late, seconds)
+        return _count(daemons, echo.pid, broker_port, late, seconds)
 
 
 def _run_drives(daemons: list[Running]) -> None:
@@ -98,18 +104,21 @@ def _run_drives(daemons: list[Running]) -> None:
     time.sleep(2.0)
 
 
-def _count(daemons: list[Running], broker_port: int, late: Path, seconds: float) -> Census:
+def _count(
+    daemons: list[Running], echo: int, broker_port: int, late: Path, seconds: float
+) -> Census:
     pids = [daemon.daemon.pid for daemon in daemons]
     before, late_before = _ticks(broker_port, len(pids)), _lines(late)
-    used, began_s = [cpu_s(pid) for pid in pids], time.monotonic()
+    used, began_s = [cpu_s(pid) for pid in [*pids, echo]], time.monotonic()
     time.sleep(seconds)
-    shares = [cpu_s(pid) - one for pid, one in zip(pids, used, strict=True)]
+    *own, echoed = (cpu_s(pid) - one for pid, one in zip([*pids, echo], used, strict=True))
     passed_s = time.monotonic() - began_s
     after = _ticks(broker_port, len(pids))
     return Census(
         missed=sum(after.values()) - sum(before.values()),
         late=_lines(late) - late_before,
-        cpu_share=100.0 * sum(shares) / passed_s / len(pids),
+        cpu_share=100.0 * sum(own) / passed_s / len(pids),
+        echo_share=100.0 * echoed / passed_s,
         resident=max(map(resident_MiB, pids)),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from tests.benchmarks.tools import GROUP, PRIORITY, bus_socket, try_fifo
+from tests.benchmarks.tools import ECHO, GROUP, PRIORITY, bus_socket, try_fifo
 
 if __name__ == "__main__":
     port = int(sys.argv[1])
@@ -12,5 +12,5 @@ if __name__ == "__main__":
     try_fifo(PRIORITY)
     while True:
         data = bus.recv(512)
-        if data[0] != 69:
-            bus.sendto(b"E" + data, (GROUP, port))
+        if not data.startswith(ECHO):
+            bus.sendto(ECHO + data, (GROUP, port))

@@ -22,6 +22,9 @@ ROOT = Path(__file__).parents[2]
 GROUP = "239.74.163.2"
 COMMAND_ID = 0x080
 PRIORITY = 50
+ECHO = b"E"
+"""What an echo puts before the frame that it answers."""
+
 PATHS = (os.environ.get("PYTHONPATH", ""), f"{ROOT}/src", f"{ROOT}/simulators", str(ROOT))
 BUSY = {
     NAMESPACE: f"benchmarks-{os.getpid()}",  # daemons of another run are not these
@@ -42,7 +45,9 @@ def packed_frames(count: int, *, bridge: bool) -> list[tuple[bytes, bytes]]:
 
 
 def commanded_bridge(datagram: bytes) -> bool | None:
-    """The bridge that a command asks for, None for any other frame."""
+    """The bridge that a command asks for, None for any other frame and for an echo."""
+    if datagram.startswith(ECHO):
+        return None
     content = msgpack.unpackb(datagram)
     return bool(content["data"][4] & 1) if content["arbitration_id"] == COMMAND_ID else None
 
@@ -87,9 +92,9 @@ def try_fifo(priority: int) -> bool:
 
 
 def cpu_s(pid: int) -> float:
-    """CPU time that a process has used."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    """CPU time that all threads of a process have used."""
+    threads = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return 1e-9 * sum(int(one.read_text(encoding="ascii").split()[0]) for one in threads)
 
 
 def run_json(module: str, *words: object) -> dict[str, list[float]]:
