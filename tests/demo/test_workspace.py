@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.file import load_configuration
-from adaptdrive_sim.demo.bus import Ports, choose_bus
+from adaptdrive.household.ports import Ports
+from adaptdrive_sim.demo.bus import choose_bus
 from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import read_story

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import aiomqtt
 
-from adaptdrive_sim.demo.bus import Ports
+from adaptdrive.household.ports import Ports
 from tests.support import Spawn
 
 HOST = "127.0.0.1"

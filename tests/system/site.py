@@ -261,10 +261,10 @@ class Site:
 
     # -- operators ---------------------------------------------------------------------------
 
-    def ask(self, verb: str, value: object = None) -> dict[str, Any]:
+    def ask(self, verb: str, value: object = None, **fields: object) -> dict[str, Any]:
         """Send a command with mosquitto_pub and return the reply to it."""
         identity = f"{verb}-{next(self._numbers)}"
-        payload = json.dumps({"id": identity, "value": value})
+        payload = json.dumps({"id": identity, "value": value, **fields})
         publish(self.broker_port, f"adaptdrive/motor/command/{verb}", payload)
         return until(lambda: self._reply(identity), f"a reply to {payload}")
 

@@ -1,10 +1,8 @@
-"""The bus and the ports of a demonstration, which it shares with no other one."""
+"""The bus of a demonstration, which it shares with no other one."""
 
 from __future__ import annotations
 
 import os
-import socket
-from contextlib import ExitStack
 from dataclasses import dataclass
 
 from adaptdrive_sim.device_settings import InterfaceChoice
@@ -49,25 +47,3 @@ def choose_bus(interface: InterfaceChoice | None, channel: str | None, port: int
     number = os.getpid()
     group = f"239.74.{number >> 8 & 255}.{number & 255}"
     return BusChoice("udp_multicast", channel or group, port)
-
-
-class Ports:
-    """Free ports of the loopback interface, held until the demonstration ends.
-
-    A held port is given to no other process that asks the kernel for any; who is told its number
-    can listen at it.
-    """
-
-    def __init__(self) -> None:
-        self._held = ExitStack()
-
-    def take(self, kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-        """Return a free port."""
-        probe = self._held.enter_context(socket.socket(socket.AF_INET, kind))
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-    def close(self) -> None:
-        """Give all back."""
-        self._held.close()

@@ -15,7 +15,8 @@ from typing import Any, Self
 from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.cli.panel import panel_address
 from adaptdrive.errors import RecordingError
-from adaptdrive.household.processes import Household
+from adaptdrive.household.ports import Ports
+from adaptdrive.household.processes import BROKER, Household
 from adaptdrive.operation.conversation import NoAnswerError, conversation, end_of
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.simulator import DeviceReply
@@ -24,7 +25,7 @@ from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.main import follow_drive
 from adaptdrive.watch.sending import over_mqtt
 from adaptdrive_sim.broker import BrokerAddress, parse_address
-from adaptdrive_sim.demo.bus import Ports, choose_bus
+from adaptdrive_sim.demo.bus import choose_bus
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story
@@ -173,16 +174,15 @@ class RealStage:
         page = ["panel", "--no-open", f"--port={self._page}", f"--broker={websocket}"]
         if not self._household.has("panel"):
             log = self.workspace.log("panel")
-            await self._household.start("panel", "adaptdrive.cli", page, log)
-            await _until_listening(BrokerAddress("127.0.0.1", self._page))
+            panel = await self._household.start("panel", "adaptdrive.cli", page, log)
+            await panel.until_listening(self._page)
         return panel_address(self._page, websocket)
 
     async def _start(self) -> None:
         household, log = self._household, self.workspace.log
         if self._settings.broker is None:
             listeners = [self.broker, f"127.0.0.1:{self._websocket}"]
-            module = "adaptdrive.household.broker_main"
-            await household.start("broker", module, listeners, log("broker"))
+            await household.start("broker", BROKER, listeners, log("broker"))
         await self._until_broker(CONNECT_s if self._settings.broker else BROKER_s)
         configuration = str(self.workspace.configuration)
         noise = self._story.noise if self._settings.noise is None else self._settings.noise
@@ -206,14 +206,3 @@ class RealStage:
                 if self.time_s >= end_s or self._settings.broker is not None:
                     raise DemoError(silence.problem) from silence
             await asyncio.sleep(_LOOK_s)
-
-
-async def _until_listening(place: BrokerAddress) -> None:
-    while True:
-        try:
-            _, writer = await asyncio.open_connection(place.host, place.port)
-        except OSError:
-            await asyncio.sleep(_LOOK_s)
-        else:
-            writer.close()
-            return

@@ -45,6 +45,7 @@ class DemoView:
             tables=dict([story_table(self._record)]),
             longest_s=self._record.story.window_s,
             cover=self._help(size[0]) if self.help else None,
+            plant=False,
         )
         return screen(self._record, size, around)
 

@@ -179,6 +179,20 @@ def recall(
     return learnt, _event(Severity.INFO, detail)
 
 
+def measured(load: Load, learnt: Learnt | None) -> tuple[Learnt, Event]:
+    """Return the nominal model of a load as what to start from, and the event that reports it.
+
+    Args:
+        load: The load, whose model was measured.
+        learnt: What an earlier run has learnt, of which the resolution stays.
+    """
+    values = tuple(load.physical(list(load.numerator), list(load.denominator)))
+    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, values, strict=True))
+    detail = f"start from the measured model, whose gains act at once: {known}"
+    resolution = 0.0 if learnt is None else learnt.resolution
+    return Learnt(values, resolution), _event(Severity.INFO, detail)
+
+
 def controller_from(settings: ControllerSettings, load: Load, learnt: Learnt | None) -> Controller:
     """Return a controller at rest that begins with what an earlier run has learnt.
 

@@ -15,6 +15,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import structlog
+
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import (
     Keeper,
@@ -23,18 +25,20 @@ from adaptdrive.app.checkpoint import (
     configuration_key,
     controller_from,
     is_kept,
+    measured,
     recall,
 )
-from adaptdrive.app.directory import directory_flaw
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events, loss_line, set_up_logging
+from adaptdrive.app.news import news_of
 from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.realtime import build_rehearsal, prepared
-from adaptdrive.app.recording import build_recorder, ledger_of, place_of, state_directory
+from adaptdrive.app.recording import build_recorder, ledger_of, place_of
+from adaptdrive.app.reload import Given, RunCourse
 from adaptdrive.app.sensors import build_whole_port, publish_samples, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.app.warm_up import Rehearsal
@@ -54,7 +58,7 @@ from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.realtime import helper_thread
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import Event
 from adaptdrive.runtime.watchdog import ServiceManager
 
 UNRECORDED = 4
@@ -103,7 +107,7 @@ def run(path: Path) -> int:
             locked(lock_names(configuration), os.environ) as locks,
             asyncio.Runner(loop_factory=WatchedLoop) as runner,
         ):
-            complete = runner.run(_serve(configuration, text, path, locks))
+            complete = runner.run(_serve(Given(configuration, text), path, locks))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0 if complete else UNRECORDED
@@ -132,19 +136,33 @@ class _Parts:
     news: tuple[Event, ...]
 
 
-async def _serve(
-    configuration: Configuration,
-    text: str,
+async def _serve(given: Given, path: Path, locks: Sequence[socket.socket]) -> bool:
+    """Serve until asked to stop; False when the end of a session is not recorded."""
+    logger, course = set_up_logging(), RunCourse(path, given)
+    start_thread = _use_helper_threads(given.configuration)
+    _stop_on_signals(course.end)
+    feeding = asyncio.create_task(course.feed_between(ServiceManager(os.environ)))
+    complete = True
+    while complete and (present := course.next_run()) is not None:
+        complete = await _run(present, course, path, locks, logger, start_thread)
+    await _end(feeding)
+    logger.info("stopped", drive=given.configuration.drive.name)
+    return complete
+
+
+async def _run(  # noqa: PLR0913, PLR0917 - what a run shares with those before and after it
+    given: Given,
+    course: RunCourse,
     path: Path,
     locks: Sequence[socket.socket],
+    logger: structlog.typing.FilteringBoundLogger,
+    start_thread: Callable[[], None],
 ) -> bool:
-    """Serve until asked to stop; False when the end of the session is not recorded."""
-    logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
+    """Serve until the run ends; False when the end of its session is not recorded."""
+    configuration, hub = given.configuration, Hub()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
-    start_thread = _use_helper_threads(configuration)
-    parts = _build(configuration, text, path, hub, start_thread)
+    parts = _build(given, course, path, hub, start_thread)
     daemon, recorder, keeper = parts.daemon, parts.recorder, parts.keeper
-    _stop_on_signals(stop)
     logger.info(
         "starting",
         drive=configuration.drive.name,
@@ -159,43 +177,45 @@ async def _serve(
         start("log", log_events(events, logger, hub.kept))
         start("recorder", recorder.run(daemon.opened))
         start("mqtt", _mqtt(configuration, daemon, hub, parts.ledger).run())
+        start("opened", course.opened(daemon.opened))
         if keeper is not None:
             ending.callback(keeper.save)
             start("checkpoint", keeper.run())
         for event in parts.news:
             hub.publish(event)
         with uncaught_errors_end(daemon.fail), prepared(configuration, parts.rehearsal, hub):
-            await daemon.run(stop)
-    logger.info("stopped", drive=configuration.drive.name)
+            await daemon.run(course.stop)
     return recorder.complete
 
 
 def _build(
-    configuration: Configuration,
-    text: str,
+    given: Given,
+    course: RunCourse,
     path: Path,
     hub: Hub,
     start_thread: Callable[[], None],
 ) -> _Parts:
+    configuration = given.configuration
     port = build_whole_port(configuration, now_s, path)
     settings, load = controller_settings(configuration), build_load(configuration)
     recalled = recall_log(place_of(configuration).log, datetime.now(UTC))
     learnt, known = recall(recalled.learnt, configuration, settings, load)
+    if given.measured and is_kept(settings):
+        learnt, known = measured(load, learnt)
     controller = controller_from(settings, load, learnt)
     rehearsal = build_rehearsal(configuration, path)
-    recorder = build_recorder(configuration, text, hub, recalled, learnt, start_thread)
+    recorder = build_recorder(configuration, given.text, hub, recalled, learnt, start_thread)
     hub.keep_with(recorder.keep)
     publish_samples(port, hub.publish, now_s)
     keeper = _keeper(configuration, recorder, controller, hub) if is_kept(settings) else None
-    state = state_event(state_directory(os.environ.get("STATE_DIRECTORY", "")))
     return _Parts(
-        daemon=_daemon(configuration, port, controller, hub, rehearsal, recorder),
+        daemon=_daemon(configuration, port, controller, hub, rehearsal, recorder, course),
         bus=port.description,
         rehearsal=rehearsal,
         recorder=recorder,
         ledger=ledger_of(recalled, recorder),
         keeper=keeper,
-        news=tuple(filter(None, (known, state, *map(_flaw_event, recalled.flaws)))),
+        news=tuple(news_of(given, known, recalled)),
     )
 
 
@@ -206,6 +226,7 @@ def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon
     hub: Hub,
     rehearsal: Rehearsal,
     recorder: Recorder,
+    course: RunCourse,
 ) -> Daemon:
     return Daemon(
         port=port,
@@ -217,6 +238,7 @@ def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon
         sensors=sensor_reports(port, now_s),
         rehearse=rehearsal.tick,
         recorded=lambda: not recorder.failing,
+        prepare=course.prepare,
     )
 
 
@@ -244,32 +266,18 @@ async def _end(service: asyncio.Task[None]) -> None:
     await asyncio.wait([service])
 
 
-def _stop_on_signals(stop: asyncio.Event) -> None:
+def _stop_on_signals(end: Callable[[], None]) -> None:
     """Have each signal that would end the process do so in order; `nohup` is respected."""
     loop = asyncio.get_running_loop()
     for number in _ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-            loop.add_signal_handler(number, stop.set)
+            loop.add_signal_handler(number, end)
 
 
 def _mqtt(configuration: Configuration, daemon: Daemon, hub: Hub, ledger: Ledger) -> MqttService:
     profile = operator_profile(configuration)
     surroundings = ServiceSurroundings(ledger)
     return MqttService(profile, configuration.mqtt, daemon, hub, surroundings)
-
-
-def state_event(directory: Path) -> Event | None:
-    """Return the event that reports an unusable state directory, None for a usable one."""
-    flaw = directory_flaw(directory)
-    if flaw is None:
-        return None
-    lost = "nothing is recorded, and replies, unsent events and estimates do not survive a restart"
-    return Event("state directory", Severity.WARNING, f"{directory}: {flaw}: {lost}", -1)
-
-
-def _flaw_event(flaw: str) -> Event:
-    lost = "commands with ids used before may be carried out again, unsent events may be lost"
-    return Event("recording", Severity.WARNING, f"of the log of an earlier run, {flaw}: {lost}", -1)
 
 
 def _keeper(

@@ -26,6 +26,7 @@ INTERRUPTED = 130
 
 _COMMANDS = {
     "init": ("start", "Write a first configuration for a load and a bus."),
+    "start": ("desk", "Run a drive on a desk: its daemon, a broker, the panel, and the view."),
     "run": ("daemon", "Run the daemon for one drive until a signal stops it."),
     "check": ("configuration", "Validate a configuration; list every error with its place."),
     "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),

@@ -9,8 +9,9 @@ import asyncio
 import json
 import sys
 from dataclasses import asdict
-from typing import Literal
+from typing import Annotated, Literal
 
+from cyclopts import Parameter
 from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli.contact import Contact, DriveName, Number
@@ -148,6 +149,23 @@ def reset(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
         contact: Broker.
     """
     return _ask(drive, "reset", None, contact)
+
+
+def reload(
+    drive: DriveName,
+    /,
+    *,
+    measured: Annotated[bool, Parameter(negative=())] = False,
+    contact: Contact = _HERE,
+) -> int:
+    """Take the load and the limits of the file, between two runs.
+
+    Args:
+        drive: Name of the drive, which is in standby.
+        measured: The file's model was measured: the estimates start from it.
+        contact: Broker.
+    """
+    return _ask(drive, "reload", None, contact, measured=measured)
 
 
 def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:

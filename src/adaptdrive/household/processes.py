@@ -19,11 +19,16 @@ from typing import NoReturn, Self
 
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive.household import leash
+from adaptdrive.household.ports import HOST
+
+BROKER = "adaptdrive.household.broker_main"
+"""Module of the embedded broker; its arguments are its listeners."""
 
 PATIENCE_s = 20.0
 """Time for a process to end before it is killed: the daemon closes its session."""
 
 _TAIL_LINES = 8
+_LOOK_s = 0.05
 
 
 class ProcessDiedError(AdaptdriveError):
@@ -44,6 +49,27 @@ class Child:
     name: str
     process: asyncio.subprocess.Process
     log: Path
+
+    @property
+    def death(self) -> ProcessDiedError:
+        """The error that describes its end."""
+        return ProcessDiedError(self.name, self.process.returncode or 0, self.log)
+
+    async def until_listening(self, port: int) -> None:
+        """Wait until it takes connections at a port of the loopback interface.
+
+        Raises:
+            ProcessDiedError: It has ended before.
+        """
+        while self.process.returncode is None:
+            try:
+                _, writer = await asyncio.open_connection(HOST, port)
+            except OSError:
+                await asyncio.sleep(_LOOK_s)
+            else:
+                writer.close()
+                return
+        raise self.death
 
 
 class Household:
@@ -76,11 +102,9 @@ class Household:
             arguments: Its arguments.
             log: Takes its output.
         """
-        leashed = [sys.executable, "-I", "-S", leash.__file__, str(os.getpid())]
         with log.open("ab") as output:
             process = await asyncio.create_subprocess_exec(
-                *leashed,
-                *(sys.executable, "-m", module, *arguments),
+                *_leashed(module, arguments),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
@@ -91,9 +115,27 @@ class Household:
         self._children.append(child)
         return child
 
+    @property
+    def names(self) -> list[str]:
+        """The names of all, in the order of their end."""
+        return [child.name for child in reversed(self._children)]
+
     def has(self, name: str) -> bool:
         """Return whether a process of that name was started."""
         return any(child.name == name for child in self._children)
+
+    async def run_in_front(self, module: str, arguments: Sequence[str]) -> int:
+        """Run `python -m MODULE ARGUMENTS` on this terminal to its end, or until cancelled.
+
+        Returns:
+            Its exit status.
+        """
+        command = _leashed(module, arguments)
+        process = await asyncio.create_subprocess_exec(*command, env=self._environment)
+        try:
+            return await process.wait()
+        finally:
+            await _end(process)
 
     async def watch(self) -> NoReturn:
         """Wait until a process ends by itself.
@@ -108,13 +150,17 @@ class Household:
             for wait in waits:
                 wait.cancel()
             await asyncio.gather(*waits, return_exceptions=True)
-        child = waits[done.pop()]
-        raise ProcessDiedError(child.name, child.process.returncode or 0, child.log)
+        raise waits[done.pop()].death
 
     async def stop(self) -> None:
         """End what still runs, in the reverse order of its start."""
         while self._children:
-            await _end(self._children.pop())
+            await _end(self._children.pop().process)
+
+
+def _leashed(module: str, arguments: Sequence[str]) -> list[str]:
+    leashed = [sys.executable, "-I", "-S", leash.__file__, str(os.getpid())]
+    return [*leashed, sys.executable, "-m", module, *arguments]
 
 
 def last_lines(log: Path) -> list[str]:
@@ -132,8 +178,7 @@ def _how(status: int) -> str:
     return f"was ended by {signal.Signals(-status).name}"
 
 
-async def _end(child: Child) -> None:
-    process = child.process
+async def _end(process: asyncio.subprocess.Process) -> None:
     if process.returncode is not None:
         return
     with contextlib.suppress(ProcessLookupError):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+import math
+from collections.abc import Awaitable, Callable
 
 from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.reach import Reach
@@ -27,7 +28,7 @@ from adaptdrive.runtime.reports import (
     State,
     TickReport,
 )
-from adaptdrive.runtime.requests import Request, Reset
+from adaptdrive.runtime.requests import Reload, Request, Reset
 from adaptdrive.runtime.slow_loop import SlowLoop
 from adaptdrive.runtime.stop_sender import StopSender
 from adaptdrive.runtime.tick_support import TickSupport
@@ -53,6 +54,7 @@ class Daemon:
         sensors: Callable[[], tuple[SensorReport, ...]] = tuple,
         rehearse: Callable[[], None] = lambda: None,
         recorded: Callable[[], bool] = lambda: True,
+        prepare: Callable[[Reload], Awaitable[Callable[[], None]]] | None = None,
     ) -> None:
         """Join port, controller and reports.
 
@@ -66,9 +68,13 @@ class Daemon:
             sensors: Gives the state of the sensor buses beside the drive.
             rehearse: Does what a tick does, and nothing that can be noticed.
             recorded: Gives whether all that is to be recorded is.
+            prepare: Prepares another run of this process and returns what ends the present one;
+                None where there is none.
         """
         self.opened = asyncio.Event()
         self._rehearse = rehearse
+        self._prepare = prepare
+        self._another_follows = False
         self._sensors = sensors
         self._port = port
         self._settings = settings
@@ -194,6 +200,8 @@ class Daemon:
         """
         if self._announcer.shutting_down:
             raise RefusedError("the daemon is shutting down")
+        if isinstance(request, Reload):
+            return await self._reload(request)
         if isinstance(request, Reset) and not self._machine.energised:
             await self._port.reset_fault()
         fast, mode = self._fast, self._machine.mode
@@ -208,6 +216,17 @@ class Daemon:
                 "mode", Severity.INFO, f"mode {mode} to {self._machine.mode}"
             )
         self._announcer.publish_state()
+        return self._machine.state
+
+    async def _reload(self, request: Reload) -> State:
+        """Have another run follow this one, which ends; nothing energises the drive meanwhile."""
+        if self._prepare is None:
+            raise RefusedError("this daemon has no file")
+        self._machine.carry_out(request, self._fast.tick, math.nan, None)
+        end = await self._prepare(request)
+        self._machine.carry_out(request, self._fast.tick, math.nan, None)  # a trip stays latched
+        end()
+        self._announcer.shutting_down = self._another_follows = True
         return self._machine.state
 
     def on_reading(self, reading: Reading) -> None:
@@ -301,7 +320,8 @@ class Daemon:
     async def _shut_down(self) -> None:
         """Bring the drive to zero, until it confirms; a frame can be lost, so more than once."""
         self._announcer.shutting_down = True
-        self._manager.stopping()
+        if not self._another_follows:
+            self._manager.stopping()
         self.stop()
         await self._stopper.await_stop()
         self._announcer.publish_state()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Waveform
+from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
 
 if TYPE_CHECKING:
@@ -156,6 +157,23 @@ class Reset(Request):
         machine.reset(now.cause)
 
 
+@dataclass(frozen=True, slots=True)
+class Reload(Request):
+    """Take the load and the limits of the file, between two runs.
+
+    Attributes:
+        measured: Whether the file's model was measured: the estimates start from it.
+    """
+
+    verb = "reload"
+    measured: bool = False
+
+    def apply(self, machine: Machine, _: Moment) -> None:
+        """Refuse it unless the drive is off, as confirmed."""
+        if machine.state is not State.STANDBY:
+            raise RefusedError(f"reload needs standby; state is {machine.state}")
+
+
 REQUESTS: dict[str, type[Request]] = {
     request.verb: request
     for request in (
@@ -166,6 +184,7 @@ REQUESTS: dict[str, type[Request]] = {
         SetVoltage,
         Enable,
         Disable,
+        Reload,
         Reset,
     )
 }

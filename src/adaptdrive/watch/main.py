@@ -21,7 +21,7 @@ from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.sending import CommandsUnderWay, over_mqtt
 from adaptdrive.watch.telling import tell_last
 from adaptdrive.watch.terminal import draw
-from adaptdrive.watch.view import screen
+from adaptdrive.watch.view import WATCH, Surroundings, screen
 
 _RETRY_S = 2.0
 
@@ -31,13 +31,21 @@ Press = Callable[..., KeyCommand | None]
 Show = Callable[[tuple[int, int]], Layout]
 
 
-async def watch(broker: Mqtt, drive: str, timeout_s: float) -> bool:
+async def watch(
+    broker: Mqtt,
+    drive: str,
+    timeout_s: float,
+    around: Surroundings = WATCH,
+    services: Iterable[Coroutine[Any, Any, None]] = (),
+) -> bool:
     """Show a drive until `q` is pressed or a signal comes; a stop under way is waited for.
 
     Args:
         broker: Where the broker is.
         drive: Name of the drive.
         timeout_s: Longest wait for the answer to a command.
+        around: What is shown around the drive.
+        services: Run for as long as the view does; the end of one ends it.
 
     Returns:
         False where a command that was under way at the end is not known to be carried out; a line
@@ -45,8 +53,13 @@ async def watch(broker: Mqtt, drive: str, timeout_s: float) -> bool:
     """
     record = WatchRecord(drive, time.monotonic)
     under_way = CommandsUnderWay(over_mqtt(broker, drive, timeout_s), record)
-    show, press = functools.partial(screen, record), KeyReader(record).press
-    return await run_view(show, press, under_way, [follow_drive(broker, record)])
+    show = functools.partial(screen, record, around=around)
+    reader = KeyReader(record)
+
+    def press(key: str, *, alone: bool = True) -> KeyCommand | None:
+        return None if around.takes(key) else reader.press(key, alone=alone)
+
+    return await run_view(show, press, under_way, [follow_drive(broker, record), *services])
 
 
 async def run_view(

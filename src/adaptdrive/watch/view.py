@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -48,6 +48,8 @@ class Surroundings:
         tables: More tables beside those of the drive, by title.
         longest_s: Longest time that the plot shows.
         cover: Takes the place of the tables, where it is there.
+        plant: Whether the keys of a simulated plant are named.
+        takes: Sees each key first, and returns whether it was for it.
     """
 
     keys: Sequence[str] = KEYS
@@ -55,12 +57,19 @@ class Surroundings:
     tables: Mapping[str, Table] = field(default_factory=dict)
     longest_s: float = 600.0
     cover: Text | None = None
+    plant: bool = True
+    takes: Callable[[str], bool] = lambda _: False
 
 
-_WATCH = Surroundings()
+WATCH = Surroundings()
 
 
-def screen(record: WatchRecord, size: tuple[int, int], around: Surroundings = _WATCH) -> Layout:
+def faint(said: Iterable[str]) -> list[Text]:
+    """Return lines for below that of the drive."""
+    return [Text(f" {line}", DIM) for line in said]
+
+
+def screen(record: WatchRecord, size: tuple[int, int], around: Surroundings = WATCH) -> Layout:
     """Return the whole screen.
 
     Args:
@@ -235,7 +244,7 @@ def _footer(record: WatchRecord, around: Surroundings, width: int) -> list[Text]
         *(Text(line, DIM) for line in flow(_health(record), width)),
         Text(f" {printable(record.answer)}", "bold"),
         *(Text(line, DIM) for line in flow(around.keys, width)),
-        *(Text(line, DIM) for line in (flow(plant, width) if around is _WATCH else ())),
+        *(Text(line, DIM) for line in (flow(plant, width) if around.plant else ())),
     ]
 
 

@@ -1,0 +1,132 @@
+"""The configuration of the next run of a daemon, taken from the file between two runs.
+
+The bus is closed and opened again, and everything is built anew, as at a start; the process, its
+locks and its place at the service manager stay.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from adaptdrive.app.examine import examine_text
+from adaptdrive.clock.now import now_s
+from adaptdrive.config import Configuration
+from adaptdrive.config.file import read_text
+from adaptdrive.errors import ConfigurationError, RefusedError
+from adaptdrive.runtime.requests import Reload
+from adaptdrive.runtime.watchdog import ServiceManager
+
+CHANGEABLE = frozenset({"load", "estimator", "supervisor", "interlocks", "simulation"})
+"""Sections that may change between two runs: the load, its control, and the limits that trip."""
+
+ANSWER_S = 0.5
+"""From the acceptance to the end of the run: the reply is on its way."""
+
+_LONGEST_LOOK_S = 5.0
+_FEED_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """Input of a run: its configuration.
+
+    Attributes:
+        configuration: The drive.
+        text: Its configuration, as TOML.
+        measured: Whether its model is that of a measurement, to start the estimates from.
+        changed: Sections that a reload has changed; empty at the start of a process.
+    """
+
+    configuration: Configuration
+    text: str
+    measured: bool = False
+    changed: tuple[str, ...] = ()
+
+
+class RunCourse:
+    """The runs of one process; each takes what the one before has left.
+
+    Attributes:
+        stop: Set for the end of the present run.
+    """
+
+    def __init__(self, path: Path, given: Given) -> None:
+        """Begin with the configuration of the start.
+
+        Args:
+            path: Its file.
+            given: What was in it.
+        """
+        self.stop = asyncio.Event()
+        self._path = path
+        self._given = given
+        self._next: Given | None = given
+        self._ended = self._between = False
+
+    def end(self) -> None:
+        """End the present run, and the process."""
+        self._ended = True
+        self.stop.set()
+
+    def next_run(self) -> Given | None:
+        """Return what the next run is built from, None where the process ends."""
+        given, self._next = self._next, None
+        if given is None or (self._ended and given is not self._given):
+            return None
+        if not self._ended:
+            self.stop.clear()
+        self._given = given
+        return given
+
+    async def prepare(self, request: Reload) -> Callable[[], None]:
+        """Read the file for the next run, and return what ends the present one.
+
+        Args:
+            request: What was asked for.
+
+        Raises:
+            RefusedError: The file cannot be used without a restart; nothing has changed.
+        """
+        try:
+            async with asyncio.timeout(_LONGEST_LOOK_S):
+                given = await asyncio.to_thread(self._read, request)
+        except TimeoutError:
+            raise RefusedError(f"{self._path} is not read within {_LONGEST_LOOK_S:g} s") from None
+        except ConfigurationError as problem:
+            flaws = "; ".join(map(str, problem.flaws))
+            raise RefusedError(f"{self._path} is not valid, nothing has changed: {flaws}") from None
+        return functools.partial(self._follow, given)
+
+    def _follow(self, given: Given) -> None:
+        self._next, self._between = given, True
+        asyncio.get_running_loop().call_later(ANSWER_S, self.stop.set)
+
+    def _read(self, request: Reload) -> Given:
+        text = read_text(self._path)
+        configuration = examine_text(text, self._path)
+        before, after = self._given.configuration, configuration
+        changed = [
+            name
+            for name in type(configuration).model_fields
+            if getattr(before, name) != getattr(after, name)
+        ]
+        if fixed := [name for name in changed if name not in CHANGEABLE]:
+            names = ", ".join(f"[{name}]" for name in fixed)
+            raise RefusedError(f"a change of {names} needs a restart of the daemon; nothing is new")
+        return Given(configuration, text, request.measured, tuple(changed))
+
+    async def feed_between(self, manager: ServiceManager) -> None:
+        """Feed the watchdog between two runs, in which no tick does, until cancelled."""
+        while True:
+            if self._between:
+                manager.feed(now_s())
+            await asyncio.sleep(_FEED_S)
+
+    async def opened(self, opened: asyncio.Event) -> None:
+        """Leave the watchdog to the ticks once the bus is open."""
+        await opened.wait()
+        self._between = self._next is not None
