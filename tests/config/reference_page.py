@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,15 @@ _INTRODUCTION = """\
 # Configuration
 
 For those who write the configuration of a drive: every key, its type, limits and default. One TOML
-file describes one drive. Numbers are in SI units; a unit that could be mistaken is part
-of the key. Every error in a file is listed with its place, and an unknown key is an error.
-Texts and keys are single lines of at most 4096 characters, without control characters. A byte order
-mark is ignored.
+file describes one drive. Numbers are in SI units; a unit that could be mistaken is part of the key.
+`adaptdrive check` lists every error with its place; an unknown key is an error. Texts are single
+lines of at most 4096 characters.
 
-Sections that a file must have: {required}. The others have defaults throughout.
-`make docs` writes this page from the models in `src/adaptdrive/config`.
+A file must have {required}; the other sections have defaults throughout. [Hardware](hardware.md)
+explains how to describe a drive. `make docs` writes this page from `src/adaptdrive/config`.
 """
+_REPEATED = 3
+"""Rows of earlier sections from which on they are named in a sentence."""
 _HEAD = "| key | type | default | meaning |\n|---|---|---|---|"
 _TYPES = {
     "array": "list",
@@ -46,7 +47,8 @@ def reference_page() -> str:
     definitions = schema["$defs"]
     sections = dict.fromkeys(_sections(schema, definitions))
     parts = [_INTRODUCTION.format(required=required)]
-    parts += [_section(definitions[name]) for name in sections]
+    places: dict[str, str] = {}
+    parts += [_section(definitions[name], places) for name in sections]
     return "\n".join(parts)
 
 
@@ -66,7 +68,8 @@ def _references(key: Schema) -> Iterator[str]:
             yield option["$ref"].removeprefix("#/$defs/")
 
 
-def _section(schema: Schema) -> str:
+def _section(schema: Schema, places: dict[str, str]) -> str:
+    """One section: rows that an earlier one has are named in a sentence, with its title."""
     title, _, meaning = schema["description"].rstrip(".").partition(": ")
     meaning = f"\n{meaning[0].upper()}{meaning[1:]}.\n" if meaning else ""
     required = schema.get("required", ())
@@ -75,7 +78,19 @@ def _section(schema: Schema) -> str:
         for name, key in schema["properties"].items()
         if not _is_section(key)
     ]
-    return "\n".join([f"## {title}", meaning, _HEAD, *rows, ""])
+    known = [row for row in rows if places.setdefault(row, title) != title]
+    told = [_repeated(known, places)] if len(known) >= _REPEATED else []
+    shown = [row for row in rows if not told or row not in known]
+    table = [_HEAD, *shown, ""] if shown else []
+    return "\n".join([f"## {title}", meaning, *told, *table])
+
+
+def _repeated(rows: Sequence[str], places: Mapping[str, str]) -> str:
+    """Sentences with the keys of the rows, one for each section that has them."""
+    keys: dict[str, list[str]] = {}
+    for row in rows:
+        keys.setdefault(places[row], []).append(row.split(" | ")[0].removeprefix("| "))
+    return "".join(f"As in {title}: {', '.join(names)}.\n" for title, names in keys.items())
 
 
 def _is_section(key: Schema) -> bool:
@@ -112,8 +127,12 @@ def _kind(key: Schema) -> str:
 def _limits(key: Schema) -> Iterator[str]:
     if "pattern" in key:
         yield f"`{key['pattern']}`"
+    low, high = key.get("minimum"), key.get("maximum")
+    if low is not None and high is not None:
+        yield f"{low:g}…{high:g}"
+        return
     for bound, sign in _BOUNDS.items():
-        if bound in key:
+        if bound in key and (bound != "exclusiveMinimum" or low is None):
             yield f"{sign} {key[bound]:g}"
 
 

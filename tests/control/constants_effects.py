@@ -25,13 +25,11 @@ Effects = dict[tuple[str, ...], Row]
 
 _HEAD = """\
 The last two columns: {runs} are run again with half and with twice the constant (of poles and of
-ratios next to 1: the distance from 1 is halved and doubled). They show the sum of the
-[costs](campaign.md#criteria) of the adaptive controller, divided by that sum with the constant
-unchanged, for standard / wide. *Worse*: number of runs that cost over 5 % more than with the fixed
-controller, shown where it differs from the {worse} with all constants unchanged. *Lost*: number of
-unstable or tripped runs, shown where it differs from {lost}. *Same*: every run is bit-equal, for
-example because the campaigns do not use the constant. An empty cell: not measured with this value.
-All were measured while the challenger took over at 25.
+ratios next to 1, the distance from 1). They show the sum of the [costs](campaign.md#criteria) of
+the adaptive controller over that with the constant unchanged, standard / wide. *Worse*: runs that
+cost over 5 % more than with the fixed controller, where they are not {worse}. *Lost*: unstable or
+tripped runs, where they are not {lost}. *Same*: every run is bit-equal. An empty cell: not measured
+with this value. All were measured while the challenger took over at 25.
 """
 
 

@@ -23,9 +23,10 @@ _HEAD = """\
 # Constants
 
 For developers of the controller: every number that was chosen in its code, then those that
-[follow from these](#what-follows), then those with [nothing to choose](#nothing-to-choose). What a
-site may want to change is a key of the [configuration](../configuration.md) instead. `make docs`
-writes this page from the modules; a test fails where a constant has no unit or no reason.
+[follow from these](#what-follows). Limits of rounding and of series, constants of mathematics and
+numbers of the paper have a reason in the code only. What a site may want to change is a key of the
+[configuration](../configuration.md). `make docs` writes this page; a test fails where a constant
+has no unit or no reason.
 
 Units: *ticks* are half line cycles, *periods* are slow periods T_k, *scale* is the output in the
 middle of the voltage range. *1* is a ratio.
@@ -102,15 +103,8 @@ _UNITS = {
 _FOLLOWING = """
 ## What follows
 
-Each is computed from constants above, from the arithmetic or from the structure of the loop, and
-moves with what it is computed from. A factor in such an expression has its reason beside it.
-"""
-
-_GIVEN = """
-## Nothing to choose
-
-Limits of rounding and of series, guards against numbers that no sensor gives, constants of
-mathematics and numbers of the paper.
+Each is computed from constants above, the arithmetic or the structure of the loop, and moves with
+them.
 """
 
 _NUMERICAL = {
@@ -245,7 +239,7 @@ def page(effects: Effects | None = None) -> str:
         count = [f"There are {len(shown)} constants; {active} of them change a run.", ""]
     chosen = [_HEAD, *([head(found)] if found else []), *count, *rows]
     computed = [_FOLLOWING, *_table(following(), "computed as")]
-    return "\n".join([*chosen, *computed, _GIVEN, *_table(given(), "value"), ""])
+    return "\n".join([*chosen, *computed, ""])
 
 
 def _table(numbers: list[Constant], value: str) -> list[str]:

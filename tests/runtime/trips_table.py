@@ -3,6 +3,7 @@
 `python -m tests.runtime.trips_table docs/operation.md` writes the table; a test keeps it current.
 """
 
+import re
 import sys
 from pathlib import Path
 
@@ -11,9 +12,24 @@ from adaptdrive.runtime.trips import TRIPS
 BEGIN, END = "<!-- trips: written by `make docs` -->\n", "<!-- end of trips -->\n"
 
 
+LONGEST = 10
+"""Words of a trip that the table shows, from its beginning."""
+
+
+def shown(example: str) -> str:
+    """Return the beginning of a trip that tells it from others."""
+    text = re.sub(r"^stale: measurement is .*?(; the polls|54 ms old: )", _part, example)
+    words = text.split()
+    return text if len(words) <= LONGEST else f"{' '.join(words[:LONGEST])} …"
+
+
+def _part(found: re.Match[str]) -> str:
+    return f"stale: …{found[1].removeprefix('54 ms old')}"
+
+
 def table() -> str:
     """Return the table as Markdown."""
-    rows = [f"| `{trip.example}` | {trip.cause} | {trip.remedy} |" for trip in TRIPS]
+    rows = [f"| `{shown(trip.example)}` | {trip.cause} | {trip.remedy} |" for trip in TRIPS]
     return "\n".join(["| trip | cause | remedy |", "|---|---|---|", *rows, ""])
 
 

@@ -1,5 +1,5 @@
 "use strict";
-// The MQTT contract of the daemon: topics, and payloads read with care. docs/operation.md defines it.
+// The MQTT contract of the daemon: topics, and payloads read with care. docs/mqtt.md defines it.
 
 /**
  * @typedef {{value: number|null, std: number|null}} Estimate

@@ -88,9 +88,10 @@ def spread(pair: list[float]) -> str:
 
 def rms_table(result: Result, cases: tuple[Case, ...]) -> str:
     """Deviation from the response asked for: a row for each controller."""
-    rows = [
-        [name, *(_cell(result, case, key, "rms") for case in cases)] for key, name in NAMES.items()
-    ]
+    rows = []
+    for key, name in NAMES.items():
+        found = [_cell(result, case, key, "rms") for case in cases]
+        rows += [[name, *found]] if set(found) != {"-"} else []
     return table(["rms, % of the step", *(case.name for case in cases)], rows)
 
 
@@ -103,15 +104,16 @@ def other_table(result: Result, cases: tuple[Case, ...]) -> str:
     """Overshoot or largest deviation, IAE and total variation, medians."""
     rows = []
     for key, name in NAMES.items():
-        rows.append([name, *(_medians(result, case.name, key) for case in cases)])
-    return table(["overshoot % / IAE s / TV V", *(case.name for case in cases)], rows)
+        medians = [_medians(result, case.name, key) for case in cases]
+        rows += [[name, *medians]] if set(medians) != {"-"} else []
+    return table(["overshoot %/IAE s/TV V", *(case.name for case in cases)], rows)
 
 
 def _medians(result: Result, case: str, controller: str) -> str:
     part = result["cases"][case].get(controller)
     first = "peak" if case in DISTURBED else "overshoot"
     names = first, "iae_s", "variation"
-    return "-" if part is None else " / ".join(number(part[name][0]) for name in names)
+    return "-" if part is None else "/".join(number(part[name][0]) for name in names)
 
 
 DISTURBED = ("G", "H", "J", "K", "bath G", "battery N")
