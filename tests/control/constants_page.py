@@ -29,7 +29,7 @@ numbers of the paper have a reason in the code only. What a site may want to cha
 has no unit or no reason.
 
 Units: *ticks* are half line cycles, *periods* are slow periods T_k, *scale* is the output in the
-middle of the voltage range. *1* is a ratio.
+middle of the voltage range. *1* is a ratio. Modules are below `control` unless a folder is named.
 """
 
 _UNITS = {
@@ -111,6 +111,7 @@ _NUMERICAL = {
     "_PASSES",
     "_HALVINGS",
     "_FREQUENCIES",
+    "_NEXT",
     "_LARGEST_EXPONENT",
     "_LONGEST_REACH",
     "_LONGEST_STEP",
@@ -230,7 +231,7 @@ def page(effects: Effects | None = None) -> str:
         effects: What it does to change the constants; what was measured last when left out.
     """
     found = read_effects() if effects is None else effects
-    names = ["constant", "value", "unit", "module", "reason", *(CHANGES if found else ())]
+    names = ["module.constant", "value", "reason", *(CHANGES if found else ())]
     rows = [_line(names), "|" + "---|" * len(names), *(_row(one, found) for one in constants())]
     shown = constants()
     count = [f"There are {len(shown)} constants.", ""]
@@ -243,14 +244,19 @@ def page(effects: Effects | None = None) -> str:
 
 
 def _table(numbers: list[Constant], value: str) -> list[str]:
-    names = ["constant", value, "module", "reason"]
-    rows = [[f"`{one.name}`", f"`{one.value}`", f"`{one.module}`", one.reason] for one in numbers]
+    names = ["module.constant", value, "reason"]
+    rows = [[_place(one), f"`{one.value}`", one.reason] for one in numbers]
     return [_line(names), "|" + "---|" * len(names), *map(_line, rows)]
 
 
 def _row(one: Constant, effects: Effects) -> str:
-    known = [f"`{one.name}`", one.value, _UNITS[one.name], f"`{one.module}`", one.reason]
+    known = [_place(one), f"{one.value} {_UNITS[one.name]}", one.reason]
     return _line([*known, *(cells(effects, one.module, one.name, one.value) if effects else ())])
+
+
+def _place(one: Constant) -> str:
+    module = one.module.removeprefix("control/").removesuffix(".py")
+    return f"`{module}`.`{one.name}`"
 
 
 def _line(parts: list[str]) -> str:

@@ -208,8 +208,8 @@ TRIPS = (
         "frame rate: the drive sends 100 readings/s, expected 120/s: look at "
         "drive.line_frequency_Hz, bus.clock and bus.clock_ticks",
         "the clocking message does not come at the rate of the half cycles",
-        "correct `drive.line_frequency_Hz`, or set `bus.clock` to a message of every half cycle, or "
-        "`bus.clock_ticks` to the half cycles between two messages",
+        "correct `drive.line_frequency_Hz`, or set `bus.clock` to a message of every half cycle, "
+        "or `bus.clock_ticks` to the half cycles between two messages",
     ),
     Trip(
         r"^half-cycle counter: ",
