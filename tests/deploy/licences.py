@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -20,11 +20,11 @@ DEVELOPMENT = frozenset({"dev"})
 _HEAD = """# Licences
 
 For those who pass adaptdrive on: the licence of each library, made by `make docs` from the metadata
-of the installed libraries; do not edit. adaptdrive
-itself is under the [MIT licence](../LICENSE). The Debian package holds the full text of each
-licence beside its library, in `/opt/adaptdrive/lib/python3*/site-packages/*.dist-info`, or else in
-`/usr/share/doc/adaptdrive/copyright`; each library in the package is unmodified,
-so that another version can replace it.
+of the installed libraries. adaptdrive itself is under the [MIT licence](../LICENSE). The Debian
+package holds the full text of each licence next to its library, in
+`/opt/adaptdrive/lib/python3*/site-packages/*.dist-info`, or else in
+`/usr/share/doc/adaptdrive/copyright`; each library in the package is unmodified, so that another
+version can replace it.
 """
 _SECTIONS = (
     ("In the Debian package", PACKED),
@@ -40,11 +40,18 @@ def page() -> str:
     for title, extras in _SECTIONS:
         names = sorted(closure("adaptdrive", extras) - listed)
         listed |= set(names)
-        rows = [f"| {name} | {distribution(name).version} | {licence(name)} |" for name in names]
-        parts.append(
-            "\n".join([f"## {title}\n", "| library | version | licence |", "|---|---|---|", *rows])
-        )
+        rows = [f"| {words} | {libraries} |" for words, libraries in sorted(_grouped(names))]
+        parts.append("\n".join([f"## {title}\n", "| licence | libraries |", "|---|---|", *rows]))
     return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def _grouped(names: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yield each licence with its libraries and their versions."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(licence(name), []).append(f"{name}={distribution(name).version}")
+    for words, libraries in found.items():
+        yield words, ", ".join(libraries)
 
 
 def closure(name: str, extras: frozenset[str]) -> set[str]:

@@ -394,7 +394,7 @@ def _cell(name: str, cell: Cell | str, measured: Mapping[str, Mapping[str, float
     shown = [f"`{cell.count}`"] if cell.count else []
     shown += ["event `bus`"] if cell.words else []
     if not cell.trips:
-        return "; ".join([*(shown or ["`held`"]), "goes on"])
+        return "; ".join([*(shown or ["`held`"]), "continues"])
     told = "safe" if cell.hears else "trip"
     shown += [] if cell.cause == "stale" else [f"trip `{cell.cause}`"]
     times_told = [f"{told} in {_ms(times, 'reaction_ms')}", f"back in {_ms(times, 'back_ms')}"]
