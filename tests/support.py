@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import socket
@@ -187,14 +188,15 @@ class MosquittoLauncher:
     more: str = ""
 
     def start(self, port: int) -> Process:
-        """Start a broker on the loopback interface and wait until it listens."""
+        """Start a broker on the loopback interface and wait until it listens on each port."""
         settings = self.folder / f"mosquitto-{port}.conf"
         own = f"listener {port} 127.0.0.1\nallow_anonymous true\n"
         settings.write_text(f"per_listener_settings true\n{own}{self.more}")
         log = settings.with_suffix(".log")
         process = start_process([self.program, "-c", settings], log)
         try:
-            _await_listener(process, port, log)
+            for one in (port, *re.findall(r"^listener (\d+) ", self.more, re.MULTILINE)):
+                _await_listener(process, int(one), log)
         except BaseException:
             stop_process(process)
             raise
