@@ -20,7 +20,7 @@ class DeviceSettings:
     Attributes:
         broker: HOST:PORT of an MQTT broker for disturbances; none when left out.
         noise_V: Standard deviation of each sample of the output, in the unit of the output.
-        spikes: SHARE,SIGMA: share of samples that carry a spike, and its deviation, likewise.
+        spikes: SHARE,SIGMA: share of samples that carry a spike, and its deviation, as above.
         seed: Seed of the noise.
         disks: Disks on the shaft of a motor; one when left out.
         initial_voltage_V: Start at rest at this boost voltage instead of at standstill.

@@ -1,6 +1,6 @@
 """Measurement noise on the output: brush noise and spikes.
 
-Random numbers are drawn in blocks and handed out one by one as plain floats: a draw of its own
+Random numbers are drawn in blocks and handed out one by one as plain floats: a separate draw
 for each sample would cost more than the plant.
 """
 

@@ -172,7 +172,7 @@ class World:
 
         Args:
             current_scale_S: Line-current scale k computed from the last frame.
-            bridge: Whether the bridge may feed the load, likewise.
+            bridge: Whether the bridge may feed the load, as above.
 
         Returns:
             The frame at the end of the half cycle.

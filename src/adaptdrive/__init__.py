@@ -1,6 +1,6 @@
 """Adaptive control of a load behind a power-electronic drive.
 
-A wheel may hold compiled modules beside their sources. `ADAPTDRIVE_PURE=1` in the environment
+A wheel may hold compiled modules next to their sources. `ADAPTDRIVE_PURE=1` in the environment
 imports the sources.
 """
 

@@ -1,4 +1,4 @@
-"""Calls that may hang, each in a thread of its own.
+"""Calls that may hang, each in a separate thread.
 
 The helper threads of the event loop are few, everything else that blocks needs them, and the
 process cannot end before they do: a call to a name server or to a broken device takes minutes.
@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 
 def in_thread(call: Callable[[], Result], name: str) -> Future[Result]:
-    """Start a call in a thread of its own, for which the process need not wait.
+    """Start a call in a separate thread, for which the process need not wait.
 
     Args:
         call: What is called.

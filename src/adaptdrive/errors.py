@@ -78,7 +78,7 @@ class RecordingError(AdaptdriveError):
 
 
 class CommissionError(AdaptdriveError):
-    """An experiment on a load cannot go on; the reason is the message."""
+    """An experiment on a load cannot continue; the reason is the message."""
 
 
 class IdentificationError(AdaptdriveError):

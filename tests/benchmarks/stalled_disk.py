@@ -58,7 +58,7 @@ def rows(extent: Extent) -> Iterator[Row]:
         windows = list(_windows(disk, extent.pick(20, 3, 1)))
         sessions = disk / "sessions"
         (session,) = (path for path in sessions.iterdir() if path.name[0] != ".")
-        until(lambda: _last_s(session) > windows[-1].end_s, "recording goes on", PATIENCE_s)
+        until(lambda: _last_s(session) > windows[-1].end_s, "recording continues", PATIENCE_s)
         if site.stop_daemon() != 0:
             raise RuntimeError(site.daemon_log)
         yield from _compared(session, windows)

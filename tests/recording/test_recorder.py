@@ -318,7 +318,7 @@ async def test_a_full_disk_stops_recording_which_resumes(sessions: Path) -> None
     assert read.info.ended is Ending.ORDERLY
     assert heard[0].severity is Severity.ALARM
     assert "File too large" in heard[0].detail
-    assert "recording goes on" in heard[-1].detail
+    assert "recording continues" in heard[-1].detail
 
 
 async def test_a_session_is_not_pruned_while_a_full_disk_interrupts_it(sessions: Path) -> None:

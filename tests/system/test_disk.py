@@ -89,7 +89,7 @@ def test_the_drive_runs_on_and_recording_resumes(
     said = [event.detail for event in session.events if event.kind == "recording"]
     if fault is not stalled:
         assert any("recording has stopped" in detail for detail in said)
-        assert any("recording goes on" in detail for detail in said), said
+        assert any("recording continues" in detail for detail in said), said
 
 
 def test_a_state_disk_that_becomes_read_only_ends_nothing(make_site: MakeSite, disk: Path) -> None:

@@ -1,6 +1,6 @@
 """Draw the life of a motor in one run of a campaign.
 
-All of it comes from a stream of random numbers of its own, so that a campaign without it draws what
+All of it comes from a separate stream of random numbers, so that a campaign without it draws what
 it always drew.
 """
 

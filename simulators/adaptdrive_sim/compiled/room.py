@@ -3,7 +3,7 @@
 A slow step makes about a hundred vectors of a few numbers each. To ask the system for the memory
 of each, to count its users and to give it back would take longer than what is done with them. So
 they stand one behind the other in memory that is part of the compiled code, and are forgotten all
-at once when the next slow period begins. When that memory is full, a vector gets memory of its own.
+at once when the next slow period begins. When that memory is full, a vector gets separate memory.
 
 The room belongs to one thread at a time: compiled code keeps the interpreter's lock.
 """

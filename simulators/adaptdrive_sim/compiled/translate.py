@@ -86,7 +86,7 @@ def cache_folder() -> Path:
 
 
 def _source(module: ModuleType) -> str:
-    """Return the Python source of a module, which a compiled module has beside it."""
+    """Return the Python source of a module, which lies next to a compiled module."""
     path = Path(str(module.__file__))
     return path.with_name(f"{path.name.partition('.')[0]}.py").read_text(encoding="utf-8")
 

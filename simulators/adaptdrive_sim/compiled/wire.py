@@ -1,7 +1,7 @@
 """Connection between the drive and its controller: rounding, a late sensor, interlocks.
 
-Numbers on a bus are whole multiples of a quantum. The regulated output may come from a sensor of
-its own, some half cycles older than the drive's frame.
+Numbers on a bus are whole multiples of a quantum. The regulated output may come from a separate
+sensor, some half cycles older than the drive's frame.
 """
 
 from __future__ import annotations

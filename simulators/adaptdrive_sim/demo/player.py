@@ -109,10 +109,10 @@ class Player:
         self.say = self._story.complete if self._record.completed else self.say
 
     def toggle(self) -> None:
-        """Pause the story, or go on with it."""
+        """Pause the story, or continue it."""
         self.paused = not self.paused
         if self.paused:
-            self.say = "The story is paused; the drive runs on. Space goes on with it."
+            self.say = "The story is paused; the drive runs on. Space continues it."
         else:
             self._ready = self._ready and self._intruder() == ""
             self.say = self._scene.say
@@ -120,7 +120,7 @@ class Player:
 
     def hold(self, why: str) -> None:
         """Pause the story because somebody else operates the drive."""
-        self.paused, self.say = True, f"{why} The story is paused; space goes on with it."
+        self.paused, self.say = True, f"{why} The story is paused; space continues it."
 
     def dropped(self) -> KeyCommand | None:
         """Return the next disturbance of the key `d`, which changes the load."""

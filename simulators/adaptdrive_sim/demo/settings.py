@@ -18,7 +18,7 @@ SPEED_MAX = 1e6
 
 
 class DemoError(AdaptdriveError):
-    """The demonstration cannot go on; the message gives the reason."""
+    """The demonstration cannot continue; the message gives the reason."""
 
 
 @Parameter(name="*")

@@ -34,7 +34,7 @@ class Scene(_Table, frozen=True):
         at_s: When it comes, since the story began.
         say: What to look at.
         mode: Controller to ask for; the one of before when left out.
-        setpoint: A constant set-point; likewise.
+        setpoint: A constant set-point; as above.
         waveform: A waveform instead of it.
         disturb: Request to the simulated device; `disks` is how many are to be on the shaft.
     """

@@ -73,7 +73,7 @@ class SimulatedDrive:
         world: The plant.
         fault: Fault word of the last half cycle.
         frame: What was measured in the last half cycle, None before the first.
-        has_sensors: Sensor modules on buses of their own measure beside the drive.
+        has_sensors: Sensor modules on separate buses measure too.
     """
 
     def __init__(  # noqa: PLR0913 - what makes one drive another
@@ -94,7 +94,7 @@ class SimulatedDrive:
             holder: The voltage loop of a drive that holds its own boost voltage.
             timeout_s: Age of the last valid command at which the drive shuts down.
             boost_needs_bridge: Whether the boost stage works only while the bridge is on.
-            overvoltage: Voltages of its own protection.
+            overvoltage: Voltages of the drive's protection.
         """
         self._holder = holder
         self._timeout_s = timeout_s

@@ -48,7 +48,7 @@ class Battery:
 
     Attributes:
         output: Charging current, mean over the last half line cycle.
-        charge: State of charge, 0 to 1; what is charged beyond goes on along the curve's end.
+        charge: State of charge, 0 to 1; beyond, the curve's end is extended.
         relaxed_V: Voltages of the relaxation elements.
     """
 

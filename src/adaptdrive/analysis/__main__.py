@@ -1,4 +1,4 @@
-"""`python -m adaptdrive.analysis SESSION`: its figure and report, beside its files."""
+"""`python -m adaptdrive.analysis SESSION`: its figure and report, next to its files."""
 
 import sys
 from pathlib import Path

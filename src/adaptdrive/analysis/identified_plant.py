@@ -82,7 +82,7 @@ def _power_law(stretch: Stretch) -> Array:
 
 
 def disturbed_plant(load: IdentifiedLoad, structure: Load, stretch: Stretch) -> IdentifiedPlant:
-    """Return the plant with what the record has beside its response to the recorded voltage.
+    """Return the plant with what the record has besides its response to the recorded voltage.
 
     Noise, torques, and the error of the model: fed with the recorded voltage it gives the record.
     """

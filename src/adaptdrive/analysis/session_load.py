@@ -1,4 +1,4 @@
-"""The load that a recorded session shows, beside the on-line estimates and the configured model."""
+"""The load that a recorded session shows, with the on-line estimates and the configured model."""
 
 from __future__ import annotations
 

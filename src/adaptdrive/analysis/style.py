@@ -64,7 +64,7 @@ def letter(axes: Axes, name: str, title: str) -> None:
 
 
 def legend_above(axes: Axes, columns: int) -> None:
-    """Put the legend beside the panel's title, where it hides no data."""
+    """Put the legend next to the panel's title, where it hides no data."""
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),

@@ -72,7 +72,7 @@ def what_if(
     """Run a session again in closed loop against the load that it shows.
 
     The set-points, the mode and the disturbances are those of the record: whatever its output has
-    beside the response of the identified load to the recorded voltage.
+    in addition to the response of the identified load to the recorded voltage.
 
     Args:
         path: Directory of the session.
@@ -134,7 +134,7 @@ def _acting(configuration: Configuration) -> tuple[object, ...]:
 def _acting_with(
     found: SessionLoad, source: Path, settings: Sequence[str], one: str
 ) -> tuple[object, ...] | None:
-    """Return the same with one setting; None where it is valid only beside the others."""
+    """Return the same with one setting; None where it is valid only with the others."""
     try:
         return _acting(reconfigured(found.session.config_text, source, (one,)))
     except ConfigurationError:

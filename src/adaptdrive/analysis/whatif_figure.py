@@ -1,4 +1,4 @@
-"""The figure of a session beside the same with other settings."""
+"""The figure of a session and of the same with other settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A session beside the same with other settings, as a table and as values."""
+"""A session and the same with other settings, as a table and as values."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The lock is an abstract socket of the kernel. It needs no directory that every user may write to,
 no sandbox hides it, and it ends with its process, however that dies. It is seen exactly where the
-network interfaces are seen: a container with CAN interfaces of its own has locks of its own, too.
+network interfaces are seen: a container with separate CAN interfaces has separate locks, too.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class LockedError(AdaptdriveError):
         self.what = what
         self.holder = holder
         super().__init__(
-            f"{what} is controlled by {holder}; end that daemon first, or give this one a drive of "
-            "its own"
+            f"{what} is controlled by {holder}; end that daemon first, or give this one another "
+            "drive"
         )
 
 

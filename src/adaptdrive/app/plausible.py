@@ -109,7 +109,7 @@ def _pole_flaws(section: AnyLoad, standing: list[float]) -> Iterator[Flaw]:
         return
     problem = (
         f"{section.pole:g}: the fixed controller must keep a load stable whose parameters are "
-        f"{100.0 * MODEL_ERROR:g} % beside load.model"
+        f"{100.0 * MODEL_ERROR:g} % off load.model"
     )
     if standing:
         remedy = f"poles of {standing[0]:g}…{standing[-1]:g} do"

@@ -42,7 +42,7 @@ _ANSWER_EVERY = 50
 
 
 Remark = Callable[[str], None]
-"""Prints a remark beside what is shown."""
+"""Prints a remark next to what is shown."""
 
 
 class Show(Protocol):

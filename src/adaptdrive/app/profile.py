@@ -11,7 +11,7 @@ from adaptdrive.operation.profile import Output, Profile
 
 
 def operator_profile(configuration: Configuration) -> Profile:
-    """Return names, units and limits of a drive, which operators need beside its state."""
+    """Return names, units and limits of a drive, which operators need in addition to its state."""
     load, drive = configuration.load, configuration.drive.limits
     quantity = configuration.drive.manipulated
     trips, machine = trip_limits(configuration), daemon_settings(configuration).machine

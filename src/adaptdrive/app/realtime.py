@@ -18,7 +18,7 @@ from adaptdrive.runtime.reports import Event, Severity
 
 
 def build_rehearsal(configuration: Configuration, path: Path) -> Rehearsal:
-    """Return a rehearsal of a drive's ticks, on a port of its own."""
+    """Return a rehearsal of a drive's ticks, on a separate port."""
     return Rehearsal(configuration, build_port(configuration, now_s, path))
 
 

@@ -81,7 +81,7 @@ def _acts(text: str, source: Path, setting: str) -> bool:
     """Return whether a setting changes anything of the controller that is run again."""
     try:
         changed = reconfigured(text, source, (setting,))
-    except ConfigurationError:  # it needs another setting beside it
+    except ConfigurationError:  # it needs another setting, too
         return True
     recorded = reconfigured(text, source, ())
     return _controlled(changed) != _controlled(recorded)

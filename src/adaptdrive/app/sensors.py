@@ -1,4 +1,4 @@
-"""The port of a drive with the sensors beside it, as its configuration asks for."""
+"""The port of a drive with its separate sensors, as its configuration asks for."""
 
 from __future__ import annotations
 

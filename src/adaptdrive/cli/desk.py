@@ -53,7 +53,7 @@ def start(
         contact: Login at the broker.
     """
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - it is large
-    from adaptdrive.watch.terminal import refuse_dumb_terminal  # noqa: PLC0415 - likewise
+    from adaptdrive.watch.terminal import refuse_dumb_terminal  # noqa: PLC0415 - as above
 
     path = _only_configuration() if config is None else config
     configuration = load_examined(path)

@@ -50,7 +50,7 @@ class PanelHandler(SimpleHTTPRequestHandler):
         """Refuse to list a folder."""
         self.send_error(HTTPStatus.NOT_FOUND)
 
-    def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - likewise
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - as above
         """Write nothing."""
 
 

@@ -108,7 +108,7 @@ def _replace(file: Path, content: bytes, like: Path) -> None:
 
 
 def _written(file: Path, content: bytes, like: Path) -> Path:
-    """Write a file beside another, with the owner, group and rights of a third, and return it."""
+    """Write a file next to another, with the owner, group and rights of a third, and return it."""
     handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:

@@ -84,7 +84,7 @@ class Guide:
             show: Takes each reading and the voltage that is asked for.
 
         Raises:
-            AdaptdriveError: The experiment cannot go on, or the drive tripped or was disabled.
+            AdaptdriveError: The experiment cannot continue, or the drive tripped or was disabled.
         """
         before = await self._standby()
         try:
@@ -102,7 +102,7 @@ class Guide:
     async def _follow(
         self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
     ) -> None:
-        """Run the experiment; the voltage is asked for beside it, so that no reading waits."""
+        """Run the experiment; the voltage is asked for meanwhile, so that no reading waits."""
         wanted = WantedVoltage(experiment.voltage_V)
         try:
             async with asyncio.TaskGroup() as group:

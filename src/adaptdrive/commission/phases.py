@@ -9,7 +9,7 @@ from typing import TypeVar
 
 Result = TypeVar("Result")
 Steps = Generator[bool, None, Result]
-"""A phase: it goes on with each sample, and ends with a result."""
+"""A phase: it advances with each sample, and ends with a result."""
 
 
 class Phase(StrEnum):

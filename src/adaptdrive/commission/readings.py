@@ -59,7 +59,7 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
 
 
 class ReadingClock:
-    """The time of the readings beside a clock that nobody sets."""
+    """The time of the readings, with a clock that nobody sets."""
 
     def __init__(self) -> None:
         self._first: tuple[float, float] | None = None

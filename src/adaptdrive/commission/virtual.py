@@ -66,7 +66,7 @@ def commission_plant(
         patience_s: Shortest wait for a response; that of the kind of load when None.
 
     Raises:
-        AdaptdriveError: The experiment cannot go on, or does not show the load.
+        AdaptdriveError: The experiment cannot continue, or does not show the load.
     """
     text = read_text(path)
     configuration = examine_text(text, path)

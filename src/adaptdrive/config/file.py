@@ -97,7 +97,7 @@ def _opened(name: str, flags: int) -> int:
 
 
 def find_flaws(text: str, source: Path) -> Findings:
-    """Examine the text of a configuration, and go on behind its flaws.
+    """Examine the text of a configuration, and continue behind its flaws.
 
     Args:
         text: The text.
@@ -202,7 +202,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _location(location: tuple[int | str, ...]) -> tuple[int | str, ...]:
-    """The keys; pydantic counts a type of load or bus as a table of its own."""
+    """The keys; pydantic counts a type of load or bus as a separate table."""
     at = 2 if location[1:2] and isinstance(location[1], int) else 1  # of a list, or not
     if location[at : at + 1] and location[at] in _TYPES.get(str(location[0]), ()):
         return (*location[:at], *location[at + 1 :])

@@ -1,4 +1,4 @@
-"""`[[sensor_bus]]`: sensors on other buses than the drive, each with a cycle time of its own."""
+"""`[[sensor_bus]]`: sensors on other buses than the drive, each with its cycle time."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ becomes (7)
 
     y + α_1 λy + ... + α_m λ^m y = β_0 u + β_1 λu + ... + β_m λ^m u
 
-    α_j = Σ_(i<=j) a_i τ_λ^i C(m-i, j-i) (-1)^(j-i)          a_0 = 1, likewise β from b
-    a_i = τ_λ^-i Σ_(j<=i) α_j C(m-j, i-j)                    α_0 = 1, likewise b from β
+    α_j = Σ_(i<=j) a_i τ_λ^i C(m-i, j-i) (-1)^(j-i)          a_0 = 1, and β from b in the same way
+    a_i = τ_λ^-i Σ_(j<=i) α_j C(m-j, i-j)                    α_0 = 1, and b from β in the same way
 
 (multiply the model by λ^m and collect powers of λ; back: put λ = 1/(τ_λ s + 1) and collect powers
 of s). For the motor this is (30), with a direct term β_0 and any order besides.

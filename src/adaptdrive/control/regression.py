@@ -5,7 +5,7 @@ holds α and the free β (29). Where a bias is wanted, the last regressor is a c
 torque, the EMF of a battery or the offset of a sensor would otherwise be mistaken for dynamics.
 
 A lag that is shorter than a slow period, such as that of an encoder's electronics, cannot be told
-from a dead time in samples of that period: learnt beside the other parameters it takes any value,
+from a dead time in samples of that period: learnt with the other parameters it takes any value,
 and takes the gain along. It does not matter for the loop either, and counts as known. With
 D = D' (s + 1/τ_f) the output obeys D' y = τ_f N v, of order m-1, where v is u behind that lag. To
 first order in τ_f/τ_λ

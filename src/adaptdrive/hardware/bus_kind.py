@@ -76,7 +76,7 @@ class BusKind:
         build_sensors: Builds the port of a sensor bus, None where there are none of this kind.
         time_limits: Yields the limits of time of a drive.
         cautions: Yields what can be used, and probably does not work well.
-        lock_names: Yields what one daemon alone may have beside the drive's name.
+        lock_names: Yields what one daemon alone may have, in addition to the drive's name.
     """
 
     build_port: BuildPort

@@ -31,7 +31,7 @@ class Field:
         integer: Whether raw values are integers.
         unavailable: Raw value that means "not available".
         idle: Raw value of a signal that the sender does not set.
-        blanks: Raw values that are no word beside refused values: "not available" and all bits
+        blanks: Raw values that say nothing next to refused values: "not available" and all bits
             set; none for a signal of one bit.
         unknown: Raw values within the range that say nothing.
         unit: Unit of the physical value as the description writes it, empty for none.

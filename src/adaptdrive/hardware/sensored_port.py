@@ -28,7 +28,7 @@ QUANTITIES = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 
 
 class SensoredPort:
-    """A drive and the sensors beside it, as one port."""
+    """A drive and its separate sensors, as one port."""
 
     def __init__(
         self,

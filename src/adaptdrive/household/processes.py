@@ -1,6 +1,6 @@
 """The processes that one terminal owns: started, watched, and ended in order.
 
-Each gets a session of its own, so that Ctrl-C on the terminal reaches this process alone, which
+Each gets a separate session, so that Ctrl-C on the terminal reaches this process alone, which
 then ends them one by one; and a leash, so that none outlives it however it dies.
 """
 

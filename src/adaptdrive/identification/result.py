@@ -47,7 +47,7 @@ class IdentifiedLoad:
         covariance: Of these parameters, in their order.
         numerator: b_0 ... b_m, highest power of s first.
         denominator: 1, a_1 ... a_m.
-        input_offset: Constant at the input, in its unit, that acts beside the measured input.
+        input_offset: Constant at the input, in its unit, that acts with the measured input.
         delay_s: Dead time from input to output.
         delay_std_s: Its standard deviation.
         simulated_parameters: The parameters whose simulation fits the output best.
@@ -59,8 +59,8 @@ class IdentifiedLoad:
         cross_fit: The same of the last 30 % of the data after a fit to the first 70 %; NaN where
             the output does not move there.
         simulated: Simulated output of each block, one array for each excerpt.
-        residuals: Measured minus simulated output, likewise.
-        errors: White part of the residuals, likewise; shorter by the order of the noise model.
+        residuals: Measured minus simulated output, as above.
+        errors: White part of the residuals, as above; shorter by the order of the noise model.
         block_s: Length of a block.
     """
 
@@ -86,7 +86,7 @@ class IdentifiedLoad:
     def disputed(self) -> tuple[str, ...]:
         """Parameters of which prediction errors and simulation differ by more than chance.
 
-        The record then contains what the model has not: a slower movement beside that of the load,
+        The record then contains what the model has not: a slower movement than that of the load,
         which the noise model takes for noise, or a controller that feeds the noise back.
         """
         pairs = {n: (one, self.simulated_parameters[n]) for n, one in self.parameters.items()}

@@ -98,7 +98,7 @@ class StateBoard:
             self._last_trip = LastTrip(self._changed_at, report.trip, remedy(report.trip))
 
     def show_clock(self, clock: Synchronisation) -> None:
-        """Take the word of the wall clock's watcher."""
+        """Store whether the wall clock is synchronised."""
         if clock is not self._clock:
             self._clock = clock
             self._note_change()

@@ -39,7 +39,7 @@ def end_of(timeout_s: float) -> float:
 
 @asynccontextmanager
 async def conversation(broker: Mqtt, drive: str, end_s: float = math.inf) -> AsyncIterator[Client]:
-    """Connect to a broker until a time of the event loop; what follows has limits of its own."""
+    """Connect to a broker until a time of the event loop; what follows has its own limits."""
     place = f"{broker.host}:{broker.port}"
     wait_s = max(_SHORTEST_S, end_s - asyncio.get_running_loop().time())
     try:
@@ -51,7 +51,7 @@ async def conversation(broker: Mqtt, drive: str, end_s: float = math.inf) -> Asy
             yield client
     except TimeoutError as problem:
         _pass_on_cancellation(problem)
-        silence = f"no answer by way of {place}; see `adaptdrive list`"
+        silence = f"no answer through {place}; see `adaptdrive list`"
         if connecting.expired():
             silence = f"no answer from broker {place} within {wait_s:.3g} s"
         raise NoAnswerError(drive, silence) from problem

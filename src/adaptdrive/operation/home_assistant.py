@@ -35,7 +35,7 @@ _EXPIRING = (  # a sum in local time is an hour wrong in the hour that autumn re
 
 @dataclass(frozen=True, slots=True)
 class Announcement:
-    """A retained message beside the topics of the drive.
+    """A retained message outside the topics of the drive.
 
     Attributes:
         topic: Topic.

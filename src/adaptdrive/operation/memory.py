@@ -81,7 +81,7 @@ class ReplyMemory:
         Args:
             identity: Id of the command.
             reply: The reply.
-            asked: What the command asked for beside its verb, None where nobody compares it.
+            asked: What the command asked for with its verb, None where nobody compares it.
         """
         self._entries.pop(identity, None)
         self._entries[identity] = _Entry(reply, self._monotonic(), asked)

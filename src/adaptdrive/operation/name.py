@@ -2,7 +2,7 @@
 
 A broker lets one client have a name: it closes the first one's connection when a second one comes.
 Two daemons of one drive would take turns without end, and a `disable` would reach one of them. So
-the one that loses the name gives way: it connects under a name of its own, where operators reach
+the one that loses the name gives way: it connects under another name, where operators reach
 both, and reports it. It trips as soon as it is certain of the other daemon.
 """
 

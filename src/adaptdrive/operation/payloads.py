@@ -32,7 +32,7 @@ def printable(value: object) -> str:
 
 
 def unconfirmed_stop(state: Mapping[str, Any]) -> str:
-    """Return the word of `stop` for a stop that the drive has not confirmed, empty for none.
+    """Return the value of `stop` for a stop that the drive has not confirmed, empty for none.
 
     A drive may be energised then although it is commanded off.
 

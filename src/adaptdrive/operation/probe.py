@@ -32,7 +32,7 @@ class CommandProbe:
         Args:
             client: Connected by MQTT 5; a broker of MQTT 3.1.1 does not answer whether it takes a
                 message.
-            topic: Subscribed to beside the commands, with the daemon's own messages.
+            topic: Subscribed to in addition to the commands, with the daemon's own messages.
             intake: Takes the alarm, and its end.
         """
         self._client = client

@@ -1,4 +1,4 @@
-"""The description of a drive for operators beside its state: names, units and limits."""
+"""The description of a drive for operators, in addition to its state: names, units and limits."""
 
 from __future__ import annotations
 

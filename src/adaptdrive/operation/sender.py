@@ -53,7 +53,7 @@ async def send_command(
         verb: What to do.
         value: Value of the command, None for verbs that take none.
         timeout_s: Longest wait for the broker and the reply.
-        fields: Fields of the payload beside the value.
+        fields: Fields of the payload other than the value.
 
     Raises:
         NoAnswerError: No reply in time, or no broker.

@@ -34,7 +34,7 @@
 
 const Contract = (() => {
   const ROOT = "adaptdrive";
-  const SIMULATOR = "adaptdrive-sim"; // topics of a simulated device, beside those of its daemon
+  const SIMULATOR = "adaptdrive-sim"; // topics of a simulated device, not of its daemon
   const LARGEST = 1 << 20; // bytes: no payload of a drive comes near it
   const KINDS = new Map([
     ["availability", "availability"],

@@ -37,7 +37,7 @@ const Drives = (() => {
       return nowS() - this.heardS;
     }
 
-    /** Age of the drive's last measurement; the daemon goes on when the drive falls silent. */
+    /** Age of the drive's last measurement; the daemon publishes although the drive is silent. */
     get measurementAgeS() {
       return this.ageS + (this.fast?.age_s ?? 0);
     }

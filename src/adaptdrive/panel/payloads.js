@@ -1,5 +1,5 @@
 "use strict";
-// Payloads held to their types: whoever may publish them, the page goes on and shows text as text.
+// Payloads held to their types: whoever may publish them, the page continues and shows text as text.
 
 const Payloads = (() => {
   const LONGEST_TEXT = 2000;

@@ -19,7 +19,7 @@ async def run_archiver(
     report: Callable[[Severity, str], None],
     start_thread: Callable[[], None],
 ) -> str:
-    """Run the archiver until it ends; it goes on where this is cancelled.
+    """Run the archiver until it ends; it continues where this is cancelled.
 
     Args:
         command: Program and words.

@@ -266,7 +266,7 @@ class LogWriter:
         now_s, wall_s = self._clock()
         begin = self._memory.begin(self._header, self._part, now_s)
         payload = msgspec.msgpack.encode(begin)
-        # without a number of its own: the next record has the same one in whichever file it is
+        # without a separate number: the next record has the same one in whichever file it is
         self._write(framed(Record(self._number, now_s, wall_s, Kind.BEGIN, payload)))
         # before an archiver may remove the files before this one
         self._syncs.put((self._descriptor, self._notes_written))

@@ -135,7 +135,7 @@ class LogMemory:
         return Begin(header, part, self._aged(now_s), list(self._unsent), self._trip, self._learnt)
 
     def recalled(self, now: datetime, file: int, flaws: tuple[str, ...]) -> Recalled:
-        """Return what the next run begins with; ages go on by the wall clock.
+        """Return what the next run begins with; ages follow the wall clock.
 
         Args:
             now: Present time, UTC.

@@ -44,8 +44,8 @@ from adaptdrive.runtime.reports import (
 EVENT_KIND = "recording"
 """Kind of the events about the recorder itself."""
 
-STOPPED = "recording has stopped, control goes on"
-UNBEGUN = "nothing is recorded, control goes on"
+STOPPED = "recording has stopped, control continues"
+UNBEGUN = "nothing is recorded, control continues"
 
 _SLICE = 50
 """Reports packed before the event loop gets its turn: about 0.1 ms."""
@@ -310,7 +310,7 @@ class Recorder:
         if stalled and not self._stalled:
             why = "the disk has stalled"
             if self._log.failing:
-                why = "no more ticks can wait until recording goes on"
+                why = "no more ticks can wait until recording continues"
             self._report(Severity.WARNING, f"{why}; ticks are lost")
         self._stalled = stalled
         new = dropped != self._reported_loss and not stalled
@@ -408,7 +408,7 @@ class Recorder:
         if problem:
             self._report(Severity.ALARM, f"{stopped}: {problem}")
         elif not self._log.failing:
-            self._report(Severity.INFO, "recording goes on")
+            self._report(Severity.INFO, "recording continues")
 
     def _report(self, severity: Severity, detail: str) -> None:
         self._publish(Event(EVENT_KIND, severity, detail, self._last_tick))

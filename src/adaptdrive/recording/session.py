@@ -29,7 +29,7 @@ INFO_FILE = "session.json"
 CONFIG_FILE = "config.toml"
 EVENTS_FILE = "events.sqlite"
 TRIP_PREFIX = "trip-"
-"""Beginning of the name of a trip's record; before there is a session it is beside the sessions."""
+"""Beginning of the name of a trip's record; without a session it is next to the sessions."""
 
 TICKS = "ticks"
 SLOW = "slow"
@@ -161,7 +161,7 @@ def create_session(new: NewSession) -> Path:
         OSError: The directory cannot be made.
     """
     new.sessions.mkdir(parents=True, exist_ok=True)
-    # beside the drive: in two containers two processes have one number
+    # with the drive: in two containers two processes have one number
     unfinished = new.sessions / f".new-{threading.get_native_id()}_{new.info.drive}"
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()

@@ -65,7 +65,7 @@ class Daemon:
             clock: Monotonic clock in seconds.
             hub: Where reports go.
             manager: The service manager.
-            sensors: Gives the state of the sensor buses beside the drive.
+            sensors: Gives the state of the separate sensor buses.
             rehearse: Does what a tick does, and nothing that can be noticed.
             recorded: Gives whether all that is to be recorded is.
             prepare: Prepares another run of this process and returns what ends the present one;

@@ -8,7 +8,7 @@ Without a counter, time counts the half cycles, on a grid that follows the frame
 near the next point of the grid is the next half cycle. One that comes later makes up for those that
 were lost, and one that comes with the frame before, as of a pair, is no new half cycle.
 
-A drive that is polled has no frames of its own: its readings are a fixed number of half cycles
+A drive that is polled sends no frames by itself: its readings are a fixed number of half cycles
 apart, by the clock that polls it, and its ticks are multiples of that number.
 """
 
@@ -34,7 +34,7 @@ _MARK_EVERY_TICKS = 60
 """Half cycles between two marks: 0.5 s on a 60 Hz line."""
 
 _MARKS = 20
-"""Marks of the measured window: 10 s on a 60 Hz line, beside which jitter is small."""
+"""Marks of the measured window: 10 s on a 60 Hz line, compared with which jitter is small."""
 
 
 class HalfCycles:

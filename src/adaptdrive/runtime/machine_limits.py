@@ -37,7 +37,7 @@ class MachineLimits:
         reach: What V_c can hold by the nominal model.
         govern: Whether a set-point out of reach is moved to its edge, not refused.
         voltage_name: Name of V_c and what it leads to, for texts.
-        voltage_unit: Unit of that, likewise.
+        voltage_unit: Unit of that, as above.
     """
 
     reference_min: float

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from adaptdrive.runtime.reports import DriveReport
 
 WINDOW_S = 5.0
-"""Long beside a burst of disturbances, short beside what any load takes to be damaged."""
+"""Longer than a burst of noise, shorter than the time to damage a load."""
 
 _LEAST_FRAMES = 20
 """Frames in a window from which on a share is judged: one of them is half of the share noted."""
@@ -46,7 +46,7 @@ class _Mark:
 
 
 class RefusedShares:
-    """Measures the shares of the drive's port and of the sensor buses beside it."""
+    """Measures the shares of the drive's port and of the separate sensor buses."""
 
     def __init__(self, limit: float) -> None:
         """Start without a count.

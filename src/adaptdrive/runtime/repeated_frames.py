@@ -1,9 +1,9 @@
 """Recognition of old frames of a drive that counts its half cycles, by their counts.
 
 A drive that hangs, or a gateway, may repeat its last frame for ever, or several of them in turn:
-these go on from one to the next, and back. A count that stands, or is behind the newest one, is
+these advance from one to the next, and back. A count that stands, or is behind the newest one, is
 therefore that of an old frame. A count that has leapt elsewhere, as of a drive that starts anew, is
-the newest once it has gone on from there for a time: longer than a reading may be old if it has
+the newest once it has advanced from there for a time: longer than a reading may be old if it has
 leapt back. That of a drive that starts anew at 0 is so at once.
 """
 
@@ -18,7 +18,7 @@ _OLDER_SHARE = 0.25
 """Share of its range by which a repeated count is older than the newest, at the most."""
 
 _ANEW_TICKS = 7.5
-"""Half cycles, at the least, that a counter goes on after a leap until it has jumped there."""
+"""Half cycles that a counter must keep advancing before a jump is accepted."""
 
 _ANEW_SHARE = 1.1
 """The same as a share of the longest age of a reading, of one that has leapt back: frames that are

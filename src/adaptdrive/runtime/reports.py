@@ -162,7 +162,7 @@ class DriveReport:
         turnaround_us: Status frame in to command frame out, since the last report.
         bus: Frame counts of the port, by name.
         tick_us: Duration of the ticks themselves, since the last report.
-        sensors: Sensor buses beside the drive.
+        sensors: Separate sensor buses.
         limited: Commands that were held to a limit of `[drive.limits]` since the start.
         histograms: Counts of all lateness, turn-around and tick times since the start, by bin.
         time_s: Monotonic time of the report.

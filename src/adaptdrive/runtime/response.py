@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from adaptdrive.hardware.port import Reading
 
 _LOAD_SHARE = 0.1
-"""Torque or loss beside the model, as a share of the largest input: 40 V of 400 V for a motor."""
+"""Torque or loss not in the model, as a share of the largest input: 40 V of 400 V for a motor."""
 
 _MARGIN = 0.05
 """Distance below the lowest output that trips, as a share of the set-point range: seven standard
@@ -48,7 +48,7 @@ class ResponseLimits:
 
     Attributes:
         name: Name of the output, for the text of the trip.
-        unit: Its unit, likewise.
+        unit: Its unit, as above.
         gain: Change of the output at rest per unit of the input.
         input_gain: u = gain · v_bst^exponent.
         input_exponent: 1 or 2.

@@ -1,4 +1,4 @@
-"""The slow loop: a task of its own that turns snapshots into decisions between two ticks."""
+"""The slow loop: a task that turns snapshots into decisions between two ticks."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A measured output that stands still while it cannot.
 
-A sensor may freeze while its messages go on with live counters. An honest value may stand still
+A sensor may freeze while its messages come with live counters. An honest value may stand still
 too: at rest, where its last digit is coarse. The input distinguishes them. From the moment at
 which the output came to stand, the model of the load predicts how far the *change* of the input
 since then must have moved it:
@@ -101,7 +101,7 @@ class Stillness:
         Args:
             limits: When the value has stood still for too long.
             stands: Name and verb, for the text of the trip.
-            unit: Unit of the value, likewise.
+            unit: Unit of the value, as above.
         """
         self._limits = limits
         self._stands = f"stuck: {stands} at exactly"

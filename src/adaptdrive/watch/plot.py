@@ -192,7 +192,7 @@ def _draw(canvas: Canvas, form: Form, column: int, rows: tuple[int, int]) -> Non
 
 
 def _labels(frame: PlotFrame, references: Iterable[float]) -> list[str]:
-    """Values beside the rows: both edges, and the references, which matter more."""
+    """Values next to the rows: both edges, and the references, which matter more."""
     labels = [""] * frame.rows
     for value in (frame.low, frame.high, *references):
         labels[frame.row(value) // 4] = f"{value:.{2 if abs(value) < 100.0 else 1}f} "

@@ -85,7 +85,7 @@ class WatchRecord:
 
     @property
     def now_s(self) -> float:
-        """Present time by the clock of the drive; it goes on while nothing is heard."""
+        """Present time by the clock of the drive; it advances while nothing is heard."""
         last_s = self.points[-1].time_s if self.points else 0.0
         since_s = self.monotonic() - self._plotted_s
         return last_s + (since_s if math.isfinite(since_s) else 0.0)

@@ -38,7 +38,7 @@ def over_mqtt(broker: Mqtt, drive: str, timeout_s: float) -> Ask:
 
 
 class CommandsUnderWay:
-    """Sends each command in a task of its own, and shows what came of it."""
+    """Sends each command in a separate task, and shows what came of it."""
 
     def __init__(self, ask: Ask, record: WatchRecord) -> None:
         """Prepare to send.

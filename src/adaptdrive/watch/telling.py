@@ -26,7 +26,7 @@ def tell_last(text: str) -> None:
 
 
 def _write(text: str) -> None:
-    """Write to a descriptor of its own: at its end Python waits for a stream that is in use."""
+    """Write to a separate descriptor: at its end Python waits for a stream that is in use."""
     encoding, errors = sys.stderr.encoding, sys.stderr.errors
     with os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=encoding, errors=errors) as output:
         output.write(text)

@@ -54,7 +54,7 @@ class Entry:
         signed: Whether it is a signed integer.
         real: Whether it is a floating-point number.
         low: Smallest raw value, None where the EDS sets no limit.
-        high: Largest raw value, likewise.
+        high: Largest raw value, as above.
         readable: Whether the drive permits reading it.
         writable: Whether the drive takes it.
         mappable: Whether it may travel in a PDO.

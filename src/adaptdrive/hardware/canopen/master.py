@@ -35,7 +35,7 @@ whatever loop it is and whether it looks at timers or at sockets first."""
 
 _TAKING_S = 0.05
 """Time that a lost node has for the safe command before it is made pre-operational, where it takes
-none: several commands, and several cycles of its own."""
+none: several commands, and several of its cycles."""
 
 
 class NodeState(IntEnum):

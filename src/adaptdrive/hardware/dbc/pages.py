@@ -1,7 +1,7 @@
 """The pages of a multiplexed message: which frames it is sent in, and what each of them carries.
 
 A page is a choice of values of the multiplexers. A DBC may give a signal several of them
-(`SG_MUL_VAL_`), and a page may have a multiplexer of its own, whose pages carry what it carries.
+(`SG_MUL_VAL_`), and a page may have its own multiplexer, whose pages carry what it carries.
 """
 
 from __future__ import annotations

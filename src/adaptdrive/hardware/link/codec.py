@@ -36,7 +36,7 @@ _NOTHING: Final[Mapping[str, float]] = MappingProxyType({})
 class Decoded:
     """Result of decoding a frame.
 
-    A class with a constructor of its own: compiled code makes one in a tenth of a dataclass's time.
+    A class with its own constructor: compiled code makes one in a tenth of a dataclass's time.
 
     Attributes:
         verdict: `GOOD`, or the first check that the frame failed.
@@ -66,7 +66,7 @@ class Decoded:
 class MessageCodec:
     """Encodes and decodes the frames of one message.
 
-    Each direction keeps an alive counter of its own. Build it from a message whose integrity has
+    Each direction keeps its own alive counter. Build it from a message whose integrity has
     been checked, as `adaptdrive.hardware.dbc.database.message_codec` does.
     """
 
@@ -232,7 +232,7 @@ class MessageCodec:
     def _find_words(self, raw: Mapping[str, Raw]) -> dict[str, float]:
         """Return the words of a frame with a refused value that are in range themselves.
 
-        All bits set are no word beside such a value, except in a word of one bit.
+        All bits set say nothing where such a value is refused, except in a word of one bit.
         """
         words = {}
         for field_ in self._words:

@@ -4,7 +4,7 @@ A daemon reads what waits and sends at once, on a socket that is known to be ope
 system call for each frame, in place of python-can's general way, which can wait, filter and log.
 Cold, as after each sleep between two half cycles, that way takes tens of microseconds.
 
-The group returns every frame to its sender. Frames go out through a socket of its own, whose port
+The group returns every frame to its sender. Frames go out through a separate socket, whose port
 no other socket has: it marks the frames of this bus among those of another sender with their id.
 """
 
@@ -126,7 +126,7 @@ def confine_to_loopback(sock: socket.socket, group: str) -> None:
 
 
 def _bind_sender(sock: socket.socket) -> tuple[str, int]:
-    """Have a socket send on the loopback interface only, from a port of its own; its address.
+    """Have a socket send on the loopback interface only, from a separate port; its address.
 
     Raises:
         OSError: The kernel refuses.

@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 class SerialPort:
     """Opens the serial port of one link, again and again; at most one call is under way.
 
-    A call that has not returned in time goes on, and the next attempt waits for the same call.
+    A call that has not returned in time continues, and the next attempt waits for the same call.
     """
 
     def __init__(self, config: RtuLink) -> None:
