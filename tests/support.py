@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import json
 import os
@@ -126,6 +127,20 @@ def logged_events(log: Path, name: str) -> list[dict[str, Any]]:
     """The events of a name that a simulated drive wrote into its log."""
     entries = [json.loads(line) for line in complete_lines(log) if line.startswith("{")]
     return [entry for entry in entries if entry["event"] == name]
+
+
+@contextlib.contextmanager
+def captured_lines() -> Iterator[list[dict[str, Any]]]:
+    """The log lines of this process while the block runs, as they are written."""
+    lines: list[dict[str, Any]] = []
+
+    class Lines(io.StringIO):
+        def write(self, text: str) -> int:
+            lines.append(json.loads(text))
+            return len(text)
+
+    with contextlib.redirect_stderr(Lines()):
+        yield lines
 
 
 def resident_MiB(pid: int) -> float:

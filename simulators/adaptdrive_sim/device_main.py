@@ -12,13 +12,11 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-import structlog
-from structlog.typing import EventDict, WrappedLogger
-
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive.lines import log
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.devices.drive import (
@@ -55,7 +53,6 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
         AdaptdriveError: It cannot start, or its bus is lost.
     """
     configuration = _overridden(load_configuration(path), settings)
-    report = make_report()
     drive = build_drive(configuration, settings, report)
     node = build_node(configuration, drive, report, path)
     sensors = build_sensors(configuration, drive, path)
@@ -193,26 +190,9 @@ def build_world(configuration: Configuration, settings: DeviceSettings) -> World
     return world
 
 
-def make_report() -> Report:
-    """Make the log: one JSON object per line on standard error."""
-    log = structlog.wrap_logger(
-        structlog.PrintLogger(sys.stderr),
-        processors=[
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            _add_monotonic,
-            structlog.processors.JSONRenderer(),
-        ],
-    )
-
-    def report(event: str, **data: object) -> None:
-        log.info(event, **data)
-
-    return report
-
-
-def _add_monotonic(_: WrappedLogger, __: str, event: EventDict) -> EventDict:
-    event["monotonic_s"] = round(time.monotonic(), 6)
-    return event
+def report(event: str, **data: object) -> None:
+    """Write a line of the log."""
+    log("info", event, **data, monotonic_s=round(time.monotonic(), 6))
 
 
 def _overridden(configuration: Configuration, settings: DeviceSettings) -> Configuration:

@@ -14,9 +14,8 @@ LINES = 3000
 PROGRAM = f"""
 import sys
 from pathlib import Path
-from adaptdrive.app.log import loss_line
 from adaptdrive.app.output import unblocked_output
-with unblocked_output(loss_line):
+with unblocked_output():
     for number in range({LINES}):
         print('{{"number": %d}}' % number, file=sys.stderr)
     Path(sys.argv[1]).touch()

@@ -11,7 +11,6 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.ledger import Ledger
@@ -21,7 +20,7 @@ from adaptdrive.runtime.hub import Subscription
 from adaptdrive.runtime.reports import Event, Severity
 from tests.operation.peers import RememberingHost
 from tests.runtime.bench import until
-from tests.support import Spawn
+from tests.support import Spawn, captured_lines
 
 
 class Strict:
@@ -75,7 +74,7 @@ async def test_messages_that_the_broker_refuses_are_logged_once(
     strict: Strict, tmp_path: Path
 ) -> None:
     strict.start("readwrite #", "deny adaptdrive/refused/event")
-    with capture_logs() as lines:
+    with captured_lines() as lines:
         async with serving(strict) as host:
 
             def refused() -> list[str]:
@@ -131,7 +130,7 @@ async def test_a_broker_that_refuses_the_probe_raises_no_alarm(
     monkeypatch.setattr("adaptdrive.operation.probe.PROBE_EVERY_S", 0.1)
     monkeypatch.setattr("adaptdrive.operation.probe.PATIENCE_S", 0.5)
     strict.start("readwrite #", "deny adaptdrive/refused/command/probe")
-    with capture_logs() as lines:
+    with captured_lines() as lines:
         async with serving(strict) as host:
             reports = host.hub.subscribe(Event, size=100)
             await until(lambda: any(line["event"] == "broker connected" for line in lines))

@@ -10,7 +10,6 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from structlog.testing import capture_logs
 
 from adaptdrive.errors import RefusedError
 from adaptdrive.operation.desk import (
@@ -26,6 +25,7 @@ from adaptdrive.operation.pace import LogRation
 from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Request
 from tests.operation.logs import Time, remembering
+from tests.support import captured_lines
 
 
 @dataclass
@@ -339,7 +339,7 @@ async def test_each_command_at_the_end_of_the_daemon_is_in_the_log(office: Offic
     for number in range(30):
         await office.send("ping", {"id": f"p{number}"})
     office.host.ending = True
-    with capture_logs() as lines:
+    with captured_lines() as lines:
         for number in range(30):
             office.desk.refuse(
                 office.receive("enable", f"e{number}"), "the daemon is shutting down"
@@ -352,7 +352,7 @@ async def test_each_command_at_the_end_of_the_daemon_is_in_the_log(office: Offic
 
 
 async def test_each_answer_is_logged_until_the_ration_is_used_up(office: Office) -> None:
-    with capture_logs() as lines:
+    with captured_lines() as lines:
         await office.send("enable", {"id": "a"})
         await office.send("disable", b"junk")
         office.desk.refuse(office.desk.receive("reset", b"", retained=False), "busy")

@@ -18,7 +18,6 @@ from pathlib import Path
 
 import pytest
 from aiomqtt import MqttError, ProtocolVersion
-from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError, conversation
@@ -37,7 +36,7 @@ from tests.operation.peers import (
     publish,
     serving,
 )
-from tests.support import Broker, MosquittoLauncher, Process, Spawn, stop_process
+from tests.support import Broker, MosquittoLauncher, Process, Spawn, captured_lines, stop_process
 
 PROGRAM = Path(__file__).with_name("lonely_drive.py")
 
@@ -182,7 +181,7 @@ async def test_a_message_above_the_size_limit_of_the_broker_does_not_end_the_con
     launcher = replace(mosquitto_launcher, more="message_size_limit 300\n")
     process = await asyncio.to_thread(launcher.start, free_tcp_port)
     try:
-        with capture_logs() as lines:
+        with captured_lines() as lines:
             async with serving(Broker("127.0.0.1", free_tcp_port), "limit", tmp_path) as bench:
                 bench.host.hub.publish(Event("trip", Severity.ALARM, 400 * "x", 1))
                 assert (await ask(bench, "disable", "any"))["accepted"]

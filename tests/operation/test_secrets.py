@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
@@ -23,7 +22,7 @@ from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.requests import Enable
 from tests.operation.peers import PATIENCE_S, RememberingHost
 from tests.runtime.bench import until
-from tests.support import Spawn
+from tests.support import Spawn, captured_lines
 
 
 def _run(name: str, *words: str | Path) -> None:
@@ -122,7 +121,7 @@ async def test_a_secret_that_cannot_be_read_is_tried_again(
     surroundings = ServiceSurroundings(Ledger(), uniform=lambda low, _: 0.1 * low)
     settings = guarded.model_copy(update={key: spoilt})
     service = MqttService(Profile("guarded"), settings, host, host.hub, surroundings)
-    with capture_logs() as lines:
+    with captured_lines() as lines:
         running = asyncio.create_task(service.run())
         lost = await _first(lines, "broker lost")
         await asyncio.sleep(1.0)

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
-from adaptdrive.app.log import log_events, set_up_logging
+from adaptdrive.app.log import log_events
 from adaptdrive.recording.recorder import Clocks, Feed, Place, Recorder, WritePace
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.hub import Hub
@@ -37,7 +37,7 @@ async def main(sessions: Path) -> None:
     events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:
         group.create_task(recorder.run())
-        group.create_task(log_events(events, set_up_logging(), hub.kept))
+        group.create_task(log_events(events, hub.kept))
         group.create_task(publish(hub))
 
 

@@ -18,35 +18,29 @@ from contextlib import contextmanager
 from select import POLLOUT, poll
 from typing import TextIO, cast
 
+from adaptdrive.lines import line as line_of
+
 LINES_HELD = 500
 """Lines that wait for a reader: more than an orderly end or a trip ever writes."""
 
 PATIENCE_S = 2.0
 """Longest wait for a reader at the end of the process."""
 
-LossLine = Callable[[int], str]
-"""Makes the line that reports a number of lost lines."""
+_LOST = "log lines lost: the reader of this log had stopped reading"
 
 
 class QueuedStream(io.TextIOBase):
     """Writes whole lines to the file of another stream, from a thread of its own."""
 
-    def __init__(
-        self,
-        target: TextIO,
-        loss_line: LossLine,
-        start_thread: Callable[[], None] = lambda: None,
-    ) -> None:
+    def __init__(self, target: TextIO, start_thread: Callable[[], None] = lambda: None) -> None:
         """Start the thread.
 
         Args:
             target: Stream on the file; it is not used itself.
-            loss_line: Makes the line that reports lost lines.
             start_thread: What the thread does first.
         """
         super().__init__()
         self._file = target.fileno()
-        self._loss_line = loss_line
         self._start_thread = start_thread
         self._begun = ""
         self._lines: deque[str] = deque()
@@ -96,7 +90,7 @@ class QueuedStream(io.TextIOBase):
         self._start_thread()
         while True:
             line, lost = self._next()
-            announced = not lost or self._put(self._loss_line(lost))
+            announced = not lost or self._put(line_of("warning", _LOST, lost=lost))
             written = self._put(line)
             with self._changed:
                 self._lost += (0 if announced else lost) + (0 if written else 1)
@@ -131,20 +125,17 @@ def _await_room(file: int) -> None:
 
 
 @contextmanager
-def unblocked_output(
-    loss_line: LossLine, start_thread: Callable[[], None] = lambda: None
-) -> Iterator[None]:
+def unblocked_output(start_thread: Callable[[], None] = lambda: None) -> Iterator[None]:
     """Have everything that this process prints go through queues until the block ends.
 
     The plain streams come back when their readers have taken everything. Otherwise the queues stay:
     what is printed after the block must not hang either.
 
     Args:
-        loss_line: Makes the line that reports lost lines.
         start_thread: What a thread does first.
     """
     plain = sys.stdout, sys.stderr
-    queued = tuple(QueuedStream(stream, loss_line, start_thread) for stream in plain)
+    queued = tuple(QueuedStream(stream, start_thread) for stream in plain)
     sys.stdout, sys.stderr = cast("tuple[TextIO, TextIO]", queued)
     try:
         yield

@@ -15,8 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import structlog
-
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import (
     Keeper,
@@ -32,7 +30,7 @@ from adaptdrive.app.examine import examine_text
 from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
-from adaptdrive.app.log import log_events, loss_line, set_up_logging
+from adaptdrive.app.log import log_events
 from adaptdrive.app.news import news_of
 from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.profile import operator_profile
@@ -48,6 +46,7 @@ from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.hardware.port import Port
+from adaptdrive.lines import log
 from adaptdrive.operation.ledger import Ledger
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.pure import build_name
@@ -103,7 +102,7 @@ def run(path: Path) -> int:
     start_thread = helper_thread(configuration.realtime.priority)
     try:
         with (
-            unblocked_output(loss_line, start_thread),
+            unblocked_output(start_thread),
             locked(lock_names(configuration), os.environ) as locks,
             asyncio.Runner(loop_factory=WatchedLoop) as runner,
         ):
@@ -138,24 +137,23 @@ class _Parts:
 
 async def _serve(given: Given, path: Path, locks: Sequence[socket.socket]) -> bool:
     """Serve until asked to stop; False when the end of a session is not recorded."""
-    logger, course = set_up_logging(), RunCourse(path, given)
+    course = RunCourse(path, given)
     start_thread = _use_helper_threads(given.configuration)
     _stop_on_signals(course.end)
     feeding = asyncio.create_task(course.feed_between(ServiceManager(os.environ)))
     complete = True
     while complete and (present := course.next_run()) is not None:
-        complete = await _run(present, course, path, locks, logger, start_thread)
+        complete = await _run(present, course, path, locks, start_thread)
     await _end(feeding)
-    logger.info("stopped", drive=given.configuration.drive.name)
+    log("info", "stopped", drive=given.configuration.drive.name)
     return complete
 
 
-async def _run(  # noqa: PLR0913, PLR0917 - what a run shares with those before and after it
+async def _run(
     given: Given,
     course: RunCourse,
     path: Path,
     locks: Sequence[socket.socket],
-    logger: structlog.typing.FilteringBoundLogger,
     start_thread: Callable[[], None],
 ) -> bool:
     """Serve until the run ends; False when the end of its session is not recorded."""
@@ -163,7 +161,8 @@ async def _run(  # noqa: PLR0913, PLR0917 - what a run shares with those before 
     events = hub.subscribe(Event, size=_EVENTS_HELD)
     parts = _build(given, course, path, hub, start_thread)
     daemon, recorder, keeper = parts.daemon, parts.recorder, parts.keeper
-    logger.info(
+    log(
+        "info",
         "starting",
         drive=configuration.drive.name,
         version=__version__,
@@ -174,7 +173,7 @@ async def _run(  # noqa: PLR0913, PLR0917 - what a run shares with those before 
         # ended in reverse: broker and log receive the last reports of those that end before them
         start = functools.partial(_start, tasks, ending)
         start("lock", send_visitors_away(locks))
-        start("log", log_events(events, logger, hub.kept))
+        start("log", log_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
         start("mqtt", _mqtt(configuration, daemon, hub, parts.ledger).run())
         start("opened", course.opened(daemon.opened))

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 
-import structlog
 from msgspec.structs import replace
 
 from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive.lines import log
 from adaptdrive.operation.clock import WallClock
 from adaptdrive.operation.commands import LONGEST_ID, PING, STOP, Payload
 from adaptdrive.operation.memory import ReplyMemory
@@ -93,7 +93,6 @@ class Desk:
         self._ration = ration
         self._turn = asyncio.Lock()
         self._stops = 0
-        self._log = structlog.get_logger()
 
     async def run(self) -> None:
         """Own the commands under way until cancelled: a lost broker leaves none half done."""
@@ -191,7 +190,8 @@ class Desk:
 
     def _log_unreadable(self, command: OperatorCommand) -> None:
         if (withheld := self._withheld_lines()) is not None:
-            self._log.warning(
+            log(
+                "warning",
                 "command without a readable id",
                 verb=command.verb,
                 size=len(command.raw),
@@ -201,7 +201,8 @@ class Desk:
 
     def _log_reply(self, reply: Reply) -> None:
         if (withheld := self._withheld_lines()) is not None:
-            self._log.info(
+            log(
+                "info",
                 "command",
                 id=reply.id,
                 verb=reply.verb,

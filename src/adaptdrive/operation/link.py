@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-import structlog
 from aiomqtt import Client, MqttError, ProtocolVersion, Will
 from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
@@ -19,6 +18,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from adaptdrive.config.services import Mqtt
 from adaptdrive.files import read_regular
 from adaptdrive.hosts import find
+from adaptdrive.lines import log
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.pace import BrokerBackoff
@@ -63,14 +63,13 @@ class BrokerLink:
         backoff: BrokerBackoff,
         monotonic: Monotonic,
     ) -> None:
-        self._settings = settings
+        self._settings, self._place = settings, f"{settings.host}:{settings.port}"
         self._name = name
         self._will = will
         self._backoff = backoff
         self._monotonic = monotonic
         self._since_s: float | None = None
         self._problem = ""
-        self._log = structlog.get_logger().bind(broker=f"{settings.host}:{settings.port}")
 
     async def run(self, serve: Serve) -> NoReturn:
         """Connect, serve until the connection is lost, wait, and so on until cancelled.
@@ -110,10 +109,11 @@ class BrokerLink:
             return ProtocolVersion.V311
 
     async def _serve_with(self, protocol: ProtocolVersion, serve: Serve) -> None:
-        async with connection(self._settings, protocol, self._name.present, self._will) as client:
+        name = self._name.present
+        async with connection(self._settings, protocol, name, self._will) as client:
             self._since_s = self._monotonic()
             self._problem = ""
-            self._log.info("broker connected", protocol=protocol.name, name=self._name.present)
+            log("info", "broker connected", broker=self._place, protocol=protocol.name, name=name)
             try:
                 await serve(BrokerConnection(client, protocol, self._name))
             finally:
@@ -124,7 +124,7 @@ class BrokerLink:
         text = str(problem) if expected else f"{type(problem).__name__}: {problem}"
         if text != self._problem:
             self._problem = text
-            self._log.warning("broker lost", problem=text)
+            log("warning", "broker lost", broker=self._place, problem=text)
 
 
 @asynccontextmanager

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
-import structlog
 from aiomqtt import Message, MqttError, ProtocolVersion
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from adaptdrive.lines import log
 from adaptdrive.operation.board import Mailbox
 from adaptdrive.operation.desk import Desk, OperatorCommand
 from adaptdrive.operation.home_assistant import Announcement
@@ -140,7 +140,7 @@ class BrokerSession:
 
     def _report_refusal(self, topic: str, code: str) -> None:
         """Log a refused subscription, and report it where no command arrives without it."""
-        structlog.get_logger().error("broker does not allow to subscribe", topic=topic, code=code)
+        log("error", "broker does not allow to subscribe", topic=topic, code=code)
         if topic == self._topics.commands:
             self._intake.report(
                 "broker",
@@ -204,7 +204,7 @@ class BrokerSession:
         dropped = self._commands.dropped + self._stops.dropped
         if dropped == self._logged or now_s - self._logged_s < LOGGED_EVERY_S:
             return
-        structlog.get_logger().warning("too many commands", dropped=dropped - self._logged)
+        log("warning", "too many commands", dropped=dropped - self._logged)
         self._logged, self._logged_s = dropped, now_s
 
     async def _send_state(self) -> None:

@@ -10,11 +10,12 @@ from contextlib import suppress
 from typing import Any, NoReturn, TypeVar
 
 import paho.mqtt.client as paho
-import structlog
 from aiomqtt import Client, Message, MqttCodeError, MqttError
 from aiomqtt.types import PahoSocket
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
+
+from adaptdrive.lines import log
 
 T = TypeVar("T")
 
@@ -73,7 +74,8 @@ class SteadyClient(Client):
             await super().publish(topic, payload, *args, **kwargs)
         elif topic not in self._withheld:
             self._withheld.add(topic)
-            structlog.get_logger().error(
+            log(
+                "error",
                 "message withheld: the broker takes no packet of this size",
                 topic=topic,
                 bytes=size,
@@ -168,7 +170,8 @@ class SteadyClient(Client):
         """Log once for each connection and reason that the broker delivers a message to nobody."""
         if code.is_failure and code.value not in self._refusals:
             self._refusals.add(code.value)
-            structlog.get_logger().error(
+            log(
+                "error",
                 "the broker refuses to deliver messages of this daemon: events, replies or its "
                 "state are lost; see the access list of the broker and its limit of their size",
                 code=str(code),

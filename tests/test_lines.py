@@ -9,15 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from adaptdrive.app.log import leads_to_journal
+from adaptdrive.lines import leads_to_journal
 
 PROGRAM = """
 import sys
-from adaptdrive.app.log import set_up_logging
-logger = set_up_logging()
-logger.info("starting", drive="motor")
-logger.warning("broker lost")
-logger.error("over-voltage")
+from adaptdrive.lines import log
+log("info", "starting", drive="motor")
+log("warning", "broker lost")
+log("error", "over-voltage")
 """
 
 
