@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -71,6 +72,31 @@ def test_a_load_is_commissioned_and_the_file_is_written(site: Site) -> None:
     assert model["tau_motor_s"] + model["tau_filter_s"] == pytest.approx(0.7, rel=0.15)
     check = [sys.executable, "-m", "adaptdrive.cli", "check", str(site.config)]
     assert subprocess.run(check, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.slow
+def test_a_measured_load_is_applied_and_adaptive_is_in_force(site: Site) -> None:
+    """`--apply` writes the file; the same daemon takes it, without learning anew for 90 s."""
+    daemon = site.daemon
+    assert daemon is not None
+    process = commission(site, "--apply")
+    output, _ = process.communicate(timeout=LONGEST_S)
+    assert process.returncode == 0, output
+    state = site.await_state(state="running", mode="adaptive", controller="adaptive")
+    assert daemon.poll() is None
+    waited = re.search(r"in force after ([\d.]+) s", output)
+    assert waited is not None
+    assert float(waited[1]) < 20.0  # 10 s on a machine that runs no other tests
+    assert f"holds {state['setpoint']:.4g} V in mode adaptive" in output
+    model = tomllib.loads(site.config.read_text(encoding="utf-8"))["load"]["model"]
+    load = site.ear.on("telemetry/load")[-1].content
+    assert load["estimates"]["gain"]["value"] == pytest.approx(model["gain"], rel=0.1)
+
+    def arrived() -> bool:
+        output = site.ear.on("telemetry/drive")[-1].content["output"]
+        return bool(abs(output - state["setpoint"]) < 0.1)
+
+    until(arrived, "the output is at the set-point")
 
 
 @pytest.mark.slow

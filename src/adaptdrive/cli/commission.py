@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -14,6 +15,9 @@ from adaptdrive.cli.extra import Extra
 from adaptdrive.cli.folders import refuse_unwritable
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.files import replace_result
+
+if TYPE_CHECKING:
+    from adaptdrive.commission.report import Commissioned
 
 _HERE = Contact()
 _PLACES = (Path(), Path("/etc/adaptdrive"))
@@ -40,10 +44,13 @@ def commission(  # noqa: PLR0913 - the words of the command line
     patience: Annotated[float | None, Parameter(validator=_check_patience)] = None,
     into: Path = Path(),
     write: Annotated[bool, Parameter(negative=())] = False,
+    apply: Annotated[bool, Parameter(negative=())] = False,
     yes: Annotated[bool, Parameter(negative=())] = False,
     contact: Contact = _HERE,
 ) -> int:
-    """Measure an unknown load on its drive, and propose the settings.
+    """Measure an unknown load on its drive, propose the settings, and put them to use.
+
+    On a terminal it asks at the end whether to apply them.
 
     Args:
         drive: Name of the drive, whose daemon runs and is in standby.
@@ -53,6 +60,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
             out.
         into: Folder for commission.png; it is made where it is missing.
         write: Write the settings to the configuration; the old file is kept beside it.
+        apply: Write the settings, have the daemon take them, and go on in mode adaptive.
         yes: Begin without a question.
         contact: Broker.
     """
@@ -63,17 +71,52 @@ def commission(  # noqa: PLR0913 - the words of the command line
     if not yes and not _agreed(run.announcement(wanted, drive)):
         return 1
     refuse_unwritable(into)
+    contact = replace(contact, config=path)
     with run.alone(drive, contact.settings):
-        if write:
+        if write or apply:
             run.refuse_unwritable(path)
         commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
         print(run.as_text(commissioned))
-        if write:
-            print(f"\n{path} is written, the old file is {run.write(path, commissioned)}")
-    figure = into / "commission.png"
-    replace_result(figure, run.draw(commissioned))
-    print(f"\n{figure}")
+        if write or apply:
+            _write(path, commissioned)
+        figure = into / "commission.png"
+        replace_result(figure, run.draw(commissioned))
+        print(f"\n{figure}")
+        if apply or (not write and _agreed_to("\napply and go on in adaptive? [y/N] ")):
+            if not apply:
+                _write(path, commissioned)
+            _put_to_use(drive, commissioned, contact)
+        else:
+            _say_next(drive, run.reached(commissioned), written=write)
     return 0
+
+
+def _write(path: Path, commissioned: Commissioned) -> None:
+    from adaptdrive.commission.run import write  # noqa: PLC0415 - it is large
+
+    print(f"\n{path} is written, the old file is {write(path, commissioned)}")
+
+
+def _put_to_use(drive: str, commissioned: Commissioned, contact: Contact) -> None:
+    from adaptdrive.commission.run import put_to_use, reached  # noqa: PLC0415 - it is large
+
+    setpoint, unit = reached(commissioned), commissioned.before.load.output_unit
+    waited_s = asyncio.run(put_to_use(contact.settings, drive, setpoint, contact.timeout))
+    print(
+        f"{drive} holds {setpoint:.4g} {unit} in mode adaptive, in force after {waited_s:.1f} s\n\n"
+        f"next:\n  adaptdrive setpoint {drive} VALUE\n  adaptdrive watch {drive}\n"
+        f"  adaptdrive disable {drive}"
+    )
+
+
+def _say_next(drive: str, setpoint: float, *, written: bool) -> None:
+    if not written:
+        print(f"\nnext: adaptdrive commission {drive} --apply, or copy the values by hand")
+        return
+    print(
+        f"\nnext:\n  adaptdrive reload {drive} --measured\n  adaptdrive mode {drive} adaptive\n"
+        f"  adaptdrive enable {drive}\n  adaptdrive setpoint {drive} {setpoint:.4g}"
+    )
 
 
 def _configuration(drive: str, config: Path | None) -> Path:
@@ -90,9 +133,15 @@ def _agreed(announcement: str) -> bool:
     print(announcement)
     if not sys.stdin.isatty():
         print("adaptdrive: say --yes to begin", file=sys.stderr)
+    return _agreed_to("begin? [y/N] ")
+
+
+def _agreed_to(question: str) -> bool:
+    """Return whether the operator agrees; a pipe does not."""
+    if not sys.stdin.isatty():
         return False
     try:
-        answer = input("begin? [y/N] ")
+        answer = input(question)
     except EOFError:
         print()
         return False

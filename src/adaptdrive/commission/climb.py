@@ -37,6 +37,15 @@ _LONGEST_RETURN = 20
 _ARRIVED = 0.9
 """Share of a step of V_c after which the current of a battery is looked at."""
 
+_SEEN = 0.1
+"""Share of the movement that shows how long a response takes."""
+
+_RESPONSES = 3.0
+"""Shortest wait for rest in times to rest of a response that was seen."""
+
+_LEAST_WAIT = 0.05
+"""The same in patiences."""
+
 _LONGEST_CLIMB = 40
 _SLOWEST_SLEW_V_PER_S = 50.0
 
@@ -94,6 +103,7 @@ class Climb:
                 continue
             if moved >= _ENOUGH * target.move:
                 return Summit(self._before, moved, raised_V, self._time_to_rest())
+            self._follow(moved)
             if raised_V >= target.high_V:
                 raise self._no_response(moved, raised_V)
             growth = _SLOW_GROWTH if self._retreats else _GROWTH
@@ -102,6 +112,13 @@ class Climb:
             f"{_LONGEST_CLIMB} steps of V_c did not show one that moves {target.name} by "
             f"{target.move:.3g} {target.unit}: ask for a longer wait with --patience"
         )
+
+    def _follow(self, moved: float) -> None:
+        """Wait for no longer than a response takes that was seen from its begin to its rest."""
+        course = self._course
+        if course.target.onset is None and moved > course.margin(_SEEN):
+            wait_s = max(_RESPONSES * self._time_to_rest(), _LEAST_WAIT * course.target.patience_s)
+            course.wait_s = min(course.wait_s, wait_s)
 
     def _allowed(self, step: float) -> float:
         """Return the largest step that the credible loads allow; a battery's current jumps."""

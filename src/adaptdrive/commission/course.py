@@ -29,18 +29,21 @@ class ExperimentCourse:
         target: Limits, and the movement that was asked for.
         record: All samples.
         phase: Where the experiment is.
-        progress: Share of the present phase, 0 to 1, where it is known.
+        found: Share of the range in which the onset of a current is looked for, 0 to 1.
         voltage_V: V_c that is asked for.
         time_s: Time of the last sample.
+        wait_s: Shortest wait for rest: the patience, less once the load has been seen to respond.
     """
 
     def __init__(self, target: Target) -> None:
         self.target = target
         self.record = Samples()
         self.phase = Phase.REST
-        self.progress = 0.0
+        self.found = 0.0
         self.voltage_V = target.low_V
         self.time_s = 0.0
+        self.wait_s = target.patience_s
+        self._expected = (0.0, math.nan)
         self._noise = 0.0
         self._noise_known_s = -math.inf
         self._looked_s = -math.inf
@@ -55,6 +58,22 @@ class ExperimentCourse:
             raise CommissionError(f"output = {output}, v_bst = {boost_voltage_V} is not finite")
         self.time_s = time_s
         self.record.append(time_s, boost_voltage_V, output)
+
+    def expect(self, duration_s: float) -> None:
+        """Take the length of the phase that begins now."""
+        self._expected = (self.time_s, duration_s)
+
+    @property
+    def remaining_s(self) -> float:
+        """Time to the end of the experiment, NaN before it is known."""
+        began_s, duration_s = self._expected
+        return max(began_s + duration_s - self.time_s, 0.0)
+
+    @property
+    def progress(self) -> float:
+        """Share of the present phase, 0 to 1, where it is known."""
+        _, duration_s = self._expected
+        return 1.0 - self.remaining_s / duration_s if duration_s > 0.0 else self.found
 
     def wait(self, duration_s: float) -> Steps[None]:
         """Let time pass."""

@@ -74,6 +74,11 @@ class LoadExperiment:
         return self._course.progress
 
     @property
+    def remaining_s(self) -> float:
+        """Time to the end of the experiment, NaN before it is known."""
+        return self._course.remaining_s
+
+    @property
     def voltage_V(self) -> float:
         """V_c that is asked for now."""
         return self._course.voltage_V

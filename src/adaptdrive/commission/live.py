@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import math
 import sys
 from typing import NoReturn
 
@@ -92,4 +93,6 @@ class PhaseLines:
         if phase is not self._phase:
             self._phase = phase
             output = f"output {reading.output:.4g}"
-            tell(f"V_c {voltage_V:.4g} V  {output}  {phase}")
+            left_s = self._experiment.remaining_s
+            left = "" if math.isnan(left_s) else f" for {left_s:.0f} s"
+            tell(f"V_c {voltage_V:.4g} V  {output}  {phase}{left}")

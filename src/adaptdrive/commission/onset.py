@@ -34,7 +34,7 @@ def find_onset(course: ExperimentCourse) -> Steps[float]:
             )
         voltage_V = min(voltage_V + target.onset_step_V, target.high_V)
         course.voltage_V = voltage_V
-        course.progress = (voltage_V - target.low_V) / (target.high_V - target.low_V)
+        course.found = (voltage_V - target.low_V) / (target.high_V - target.low_V)
         course.look_at_terminals(voltage_V, course.recent(wait_s))
         yield from _arrive(course, voltage_V)
         yield from course.wait(wait_s)

@@ -21,7 +21,7 @@ from adaptdrive.watch.tables import DIM, boxed, cut, figure
 KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
 _POINTS = 6000
 _SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
-_HEADER_ROWS, _BAR_WIDTH = 2, 30
+_HEADER_ROWS, _BAR_WIDTH = 2, 20
 _SHORT = {
     Phase.REST: "rest",
     Phase.ONSET: "onset",
@@ -41,6 +41,7 @@ class Picture:
         target: Names, units and limits.
         phase: Present phase; None before the first reading.
         progress: Share of it, where it is known.
+        remaining_s: Time to the end of the experiment, NaN before it is known.
         voltage_V: V_c that is asked for.
         points: Output, and the rest beside it, over time.
         marks: Begin of each phase.
@@ -50,6 +51,7 @@ class Picture:
     target: Target
     phase: Phase | None = None
     progress: float = 0.0
+    remaining_s: float = math.nan
     voltage_V: float = math.nan
     points: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=_POINTS))
     marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=50))
@@ -59,7 +61,7 @@ class Picture:
         if experiment.phase is not self.phase:
             self.marks.append(Mark(reading.time_s, _SHORT[experiment.phase]))
         self.phase, self.progress = experiment.phase, experiment.progress
-        self.voltage_V = voltage_V
+        self.voltage_V, self.remaining_s = voltage_V, experiment.remaining_s
         outcome = experiment.outcome
         rest = reading.output if outcome is None else outcome.rest
         self.points.append(PlotPoint(reading.time_s, rest, reading.output, "manual"))
@@ -97,6 +99,15 @@ def _header(picture: Picture, points: list[PlotPoint]) -> Table:
     grid.add_row(cut(Text.assemble((f" {picture.drive} ", "bold reverse"), f" {phase}")))
     line = Table.grid(padding=(0, 1))
     bar = ProgressBar(total=1.0, completed=picture.progress, width=_BAR_WIDTH)
-    line.add_row("", bar, Text(f"{values} {picture.target.unit}"))
+    line.add_row("", bar, Text(f"{_ahead(picture)}   {values} {picture.target.unit}"))
     grid.add_row(line)
     return grid
+
+
+def _ahead(picture: Picture) -> str:
+    """Return the share of the phase, and the time to the end where it is known."""
+    share = f"{100.0 * picture.progress:3.0f} %"
+    if math.isnan(picture.remaining_s):
+        return share
+    minutes, seconds = divmod(round(picture.remaining_s), 60)
+    return f"{share}, {minutes}:{seconds:02d} left"

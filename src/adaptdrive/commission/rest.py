@@ -44,9 +44,8 @@ def until_rest(course: ExperimentCourse, rest: Rest) -> Steps[None]:
     Raises:
         CommissionError: The load does not come to rest, or its output is too large.
     """
-    target = course.target
     began_s, start = course.time_s, course.recent(course.smooth_s)
-    next_s = began_s + target.patience_s
+    next_s = began_s + course.wait_s
     while True:
         yield True
         course.look_at_output()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.lock import LockedError, locked
+from adaptdrive.commission.apply import put_to_use
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
 from adaptdrive.commission.guide import HOLD_S, Guide
@@ -32,6 +33,8 @@ __all__ = [
     "as_text",
     "commission",
     "draw",
+    "put_to_use",
+    "reached",
     "refuse_unwritable",
     "write",
 ]
@@ -139,3 +142,10 @@ def write(path: Path, commissioned: Commissioned) -> Path:
     proposed = with_values(path, text, commissioned.proposal.values)
     examine_text(proposed, path)
     return write_values(path, proposed)
+
+
+def reached(commissioned: Commissioned) -> float:
+    """Return an output to go on with: one that the experiment has led the load to."""
+    outcome, load = commissioned.outcome, commissioned.before.load
+    reached = float(f"{outcome.rest + outcome.moved:.4g}")
+    return min(max(reached, load.reference_min), load.reference_max)

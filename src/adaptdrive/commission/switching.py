@@ -58,8 +58,8 @@ class Switching:
         sequence = [(level, clock_s) for clock_s in (slow_s, fast_s) for level in _sequence()]
         duration_s = _LENGTH * (slow_s + fast_s)
         repeats = max(_REPEATS, math.ceil(self._sufficient_s() / duration_s))
-        for number in range(repeats):
-            course.progress = number / (repeats + 1)
+        course.expect(repeats * duration_s + 2.0 * _LONG * settling_s)
+        for _ in range(repeats):
             for level, clock_s in sequence:
                 yield from self._hold(clock_s, level=level)
         for level in (True, False):

@@ -148,7 +148,9 @@ class MotorModel(Section):
 class MotorSection(LoadSection):
     """`[load]` with `type = "motor"`."""
 
-    traits: ClassVar[LoadTraits] = LoadTraits(paper_forgetting=0.97, paper_method="lm-rls")
+    traits: ClassVar[LoadTraits] = LoadTraits(
+        patience_s=30.0, paper_forgetting=0.97, paper_method="lm-rls"
+    )
 
     type: Literal["motor"] = Field(description="kind of load")
     output_name: str = Field(default="speed", description="name of the output for people")
