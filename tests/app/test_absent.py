@@ -64,8 +64,8 @@ def test_an_absent_value_trips_nothing_and_a_lost_one_does(name: str) -> None:
     other = {"line_voltage_V": 230.0, "load_power_W": 100.0}
     del other[name]
     absent: dict[str, str | None] = {f"signals__{name}": None}
-    assert find_cause(reading(**other), 0.01, trip_limits(parse(**absent))) is None
-    cause = find_cause(reading(**other), 0.01, trip_limits(parse()))
+    assert find_cause(reading(**other), 0.01, trip_limits(parse(**absent)), 0.05) is None
+    cause = find_cause(reading(**other), 0.01, trip_limits(parse()), 0.05)
     assert cause is not None
     assert f"invalid: {name} = nan" in cause
 

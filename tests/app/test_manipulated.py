@@ -49,7 +49,7 @@ def test_a_signal_in_another_unit_is_a_flaw() -> None:
 def test_texts_have_its_name_and_unit() -> None:
     configuration = parse(**HZ)
     reading = Reading(0.0, 0.0, None, 56.0, math.nan, math.nan, 1.0, 0, bridge=True)
-    cause = find_cause(reading, 0.01, trip_limits(configuration))
+    cause = find_cause(reading, 0.01, trip_limits(configuration), 0.05)
     assert cause == "over-voltage: frequency = 56.0 Hz, limit 55 Hz"
     with pytest.raises(RefusedError, match=r"60 Hz is outside 0…50 Hz"):
         daemon_settings(configuration).machine.require_voltage(60.0, None)

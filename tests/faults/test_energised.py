@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test
 
-from adaptdrive.runtime import bridge_watch
+from adaptdrive.config.timing import Timing
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.reports import State
@@ -68,7 +68,7 @@ def test_a_daemon_without_one_protection_is_found_out(
 def test_a_daemon_that_does_not_know_a_short_time_out_is_found_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(bridge_watch, "on_for_certain_s", lambda *_: math.inf)
+    monkeypatch.setattr(Timing, "certain_s", math.inf)
     with pytest.raises(AssertionError, match="stopped unheard"):
         run_state_machine_as_test(HastyDriveStory, settings=UNSHRUNK)
 

@@ -141,8 +141,8 @@ async def test_names_of_the_value_tables_are_used_and_told(
         await until(lambda: ear.readings[-1].fault == 17)
     reading = ear.readings[-1]
     assert not reading.bridge
-    limits = Limits(1.0, 430.0, 5.0, "V")
-    assert find_cause(reading, reading.oldest_s, limits) == (
+    limits = Limits(430.0, 5.0, "V")
+    assert find_cause(reading, reading.oldest_s, limits, 1.0) == (
         "drive fault: word 0x11 (Heat sink too hot)"
     )
 
@@ -247,14 +247,14 @@ async def test_a_seldom_value_may_be_as_old_as_its_cycle_time_says(
         inverter.send("INV_STATE", STATE)
         await ear.hears(2)
     # 4 cycles of 25 ms for the state; pages take three turns, so that theirs are 4 × 75 ms
-    limits = Limits(INVERTER.interlocks.stale_s, 430.0, 5.0, "V")
+    limits, stale_s = Limits(430.0, 5.0, "V"), INVERTER.interlocks.stale_s
     reading = ear.readings[1]
     assert reading.slack_s == 0.0  # the state is out of date first
-    assert find_cause(reading, reading.arrival_s + 0.099, limits) is None
-    assert "limit 100 ms" in str(find_cause(reading, reading.arrival_s + 0.101, limits))
+    assert find_cause(reading, reading.arrival_s + 0.099, limits, stale_s) is None
+    assert "limit 100 ms" in str(find_cause(reading, reading.arrival_s + 0.101, limits, stale_s))
     pages = replace(reading, slack_s=0.2)
-    assert find_cause(pages, pages.oldest_s + 0.299, limits) is None
-    assert "limit 300 ms" in str(find_cause(pages, pages.oldest_s + 0.301, limits))
+    assert find_cause(pages, pages.oldest_s + 0.299, limits, stale_s) is None
+    assert "limit 300 ms" in str(find_cause(pages, pages.oldest_s + 0.301, limits, stale_s))
 
 
 async def test_pages_that_stay_away_are_the_oldest_values_once_they_are_overdue(

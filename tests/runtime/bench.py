@@ -34,7 +34,7 @@ from tests.loopback_port import LoopbackPort
 MOTOR = load_configuration(Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml")
 SETTINGS: DaemonSettings = daemon_settings(MOTOR)
 FAST: FastLoopSettings = SETTINGS.fast
-TICK_S = FAST.tick_s
+TICK_S = FAST.timing.half_cycle_s
 Q = MOTOR.ticks_per_period
 LATENCY = FAST.latency_ticks
 PATIENCE_S = 120.0

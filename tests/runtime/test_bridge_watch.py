@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from tests.runtime.bench import CALM
 
@@ -30,11 +31,14 @@ class Seen:
         timeout: float | None = None,
     ) -> None:
         self._watch = BridgeWatch(
-            TICK_S,
-            ticks_per_reading,
+            Timing(
+                TICK_S,
+                stale_s=0.05,
+                ticks_per_reading=ticks_per_reading,
+                command_timeout_s=None if timeout is None else timeout * TICK_S,
+            ),
             reported=reported,
             cycle_s=cycle * TICK_S,
-            timeout_s=None if timeout is None else timeout * TICK_S,
         )
         self.cause: str | None = None
 

@@ -9,7 +9,7 @@ from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, SetSetpoint
 from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
 
-LONG_FRAMES = round(2.0 * FAST.stop_s / TICK_S)
+LONG_FRAMES = round(2.0 * FAST.timing.stop_s / TICK_S)
 
 
 def enable_at_rest(bench: FastBench) -> None:

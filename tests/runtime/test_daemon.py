@@ -51,7 +51,7 @@ PATIENT = replace(
         SETTINGS.fast,
         timer_standin=False,
         drive_clocks=False,
-        limits=replace(SETTINGS.fast.limits, stale_s=1e6),
+        timing=replace(SETTINGS.fast.timing, stale_s=1e6),
     ),
 )
 
@@ -429,7 +429,8 @@ async def test_frames_are_rehearsed_and_what_a_drive_answers_when_polled_is_not(
     ticks_per_reading: int, rehearsed: bool
 ) -> None:
     """A tenth of a second between frames that should come each half cycle: one rehearsal each."""
-    fast = replace(PATIENT.fast, ticks_per_reading=ticks_per_reading)
+    timing = replace(PATIENT.fast.timing, ticks_per_reading=ticks_per_reading)
+    fast = replace(PATIENT.fast, timing=timing)
     settings = replace(PATIENT, rehearse_s=0.002, fast=fast)
     async with daemon_bench(settings=settings) as bench:
         for _ in range(4):

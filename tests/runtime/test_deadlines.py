@@ -11,7 +11,7 @@ from adaptdrive.runtime.loop_interface import FastLoopSettings
 from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
 
 TIMERLESS = replace(FAST, timer_standin=False)
-POLLED = replace(FAST, ticks_per_reading=12)
+POLLED = replace(FAST, timing=replace(FAST.timing, ticks_per_reading=12))
 EACH_CLOCK = pytest.mark.parametrize("settings", [FAST, TIMERLESS], ids=["stand-in", "timerless"])
 
 

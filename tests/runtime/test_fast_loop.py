@@ -16,7 +16,7 @@ from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
 
 TIMERLESS = replace(FAST, timer_standin=False)
-STALE_S = FAST.limits.stale_s
+STALE_S = FAST.timing.stale_s
 
 
 async def test_each_frame_makes_exactly_one_tick_and_one_command() -> None:
@@ -299,8 +299,8 @@ async def test_a_bridge_that_does_not_come_on_trips() -> None:
 @pytest.mark.parametrize("silent_s", [TICK_S, 0.03, 0.15])
 async def test_a_drive_that_starts_anew_in_a_run_is_not_driven_on(silent_s: float) -> None:
     """Its counter begins at 0, so that its frames belong to no tick that time allows."""
-    limits = replace(FAST.limits, stale_s=0.3)
-    async with fast_bench(replace(FAST, limits=limits)) as bench:
+    timing = replace(FAST.timing, stale_s=0.3)
+    async with fast_bench(replace(FAST, timing=timing)) as bench:
         bench.counter = 60_000
         bench.start()
         bench.frames(10)
@@ -317,8 +317,8 @@ async def test_a_drive_that_started_anew_and_came_on_before_its_first_report_is_
     silent_s: float,
 ) -> None:
     """The commands of a silence too short to be one have switched it on again."""
-    limits = replace(FAST.limits, stale_s=0.3)
-    async with fast_bench(replace(FAST, limits=limits), modulus=256) as bench:
+    timing = replace(FAST.timing, stale_s=0.3)
+    async with fast_bench(replace(FAST, timing=timing), modulus=256) as bench:
         bench.start()
         bench.frames(10)
         bench.wait(silent_s)
@@ -341,8 +341,10 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
     silent_s: float, timeout_s: float | None, earliest_s: float, latest_s: float
 ) -> None:
     """Its cable was out for longer than its own time-out, and shorter than `stale_s`."""
-    limits = replace(FAST.limits, stale_s=0.5)
-    async with fast_bench(replace(FAST, limits=limits, command_timeout_s=timeout_s)) as bench:
+    timing = replace(FAST.timing, stale_s=0.5)
+    async with fast_bench(
+        replace(FAST, timing=replace(timing, command_timeout_s=timeout_s))
+    ) as bench:
         bench.start()
         bench.frames(10)
         began_s, last_s = bench.around.now, bench.around.now
@@ -368,8 +370,8 @@ async def test_a_command_that_waits_is_sent_when_the_drive_reports_that_it_is_st
     bridge: bool,
 ) -> None:
     """The report comes in the tick that the command waits in, and no other tick may follow soon."""
-    limits = replace(FAST.limits, stale_s=0.5)
-    async with fast_bench(replace(FAST, limits=limits)) as bench:
+    timing = replace(FAST.timing, stale_s=0.5)
+    async with fast_bench(replace(FAST, timing=timing)) as bench:
         bench.start()
         bench.frames(10)
         bench.wait(0.3)
@@ -382,8 +384,8 @@ async def test_a_command_that_waits_is_sent_when_the_drive_reports_that_it_is_st
 
 async def test_a_command_that_waits_is_forgotten_with_the_run_it_was_decided_in() -> None:
     """The process stood still in a stand-in tick, and the reading that it stands for is next."""
-    limits = replace(FAST.limits, stale_s=0.5)
-    async with fast_bench(replace(FAST, limits=limits)) as bench:
+    timing = replace(FAST.timing, stale_s=0.5)
+    async with fast_bench(replace(FAST, timing=timing)) as bench:
         bench.start()
         bench.frames(10)
         decide = bench.controller.replace_tick
@@ -409,8 +411,8 @@ async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_t
     frozen_s: float, *, trips: bool
 ) -> None:
     """The drive may have stopped by its own time-out before the command, and be on again by it."""
-    limits = replace(FAST.limits, stale_s=0.5)
-    async with fast_bench(replace(FAST, limits=limits)) as bench:
+    timing = replace(FAST.timing, stale_s=0.5)
+    async with fast_bench(replace(FAST, timing=timing)) as bench:
         bench.start()
         bench.frames(10)
         known = len(bench.sent)
@@ -431,8 +433,8 @@ async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_t
 
 async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
     """Its own cable was out for longer than its time-out; what clocks the readings still came."""
-    limits = replace(FAST.limits, stale_s=0.5)
-    async with fast_bench(replace(FAST, limits=limits)) as bench:
+    timing = replace(FAST.timing, stale_s=0.5)
+    async with fast_bench(replace(FAST, timing=timing)) as bench:
         bench.start()
         bench.frames(10)
         heard_s, last_s = bench.around.now, bench.around.now
@@ -448,8 +450,8 @@ async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_d
 
 
 async def test_a_drive_that_went_on_while_it_was_silent_is_driven_on() -> None:
-    limits = replace(FAST.limits, stale_s=0.5)
-    async with fast_bench(replace(FAST, limits=limits)) as bench:
+    timing = replace(FAST.timing, stale_s=0.5)
+    async with fast_bench(replace(FAST, timing=timing)) as bench:
         bench.start()
         bench.frames(10)
         bench.wait(0.3)
@@ -462,8 +464,8 @@ async def test_a_drive_that_went_on_while_it_was_silent_is_driven_on() -> None:
 
 async def test_a_drive_that_never_reports_its_bridge_is_driven_on_through_a_silence() -> None:
     """No report could show that it has not stopped."""
-    limits = replace(FAST.limits, stale_s=0.5)
-    async with fast_bench(replace(FAST, limits=limits), slack_s=None) as bench:
+    timing = replace(FAST.timing, stale_s=0.5)
+    async with fast_bench(replace(FAST, timing=timing), slack_s=None) as bench:
         bench.start()
         bench.frames(10)
         known = len(bench.sent)
@@ -489,8 +491,8 @@ async def test_a_drive_whose_bridge_still_goes_off_for_the_command_before_is_dri
 
 async def test_a_drive_that_falls_silent_before_its_bridge_is_on_is_stale_and_not_stopped() -> None:
     """Its last frame reports the bridge off: the drive may have switched it on since."""
-    limits = replace(FAST.limits, stale_s=0.5)
-    async with fast_bench(replace(FAST, limits=limits)) as bench:
+    timing = replace(FAST.timing, stale_s=0.5)
+    async with fast_bench(replace(FAST, timing=timing)) as bench:
         start_off(bench)
         bench.wait(0.5 + 1.1 * TICK_S)
         assert (bench.machine.trip or "").startswith("stale: ")

@@ -12,7 +12,7 @@ from adaptdrive.runtime.requests import SetSetpoint
 from tests.runtime.bench import FAST, TICK_S, FastBench, decision, fast_bench
 
 STRIDE = 12
-POLLED = replace(FAST, ticks_per_reading=STRIDE, drive_clocks=False)
+POLLED = replace(FAST, timing=replace(FAST.timing, ticks_per_reading=STRIDE), drive_clocks=False)
 EXACT_S = 2.0**-7
 """A half cycle whose multiples are exact."""
 
@@ -95,7 +95,9 @@ async def test_a_stand_in_has_no_frame_whose_turnaround_could_be_timed() -> None
 
 
 async def test_a_tick_half_a_period_late_feeds_no_watchdog() -> None:
-    async with fast_bench(replace(FAST, tick_s=EXACT_S)) as bench:
+    async with fast_bench(
+        replace(FAST, timing=replace(FAST.timing, half_cycle_s=EXACT_S))
+    ) as bench:
         bench.around.now = 1024.0
         bench.frame(after_s=EXACT_S)
         bench.around.fed.clear()

@@ -74,8 +74,8 @@ async def test_a_drive_at_a_wrong_rate_is_refused() -> None:
 
 async def test_a_drive_that_is_polled_has_no_rate_of_its_own() -> None:
     stride = 12
-    limits = replace(FAST.limits, stale_s=1.0)
-    polled = replace(FAST, ticks_per_reading=stride, drive_clocks=False, limits=limits)
+    timing = replace(FAST.timing, stale_s=1.0, ticks_per_reading=stride)
+    polled = replace(FAST, timing=timing, drive_clocks=False)
     async with fast_bench(polled, modulus=None) as bench:
         for _ in range(100):
             bench.frame(after_s=1.3 * stride * TICK_S, counter=None)
@@ -86,7 +86,7 @@ async def test_silence_without_the_timer_sends_nothing_until_it_trips() -> None:
     async with fast_bench(TIMERLESS) as bench:
         bench.start()
         known = len(bench.sent)
-        bench.wait(0.8 * FAST.limits.stale_s)
+        bench.wait(0.8 * FAST.timing.stale_s)
         assert len(bench.sent) == known
         bench.wait(10 * TICK_S)
         assert bench.state() is State.TRIPPED

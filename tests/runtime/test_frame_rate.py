@@ -254,7 +254,7 @@ async def test_last_frames_that_are_repeated_in_turn_trip_as_one_does(held: int)
 async def test_many_frames_that_are_repeated_in_turn_trip_at_the_longest_age(
     held: int, stale_s: float
 ) -> None:
-    settings = replace(FAST, limits=replace(FAST.limits, stale_s=stale_s))
+    settings = replace(FAST, timing=replace(FAST.timing, stale_s=stale_s))
     async with fast_bench(settings) as bench:
         run_by_hand(bench, None)
         bench.frames(held)
@@ -353,7 +353,7 @@ async def test_a_bridge_that_has_not_gone_off_before_the_rate_is_known_trips() -
         stutter(bench, frames=240, every=20)
         bench.ask(SetSetpoint(0.0))
         bench.ask(SetSetpoint(3.0))
-        stutter(bench, frames=round(FAST.stop_s / TICK_S), every=20, bridge=True)
+        stutter(bench, frames=round(FAST.timing.stop_s / TICK_S), every=20, bridge=True)
         assert bench.state() is State.STARTING
         stutter(bench, frames=5, every=20, bridge=True)
         assert (bench.machine.trip or "").startswith("the drive does not stop: its bridge is still")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.frame_rate import FrameRate
@@ -19,7 +20,8 @@ TICK_S = 2.0**-7
 """A half cycle whose multiples are exact."""
 
 START_S = 64.0
-LIMITS = Limits(stale_s=0.0625, boost_voltage_max_V=430.0, output_max=5.0, output_unit="V")
+STALE_S = 0.0625
+LIMITS = Limits(boost_voltage_max_V=430.0, output_max=5.0, output_unit="V")
 PORT = LoopbackPort(lambda _: None)
 
 
@@ -46,14 +48,14 @@ def new_board(
     *watches: NotedWatch, rate: FrameRate | None = None, ticks_per_reading: int = 1
 ) -> InterlockBoard:
     """A board that has not been looked at yet."""
+    timing = Timing(TICK_S, STALE_S, ticks_per_reading)
     settings = replace(
         FAST,
         limits=LIMITS,
-        tick_s=TICK_S,
-        ticks_per_reading=ticks_per_reading,
+        timing=timing,
         watches=tuple(one.build for one in watches),
     )
-    bridge = BridgeWatch(TICK_S, ticks_per_reading, reported=True, cycle_s=0.0, timeout_s=None)
+    bridge = BridgeWatch(timing, reported=True, cycle_s=0.0)
     return InterlockBoard(settings, rate, bridge, RestartWatch(None, TICK_S))
 
 

@@ -16,8 +16,8 @@ from adaptdrive.runtime.interlocks import Limits, find_cause
 from tests.hardware.bench import EXAMPLES
 from tests.runtime.bench import CALM
 
+STALE_S = 0.05
 LIMITS = Limits(
-    stale_s=0.05,
     boost_voltage_max_V=430.0,
     output_max=5.0,
     output_unit="V",
@@ -30,7 +30,7 @@ ANY = st.floats(allow_nan=True, allow_infinity=True)
 
 
 def cause_of(**changes: object) -> str | None:
-    return find_cause(replace(GOOD, **changes), NOW_S, LIMITS)  # type: ignore[arg-type]
+    return find_cause(replace(GOOD, **changes), NOW_S, LIMITS, STALE_S)  # type: ignore[arg-type]
 
 
 def test_a_good_reading_is_no_cause() -> None:
@@ -47,8 +47,8 @@ def test_an_output_at_its_lowest_is_no_cause() -> None:
 
 
 def test_a_measurement_exactly_as_old_as_the_limit_is_used() -> None:
-    limits = replace(LIMITS, stale_s=0.0625)  # a power of two: its sum and difference are exact
-    assert find_cause(replace(GOOD, oldest_s=NOW_S - 0.0625), NOW_S, limits) is None
+    stale_s = 0.0625  # a power of two: its sum and difference are exact
+    assert find_cause(replace(GOOD, oldest_s=NOW_S - stale_s), NOW_S, LIMITS, stale_s) is None
 
 
 def test_a_message_that_comes_less_often_may_be_older_by_its_period() -> None:
@@ -58,7 +58,7 @@ def test_a_message_that_comes_less_often_may_be_older_by_its_period() -> None:
 
 
 def test_an_output_without_a_unit_is_named_without_one() -> None:
-    cause = find_cause(replace(GOOD, output=6.0), NOW_S, replace(LIMITS, output_unit=""))
+    cause = find_cause(replace(GOOD, output=6.0), NOW_S, replace(LIMITS, output_unit=""), STALE_S)
     assert cause is not None
     assert "speed = 6, limit 5: " in cause
 
@@ -87,7 +87,7 @@ def test_each_cause_is_named_with_its_value(changes: dict[str, float], text: str
 
 
 def test_no_reading_at_all_is_a_cause() -> None:
-    assert find_cause(None, NOW_S, LIMITS) == "stale: no measurement yet"
+    assert find_cause(None, NOW_S, LIMITS, STALE_S) == "stale: no measurement yet"
 
 
 def test_the_age_that_counts_is_that_of_the_oldest_value() -> None:
@@ -119,8 +119,8 @@ def test_without_a_cause_everything_is_fresh_finite_healthy_and_within_limits(
     values: tuple[float, float, float, float], age: float, fault: int
 ) -> None:
     reading = Reading(NOW_S, NOW_S - age, None, *values, fault, bridge=True)
-    if find_cause(reading, NOW_S, LIMITS) is None:
-        assert NOW_S - reading.oldest_s <= LIMITS.stale_s
+    if find_cause(reading, NOW_S, LIMITS, STALE_S) is None:
+        assert NOW_S - reading.oldest_s <= STALE_S
         assert all(map(math.isfinite, values))
         assert fault == 0
         assert reading.boost_voltage_V <= LIMITS.boost_voltage_max_V
@@ -130,7 +130,7 @@ def test_without_a_cause_everything_is_fresh_finite_healthy_and_within_limits(
 @pytest.mark.parametrize(("example", "text"), [("bath", "temperature = 99 K, limit 25 K")])
 def test_the_trip_names_the_output_as_the_configuration_does(example: str, text: str) -> None:
     limits = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.limits
-    cause = find_cause(replace(GOOD, output=99.0), NOW_S, limits)
+    cause = find_cause(replace(GOOD, output=99.0), NOW_S, limits, STALE_S)
     assert cause is not None
     assert text in cause
 
@@ -146,7 +146,10 @@ def test_a_stale_reading_is_explained_and_no_other() -> None:
         return "output (DriveLoad) is the oldest value"
 
     stale = replace(GOOD, oldest_s=NOW_S - 0.051)
-    cause = find_cause(stale, NOW_S, LIMITS, explain)
+    cause = find_cause(stale, NOW_S, LIMITS, STALE_S, explain)
     assert cause == f"stale: measurement is 51 ms old, limit 50 ms; {explain()}"
-    assert find_cause(None, NOW_S, LIMITS, explain) == f"stale: no measurement yet; {explain()}"
-    assert find_cause(GOOD, NOW_S, LIMITS, explain) is None
+    assert (
+        find_cause(None, NOW_S, LIMITS, STALE_S, explain)
+        == f"stale: no measurement yet; {explain()}"
+    )
+    assert find_cause(GOOD, NOW_S, LIMITS, STALE_S, explain) is None

@@ -20,8 +20,7 @@ POLL_S = STRIDE * TICK_S
 POLLED = replace(
     FAST,
     drive_clocks=False,
-    limits=replace(FAST.limits, stale_s=2.5 * POLL_S),
-    ticks_per_reading=STRIDE,
+    timing=replace(FAST.timing, stale_s=2.5 * POLL_S, ticks_per_reading=STRIDE),
     latency_ticks=STRIDE,
 )
 
@@ -97,7 +96,7 @@ async def test_a_decision_takes_effect_at_its_poll() -> None:
 
 
 async def test_a_bridge_that_stays_off_has_three_polls_to_close() -> None:
-    slow = replace(POLLED, ticks_per_reading=60, limits=replace(FAST.limits, stale_s=2.0))
+    slow = replace(POLLED, timing=replace(FAST.timing, ticks_per_reading=60, stale_s=2.0))
     async with fast_bench(slow, modulus=None) as bench:
         for _ in range(3):
             poll(bench, 60 * TICK_S)
@@ -137,9 +136,8 @@ async def test_a_drive_that_stopped_while_nothing_ran_is_not_energised_when_the_
     """The stand-in tick judges the reading of before the freeze, which is not stale yet."""
     settings = replace(
         POLLED,
-        ticks_per_reading=stride,
         latency_ticks=stride,
-        limits=replace(FAST.limits, stale_s=stale_s),
+        timing=replace(FAST.timing, stale_s=stale_s, ticks_per_reading=stride),
     )
     poll_s = stride * TICK_S
     async with fast_bench(settings, modulus=None) as bench:
@@ -164,7 +162,7 @@ async def test_a_drive_that_stopped_while_nothing_ran_is_not_energised_when_the_
 
 
 async def test_a_drive_that_went_on_while_nothing_ran_is_driven_on() -> None:
-    settings = replace(POLLED, limits=replace(FAST.limits, stale_s=2.0))
+    settings = replace(POLLED, timing=replace(POLLED.timing, stale_s=2.0))
     async with fast_bench(settings, modulus=None) as bench:
         polls(bench, 3)
         bench.ask(Enable())
@@ -178,7 +176,7 @@ async def test_a_drive_that_went_on_while_nothing_ran_is_driven_on() -> None:
 
 async def test_nothing_energises_before_a_drive_has_reported_after_a_freeze() -> None:
     """The reply of before the freeze makes a tick of its own; only the next poll is a report."""
-    settings = replace(POLLED, limits=replace(FAST.limits, stale_s=2.0))
+    settings = replace(POLLED, timing=replace(POLLED.timing, stale_s=2.0))
     async with fast_bench(settings, modulus=None) as bench:
         polls(bench, 3)
         bench.ask(Enable())

@@ -86,7 +86,7 @@ async def test_a_loop_that_overslept_ticks_once_on_the_newest_frame_and_does_not
     async with fast_bench() as bench:
         bench.start()
         ticks, tick, sent = bench.loop.counts.ticks, bench.loop.tick, len(bench.sent)
-        half_cycles = int(FAST.limits.stale_s / TICK_S) - 1
+        half_cycles = int(FAST.timing.stale_s / TICK_S) - 1
         await overslept(bench, half_cycles)
         assert bench.state() is State.RUNNING
         assert (bench.loop.counts.ticks, len(bench.sent)) == (ticks + 1, sent + 1)

@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.runtime.stop_watch import Stop, StopWatch
 from tests.runtime.bench import CALM
 
 READING_S = 2.0**-7
 LIMIT_S = 0.5
 STOP_S = 64.0
+TIMING = Timing(READING_S, stale_s=0.05, start_s=0.25, stop_s=LIMIT_S)
 
 
 class Watched:
     """A stop at 64 s, and the readings after it."""
 
     def __init__(self, slack_s: float | None = 0.0) -> None:
-        self.watch = StopWatch(LIMIT_S, READING_S, slack_s)
+        self.watch = StopWatch(TIMING, slack_s)
         self.watch.command(STOP_S)
 
     def judge(self, after_s: float, *, bridge: bool, safe_s: float = -math.inf) -> Stop:
@@ -81,7 +83,7 @@ class Started:
     """The start of a drive at 64 s, whose bridge stays off while its boost voltage rises."""
 
     def __init__(self, *, confirmed: bool) -> None:
-        self.watch = StopWatch(LIMIT_S, READING_S, 0.0)
+        self.watch = StopWatch(TIMING, 0.0)
         self.watch.command(STOP_S)
         if confirmed:
             off = replace(CALM, arrival_s=STOP_S + 0.25, oldest_s=STOP_S + 0.25, bridge=False)

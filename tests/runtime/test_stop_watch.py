@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
@@ -14,7 +15,7 @@ from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from adaptdrive.runtime.stop_watch import Stop, StopWatch
 from tests.runtime.bench import CALM, FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
 
-STOP_TICKS = round(FAST.stop_s / TICK_S)
+STOP_TICKS = round(FAST.timing.stop_s / TICK_S)
 
 
 @pytest.fixture
@@ -128,7 +129,7 @@ async def test_a_bridge_that_has_yet_to_obey_may_report_as_seldom_as_it_does(sha
 def test_a_drive_that_is_read_seldom_has_one_reading_to_obey(
     reading_s: float, due_s: float
 ) -> None:
-    watch = StopWatch(0.5, reading_s, 0.0)
+    watch = StopWatch(Timing(reading_s, 0.05, start_s=0.25, stop_s=0.5), 0.0)
     watch.release(CALM, bridge=True)
     watch.command(1000.0)
     found = [
@@ -171,7 +172,7 @@ async def test_a_bridge_that_stays_on_is_an_alarm(running: FastBench) -> None:
 
 async def test_a_drive_that_falls_silent_in_its_stop_is_an_alarm(running: FastBench) -> None:
     disable(running)
-    running.wait(FAST.stop_s + 3 * TICK_S)
+    running.wait(FAST.timing.stop_s + 3 * TICK_S)
     assert (running.machine.trip or "").startswith(
         "the drive does not stop: it has not reported its bridge off"
     )
@@ -183,7 +184,7 @@ async def test_a_drive_that_falls_silent_after_its_stop_confirms_it_no_longer(
     """Somebody may switch it on behind a cable that is out."""
     disable(running)
     running.frame(bridge=False)
-    running.wait(FAST.stop_s)
+    running.wait(FAST.timing.stop_s)
     assert running.loop.stop is StopWord.CONFIRMED
     running.wait(3 * TICK_S)
     assert (running.state(), running.loop.stop) == (State.STANDBY, StopWord.AWAITED)
@@ -289,7 +290,7 @@ async def test_a_bridge_that_is_still_on_in_the_precharge_is_a_missing_stop() ->
         assert (bench.machine.trip or "").startswith(
             "the drive does not stop: its bridge is still on "
         )
-        assert bench.around.now - began_s < FAST.stop_s + 3.0 * TICK_S
+        assert bench.around.now - began_s < FAST.timing.stop_s + 3.0 * TICK_S
 
 
 async def test_a_bridge_that_opens_late_in_the_precharge_has_to_stay_off_from_then_on() -> None:
@@ -414,7 +415,7 @@ async def test_a_drive_whose_last_word_is_that_its_bridge_is_on_is_no_stopped_on
     async with fast_bench() as bench:
         bench.frames(20)
         bench.frame(bridge=True)
-        bench.wait(FAST.stop_s + 10 * TICK_S)
+        bench.wait(FAST.timing.stop_s + 10 * TICK_S)
         assert (bench.state(), bench.loop.stop) == (State.TRIPPED, StopWord.MISSING)
 
 
@@ -448,8 +449,7 @@ async def test_a_drive_that_never_speaks_of_its_bridge_stops_at_once() -> None:
 
 async def test_a_drive_that_is_read_seldom_has_four_readings() -> None:
     stride = 60
-    polled = replace(
-        FAST, ticks_per_reading=stride, limits=replace(FAST.limits, stale_s=3 * stride * TICK_S)
-    )
+    timing = replace(FAST.timing, ticks_per_reading=stride, stale_s=3 * stride * TICK_S)
+    polled = replace(FAST, timing=timing)
     async with fast_bench(polled, modulus=None) as bench:
         assert bench.loop.stop_limit_s == pytest.approx(4 * stride * TICK_S)

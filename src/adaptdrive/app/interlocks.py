@@ -26,7 +26,6 @@ def trip_limits(configuration: Configuration) -> Limits:
     """Return the levels at which a single reading trips the drive."""
     interlocks = configuration.interlocks
     return Limits(
-        stale_s=interlocks.stale_s,
         boost_voltage_max_V=interlocks.boost_voltage_max_V,
         output_max=interlocks.output_max,
         output_unit=configuration.load.output_unit,

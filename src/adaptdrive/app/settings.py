@@ -266,7 +266,7 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
 
 
 def _fast_loop(configuration: Configuration) -> FastLoopSettings:
-    interlocks, limits = configuration.interlocks, configuration.drive.limits
+    limits = configuration.drive.limits
     return FastLoopSettings(
         limits=trip_limits(configuration),
         watches=watches(configuration),
@@ -276,12 +276,9 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
             current_scale_slew_S=limits.current_scale_slew_S,
             boost_reference_max_V=limits.boost_reference_max_V,
         ),
-        tick_s=tick_s(configuration),
+        timing=configuration.timing,
         latency_ticks=configuration.load.latency_ticks,
         late_fraction=configuration.realtime.late_fraction,
         timer_standin=configuration.realtime.timer_standin,
-        ticks_per_reading=configuration.bus.ticks_per_reading,
         drive_clocks=configuration.bus.drive_clocks,
-        stop_s=interlocks.stop_s,
-        command_timeout_s=configuration.bus.command_timeout_s,
     )

@@ -119,7 +119,7 @@ class Rehearsal:
 
     def _read(self) -> None:
         configuration, nobody = self._configuration, self._nobody
-        nobody.time_s += configuration.bus.ticks_per_reading * self._settings.fast.tick_s
+        nobody.time_s += configuration.timing.reading_s
         bridge = self._loop.command.bridge
         output = self._output * (1.0 + 0.001 * math.sin(0.1 * self._readings))
         reading = _reading(configuration, output, nobody.time_s, bridge=bridge)

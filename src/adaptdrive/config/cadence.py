@@ -12,14 +12,8 @@ from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.load import LoadSection
 from adaptdrive.config.modbus import ModbusBus
 from adaptdrive.config.services import InterlocksSection
+from adaptdrive.config.timing import LATE_READINGS
 from adaptdrive.errors import Flaw
-
-STALE_READINGS = 1.5
-"""Readings that a measurement must be allowed to age: it is one old when the next one comes."""
-
-
-COMMAND_READINGS = 1.5
-"""Readings that the drive must go without a command: one comes with each, or half of one later."""
 
 
 class Sections(Protocol):
@@ -102,9 +96,9 @@ def sync_flaws(bus: CanOpenBus, configuration: Sections) -> Iterator[Flaw]:
     """
     yield from _stale_flaws(1, configuration, "a half cycle, from one SYNC to the next")
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    given_s, lowest_s = bus.command_timeout_s, COMMAND_READINGS * half_cycle_s
+    given_s, lowest_s = bus.command_timeout_s, LATE_READINGS * half_cycle_s
     if _is_below(given_s, lowest_s):
-        lowest = f"bus.heartbeat_s = {bus.heartbeat_s} and {COMMAND_READINGS} half cycles"
+        lowest = f"bus.heartbeat_s = {bus.heartbeat_s} and {LATE_READINGS} half cycles"
         yield Flaw(
             "bus.heartbeat_timeout_s",
             f"{bus.heartbeat_timeout_s} must be at least {bus.heartbeat_s + lowest_s:.4g} s, "
@@ -120,9 +114,9 @@ def _is_below(given_s: float, lowest_s: float) -> bool:
 def _stale_flaws(ticks: int, configuration: Sections, reading: str) -> Iterator[Flaw]:
     stale_s = configuration.interlocks.stale_s
     reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
-    lowest_s = STALE_READINGS * reading_s
+    lowest_s = LATE_READINGS * reading_s
     if _is_below(stale_s, lowest_s):
-        lowest = f"{lowest_s:.4g} s, {STALE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
+        lowest = f"{lowest_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
         yield Flaw("interlocks.stale_s", f"{stale_s} must be at least {lowest}")
 
 
@@ -131,9 +125,9 @@ def _timeout_flaws(
 ) -> Iterator[Flaw]:
     """Yield a time-out of the drive that its commands, one for each reading, cannot keep off."""
     reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
-    given_s, lowest_s = bus.command_timeout_s, COMMAND_READINGS * reading_s
+    given_s, lowest_s = bus.command_timeout_s, LATE_READINGS * reading_s
     if given_s is not None and _is_below(given_s, lowest_s):
-        lowest = f"{lowest_s:.4g} s, {COMMAND_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
+        lowest = f"{lowest_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
         yield Flaw(
             "bus.command_timeout_s",
             f"{given_s} must be at least {lowest}: the drive would stop between two commands",

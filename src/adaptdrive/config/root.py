@@ -23,7 +23,8 @@ from adaptdrive.config.sensors import (
     sensor_flaws,
 )
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
-from adaptdrive.config.supply import supply_flaws, voltage_flaws
+from adaptdrive.config.supply import needed_names, supply_flaws, voltage_flaws
+from adaptdrive.config.timing import Timing
 from adaptdrive.errors import Flaw
 
 SensorBus = Annotated[
@@ -53,6 +54,21 @@ class Configuration(Section):
     def ticks_per_period(self) -> int:
         """Q: fast ticks in one slow period."""
         return round(2 * self.drive.line_frequency_Hz * self.load.period_s)
+
+    @property
+    def timing(self) -> Timing:
+        """The times of the drive, of which each limit of its obedience is made."""
+        in_daemon = self.voltage_loop.where == "daemon"
+        voltage = ("boost_voltage_V",) if in_daemon else ()
+        return Timing(
+            half_cycle_s=0.5 / self.drive.line_frequency_Hz,
+            stale_s=self.interlocks.stale_s,
+            ticks_per_reading=self.bus.ticks_per_reading,
+            start_s=self.interlocks.start_s,
+            stop_s=self.interlocks.stop_s,
+            command_timeout_s=self.bus.command_timeout_s,
+            voltage_parts=frozenset(needed_names(self.derived, voltage)),
+        )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -97,6 +97,12 @@ class InterlocksSection(Section):
         description="longest precharge in state `starting`, and longest wait for the rate of the "
         "half cycles before it",
     )
+    start_s: PositiveFloat | None = Field(
+        default=None,
+        le=5.0,
+        description="trip when the drive has not reported its bridge on within this time after its "
+        "command in `running`; at least three readings; 30 half cycles when left out",
+    )
     stop_s: float = Field(
         default=0.5,
         gt=0.0,

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.errors import Flaw
-
-_COMMANDS = 2.5
-"""Times from one command to the next that must fit into a time-out: one command may be lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,15 +24,17 @@ class CommandPause:
     key: str
 
 
-def lost_command(cycle_s: float, key: str) -> CommandPause:
+def lost_command(timing: Timing, key: str) -> CommandPause:
     """Return the pause where one command is lost, and the next one is late.
 
     Args:
-        cycle_s: Time from one command to the next, in s.
+        timing: Times of the drive; each reading has a command.
         key: Key that determines it.
     """
-    meaning = f"two and a half times the {cycle_s * 1e3:.4g} ms from one command to the next"
-    return CommandPause(_COMMANDS * cycle_s, meaning, key)
+    meaning = (
+        f"two and a half times the {timing.reading_s * 1e3:.4g} ms from one command to the next"
+    )
+    return CommandPause(timing.command_pause_s, meaning, key)
 
 
 def silence(longest_s: float, key: str) -> CommandPause:

@@ -14,10 +14,6 @@ from typing import Final, Protocol
 
 from adaptdrive.control.signals import Command
 
-OBEY_S = 1.0
-"""Time that a drive has for the safe command before nothing keeps its own watchdog quiet; a stop
-that takes longer by its configuration is not cut short."""
-
 FAREWELLS = 3
 """Safe commands at the end: two of them may be lost."""
 

@@ -2,52 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 _STOPPED = "drive stopped: its bridge is off although it was commanded on"
-
-SHORTEST_TIMEOUT_S = 0.08
-"""Time without a command after which a drive may have stopped by its own time-out: none is shorter
-than 0.1 s, and the last command was sent before the time began."""
-
-_SILENT_READINGS = 2.5
-"""Readings without one after which a drive that is read seldom is silent: one may be lost."""
-
-_TIMEOUT_SHARE = 0.8
-"""Share of a drive's own time-out in which it stays on for certain: clocks and links differ."""
 
 LOST = "the bus was lost meanwhile"
 LEAPT = "its alive counter leapt meanwhile: it may have started anew"
 UNANSWERED = "a read had no answer meanwhile"
 UNREAD = "no poll gave a reading meanwhile"
 REFUSED = "its other values were refused meanwhile"
-
-
-def silence_limit_s(reading_s: float, sure_s: float = math.inf) -> float:
-    """Return how long nothing may be heard of a drive before it may have stopped by itself, in s.
-
-    A long time-out of the drive does not lengthen it: a silent drive may have started anew, too,
-    and needs no command meanwhile.
-
-    Args:
-        reading_s: Time from one reading to the next, in s.
-        sure_s: Time in which its own time-out does not stop it, in s.
-    """
-    return min(max(SHORTEST_TIMEOUT_S, _SILENT_READINGS * reading_s), sure_s)
-
-
-def on_for_certain_s(reading_s: float, timeout_s: float | None) -> float:
-    """Return how long after its last reading a drive's own time-out does not stop it, in s.
-
-    The last command that it has received may be the one before that reading.
-
-    Args:
-        reading_s: Time from one reading to the next, in s.
-        timeout_s: The time-out, in s, None where it is not known: that gives no limit.
-    """
-    if timeout_s is None:
-        return math.inf
-    return min(_TIMEOUT_SHARE * timeout_s, timeout_s - reading_s)
 
 
 class Relink:

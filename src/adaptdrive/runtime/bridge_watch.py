@@ -4,20 +4,8 @@ from __future__ import annotations
 
 import math
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.port import Reading
-from adaptdrive.hardware.relink import SHORTEST_TIMEOUT_S, on_for_certain_s, silence_limit_s
-
-_GRACE_TICKS = 30
-"""Half cycles that a bridge may take to switch on: 0.25 s on a 60 Hz line."""
-
-_GRACE_READINGS = 3
-"""The same in readings, for a drive that is read seldom."""
-
-_GAP_READINGS = 2
-"""Readings that may pass unwatched; a longer time is named in the trip."""
-
-_LATE_READINGS = 1.5
-"""The same of a drive whose own time-out is as short: a stand-in tick is half a reading late."""
 
 _SLACK_S = 1e-6
 """Rounding of sums of half cycles: the last one within the grace is not yet a stop."""
@@ -26,34 +14,22 @@ _SLACK_S = 1e-6
 class BridgeWatch:
     """Finds a drive that reports its bridge off although it was commanded on."""
 
-    def __init__(
-        self,
-        tick_s: float,
-        ticks_per_reading: int,
-        *,
-        reported: bool = True,
-        cycle_s: float = 0.0,
-        timeout_s: float | None = None,
-    ) -> None:
+    def __init__(self, timing: Timing, *, reported: bool = True, cycle_s: float = 0.0) -> None:
         """Watch from the first half cycle.
 
         Args:
-            tick_s: Half a line cycle at nominal frequency.
-            ticks_per_reading: Half cycles from one reading to the next.
+            timing: Times of the drive.
             reported: Whether the drive reports its bridge: after a silence nothing else shows that
                 it has not stopped.
             cycle_s: Time from one such report to the next, 0 where each reading has one, infinite
                 where it is not known.
-            timeout_s: The drive's own time-out without commands, None where it is not known.
         """
-        self._reading_s = ticks_per_reading * tick_s
-        self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
-        sure_s = on_for_certain_s(self._reading_s, timeout_s)
-        self._on_s = min(SHORTEST_TIMEOUT_S, sure_s)
-        gap_s = max(_LATE_READINGS * self._reading_s, sure_s)
-        self._gap_limit_s = min(_GAP_READINGS * self._reading_s, gap_s)
-        self._silent_limit_s = silence_limit_s(self._reading_s, sure_s)
-        self._mute_limit_s = max(self._silent_limit_s, _mute_limit_s(cycle_s, sure_s))
+        self._reading_s = timing.reading_s
+        self._grace_s = timing.switched_on_s
+        self._on_s = timing.unseen_s
+        self._gap_limit_s = timing.unwatched_s
+        self._silent_limit_s = timing.silent_s
+        self._mute_limit_s = timing.unreported_s(cycle_s)
         self._reported = reported
         self._off_s: float | None = None
         self._due_s: float | None = None
@@ -197,21 +173,6 @@ class BridgeWatch:
             self._silent_s, self._silence_end_s = max(self._silent_s, unreported_s), now_s
         elif unheard_s > self._silent_limit_s:
             self._silent_s, self._silence_end_s = max(self._silent_s, unheard_s), now_s
-
-
-def _mute_limit_s(cycle_s: float, sure_s: float) -> float:
-    """Return how long the report of the bridge alone may be missing; 0 for the limit of readings.
-
-    A report that comes less often than a drive may be silent is not waited for each time. How often
-    it comes does not matter while the drive's own time-out leaves it on.
-
-    Args:
-        cycle_s: Time from one report to the next, infinite where it is not known.
-        sure_s: Time in which the drive's own time-out does not stop it, else infinite.
-    """
-    if cycle_s == math.inf:
-        return 0.0 if sure_s == math.inf else sure_s
-    return silence_limit_s(cycle_s, math.inf if cycle_s > sure_s else sure_s)
 
 
 def _heard_s(reading: Reading) -> float:

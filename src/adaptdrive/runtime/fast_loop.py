@@ -41,16 +41,6 @@ _PRECHARGE: Final[Stage] = Stage.PRECHARGE
 _RUN: Final[Stage] = Stage.RUN
 
 
-def _bridge_watch(port: Port, settings: FastLoopSettings) -> BridgeWatch:
-    return BridgeWatch(
-        settings.tick_s,
-        settings.ticks_per_reading,
-        reported=port.stop_slack_s is not None,
-        cycle_s=port.bridge_cycle_s,
-        timeout_s=settings.command_timeout_s,
-    )
-
-
 class FastLoop:
     """Runs the ticks of one drive. Listens to the port; is called by the timer."""
 
@@ -74,23 +64,20 @@ class FastLoop:
         self._port = port
         self._schedule = Schedule(controller, settings.latency_ticks)
         self._machine = machine
-        self._half_cycles = HalfCycles(
-            port.counter_modulus,
-            settings.tick_s,
-            settings.ticks_per_reading,
-            settings.limits.stale_s,
-        )
+        timing, reported = settings.timing, port.stop_slack_s is not None
+        tick_s, stride = timing.half_cycle_s, timing.ticks_per_reading
+        self._half_cycles = HalfCycles(port.counter_modulus, tick_s, stride, timing.stale_s)
         self._guard = Guard(settings.command)
         self._settings = settings
         self._surroundings = surroundings
-        self._restarts = RestartWatch(port.counter_modulus, settings.tick_s)
+        self._restarts = RestartWatch(port.counter_modulus, tick_s)
         self._interlocks = InterlockBoard(
             settings,
             self._half_cycles.rate if settings.drive_clocks else None,
-            _bridge_watch(port, settings),
+            BridgeWatch(timing, reported=reported, cycle_s=port.bridge_cycle_s),
             self._restarts,
         )
-        self._stop_watch = StopWatch(settings.stop_s, settings.reading_s, port.stop_slack_s)
+        self._stop_watch = StopWatch(timing, port.stop_slack_s)
         self._stopping = Stopping(self._stop_watch, machine, surroundings.not_stopped)
         self._order: Order | None = None
         self._wanted = SAFE_COMMAND
@@ -262,7 +249,7 @@ class FastLoop:
         self.counts.ticks += 1
         self.counts.late_decisions = self._schedule.late_decisions
         if passed:
-            self.counts.missed += passed // self._settings.ticks_per_reading - 1
+            self.counts.missed += passed // self._settings.timing.ticks_per_reading - 1
 
     def _keep_time(self, due_s: float, began_s: float, ended_s: float, *, fresh: bool) -> None:
         lateness_us, tick_us = (began_s - due_s) * 1e6, (ended_s - began_s) * 1e6

@@ -11,9 +11,6 @@ from adaptdrive.runtime.interlocks import find_cause
 from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.restart_watch import RestartWatch
 
-_GAP_READINGS = 2
-"""Readings without a tick that a drive which is read seldom may cost: one may be lost."""
-
 _PRIORITY = "give the daemon priority by realtime.priority: docs/proof/realtime.md"
 
 
@@ -41,8 +38,8 @@ class InterlockBoard:
         self._bridge = bridge
         self._restarts = restarts
         self._watched_s = math.inf
-        # a drive that sends seldom leaves nothing to evaluate between two readings
-        self._gap_limit_s = max(self._limits.stale_s, _GAP_READINGS * settings.reading_s)
+        self._stale_s = settings.timing.stale_s
+        self._gap_limit_s = settings.timing.overslept_s
 
     @property
     def rate_known(self) -> bool:
@@ -60,14 +57,16 @@ class InterlockBoard:
 
     def standing_cause(self, port: Port, reading: Reading | None, now_s: float) -> str | None:
         """Return the interlock that is active in any state; the drive's protocol comes first."""
-        cause = port.complaint or find_cause(reading, now_s, self._limits, port.explain_age)
+        cause = port.complaint or find_cause(
+            reading, now_s, self._limits, self._stale_s, port.explain_age
+        )
         if cause is not None or self._rate is None:
             return cause
         return self._standing_count(self._rate.standing_s) or self._rate.cause
 
     def _standing_count(self, standing_s: float) -> str | None:
         """Return why the readings may be one reading, repeated: its count does not move."""
-        limit_s = self._limits.stale_s
+        limit_s = self._stale_s
         if standing_s <= limit_s:
             return None
         return (
@@ -121,7 +120,7 @@ class InterlockBoard:
         return (
             f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
             f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; set "
-            f"interlocks.stale_s (now {self._limits.stale_s:g}) to {2.0 * unwatched_s:.2g} where "
+            f"interlocks.stale_s (now {self._stale_s:g}) to {2.0 * unwatched_s:.2g} where "
             f"the drive's own time-out allows it, or {_PRIORITY}"
         )
 

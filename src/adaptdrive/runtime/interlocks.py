@@ -22,7 +22,6 @@ class Limits:
     """Trip levels.
 
     Attributes:
-        stale_s: Oldest usable measurement.
         boost_voltage_max_V: Over-voltage.
         output_max: Highest output.
         output_unit: Unit of the output, for the text of the trip.
@@ -33,7 +32,6 @@ class Limits:
         voltage_unit: Unit of that, likewise.
     """
 
-    stale_s: float
     boost_voltage_max_V: float
     output_max: float
     output_unit: str
@@ -62,6 +60,7 @@ def find_cause(
     reading: Reading | None,
     now_s: float,
     limits: Limits,
+    stale_s: float,
     explain_age: Callable[[], str] = str,
 ) -> str | None:
     """The first reason why the drive must not be energised, None when there is none.
@@ -70,12 +69,13 @@ def find_cause(
         reading: The latest reading, None before the first.
         now_s: Monotonic time.
         limits: Trip levels.
+        stale_s: Oldest usable measurement.
         explain_age: Names the oldest value and why it is old; called for a stale reading alone.
     """
     if reading is None:
         return f"stale: no measurement yet{_reason(explain_age())}"
     age_s = now_s - reading.oldest_s
-    limit_s = limits.stale_s + reading.slack_s
+    limit_s = stale_s + reading.slack_s
     if not age_s <= limit_s:
         return (
             f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.interlocks import Limits, Watch
@@ -38,34 +39,22 @@ class FastLoopSettings:
     Attributes:
         limits: Trip levels.
         command: Limits of what may be sent.
-        tick_s: Half a line cycle at nominal frequency.
+        timing: Times of the drive.
         latency_ticks: L, ticks from a snapshot to the effect of its decision.
         late_fraction: Lateness of a frame, in ticks, at which a stand-in tick runs.
         timer_standin: Whether the timer stands in at all.
-        ticks_per_reading: Half cycles from one reading to the next, 1 for a drive that sends
-            each. A drive that is polled has one tick for each poll.
         watches: Factories of the watches over the output, in the order of their causes.
         drive_clocks: Whether the drive decides when a reading comes.
-        stop_s: Longest time from a stop to the drive's word that its bridge is off.
-        command_timeout_s: The drive's own time-out without commands, None where it is not known.
     """
 
     limits: Limits
     command: CommandLimits
-    tick_s: float
+    timing: Timing
     latency_ticks: int
     late_fraction: float
     timer_standin: bool
-    ticks_per_reading: int = 1
     watches: tuple[Callable[[], Watch], ...] = ()
     drive_clocks: bool = True
-    stop_s: float = 0.5
-    command_timeout_s: float | None = None
-
-    @property
-    def reading_s(self) -> float:
-        """Time from one reading to the next at nominal frequency."""
-        return self.ticks_per_reading * self.tick_s
 
 
 class LoopSurroundings(Protocol):

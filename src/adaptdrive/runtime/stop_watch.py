@@ -5,18 +5,11 @@ from __future__ import annotations
 import math
 from enum import Enum, auto
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.port import Reading
-
-_LIMIT_READINGS = 4.0
-"""Readings that a stop may take of a drive that is read seldom: one of them may be lost."""
 
 _ON_READINGS = 2
 """Readings with the bridge on that are no flicker of a drive that has just stopped."""
-
-_COMING_SHARE = 0.5
-"""Share of the time of a stop, at least one reading, in which a bridge that was commanded on and
-has not come on yet may still do so: a drive that obeys late reports off until then. With more
-readings none of those that a stop may take could be lost."""
 
 
 class Stop(Enum):
@@ -32,19 +25,17 @@ class Stop(Enum):
 class StopWatch:
     """Compares the bridge that an idle drive reports with the safe command in force."""
 
-    def __init__(self, limit_s: float, reading_period_s: float, slack_s: float | None) -> None:
+    def __init__(self, timing: Timing, slack_s: float | None) -> None:
         """Expect a confirmation from the start on.
 
         Args:
-            limit_s: Longest time from a stop to its confirmation.
-            reading_period_s: Time from one reading to the next.
+            timing: Times of the drive.
             slack_s: Additional delay of the report of the bridge, None for a drive that never
                 reports it.
         """
         self._confirmable = slack_s is not None
-        obeyed_s = max(limit_s, _LIMIT_READINGS * reading_period_s)
-        self._coming_s = max(_COMING_SHARE * limit_s, reading_period_s)
-        self.limit_s = obeyed_s + (slack_s or 0.0)
+        self._coming_s = timing.coming_s
+        self.limit_s = timing.switched_off_s + (slack_s or 0.0)
         self._commanded_s = math.inf
         self._confirmed = False
         self._coming = self._been_on = False

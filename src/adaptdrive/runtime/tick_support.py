@@ -73,7 +73,7 @@ class TickSupport:
     def _get_ready(self) -> Iterator[DressRehearsal | FrameWatch]:
         """Yield what prepares for each frame of a drive that sends cyclically."""
         settings, look = self._settings, self._port.catch_up
-        if settings.fast.ticks_per_reading > 1:
+        if settings.fast.timing.ticks_per_reading > 1:
             # the replies of a drive that is polled come through the loop, which must not be kept
             return
         if settings.rehearse_s > 0.0:

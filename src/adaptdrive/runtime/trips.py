@@ -293,10 +293,11 @@ TRIPS = (
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
         "the drive has reported its bridge off after it had reported it on, or had not reported it "
-        "on within 30 ticks (three readings where they are longer); the text names what hid the "
-        "stop, such as a silence or a lost bus",
+        "on within `interlocks.start_s` (30 half cycles when left out; three readings where they "
+        "are longer); the text names what hid the stop, such as a silence or a lost bus",
         "check the drive's own time-out and protection, remote mode and checksum, and look for "
-        "lost commands, a loose cable and an overloaded machine",
+        "lost commands, a loose cable and an overloaded machine; a drive that needs longer to come "
+        "on needs a longer `interlocks.start_s`",
     ),
     Trip(
         r"^another sender commands this drive: ",

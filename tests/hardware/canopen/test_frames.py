@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from adaptdrive.hardware.canopen.mapping import map_drive
 from adaptdrive.hardware.canopen.port import CanOpenPort
 from tests.hardware.bench import Clock
-from tests.hardware.canopen.bench import HALF_CYCLE_S, RUN, Ear
+from tests.hardware.canopen.bench import RUN, Ear
 from tests.hardware.canopen.documents import bus_of, parse
 
 IDS = [0x000, 0x080, 0x085, 0x185, 0x285, 0x205, 0x585, 0x605, 0x705, 0x77F, 0x123]
@@ -30,7 +30,7 @@ def ready_port() -> tuple[CanOpenPort, Ear]:
     """A port whose node is up, without a bus."""
     configuration = parse({"bus/interface": "virtual"})
     bus = bus_of(configuration)
-    port = CanOpenPort(bus, map_drive(bus, configuration.signals), HALF_CYCLE_S, Clock())
+    port = CanOpenPort(bus, map_drive(bus, configuration.signals), configuration.timing, Clock())
     ear = Ear()
     port._connection.listener = ear
     port._master.ready = True

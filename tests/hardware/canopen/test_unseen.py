@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app.settings import daemon_settings
+from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.canopen.profile import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
@@ -24,6 +25,7 @@ from tests.runtime.bench import FAST, fast_bench
 
 HALF_CYCLE_S = 1.0 / 120.0
 TIMEOUT_S = 0.1
+TIMING = Timing(HALF_CYCLE_S, stale_s=0.05, command_timeout_s=TIMEOUT_S)
 
 
 class Drive:
@@ -31,7 +33,7 @@ class Drive:
 
     def __init__(self) -> None:
         self.control = DriveControl()
-        self.watch = UnseenStop(self.control, HALF_CYCLE_S, TIMEOUT_S)
+        self.watch = UnseenStop(self.control, TIMING)
         self.now_s = 0.0
         for statusword in (REST, READY, SWITCHED_ON):
             self.report(statusword)
@@ -81,7 +83,7 @@ def test_a_drive_that_is_on_after_a_silence_goes_on() -> None:
 
 def test_a_silence_before_it_is_commanded_on_stops_nothing() -> None:
     control = DriveControl()
-    watch = UnseenStop(control, HALF_CYCLE_S, TIMEOUT_S)
+    watch = UnseenStop(control, TIMING)
     for number, statusword in enumerate((REST, READY, SWITCHED_ON)):
         control.hear(statusword)
         watch.hear(10.0 * number)
@@ -130,10 +132,8 @@ def test_a_time_out_that_ends_between_two_commands_is_refused() -> None:
 async def test_a_daemon_that_slept_for_longer_than_the_drive_misses_its_heartbeat_waits() -> None:
     """A single command ends a quick stop, into which the drive may have gone meanwhile."""
     watched = {"bus/heartbeat_s": 0.01, "bus/heartbeat_timeout_s": 0.04}
-    settings = daemon_settings(parse({**watched, "interlocks/stale_s": 0.1})).fast
-    limits = replace(FAST.limits, stale_s=settings.limits.stale_s)
-    timeout_s = settings.command_timeout_s
-    async with fast_bench(replace(FAST, limits=limits, command_timeout_s=timeout_s)) as bench:
+    timing = daemon_settings(parse({**watched, "interlocks/stale_s": 0.1})).fast.timing
+    async with fast_bench(replace(FAST, timing=timing)) as bench:
         bench.start()
         bench.frames(10)
         deadline_s, known = bench.around.deadline_s, len(bench.sent)

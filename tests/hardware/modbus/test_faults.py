@@ -178,7 +178,8 @@ async def test_what_came_in_place_of_a_value_is_named_with_its_place(
     async with watched("tcp", tmp_path, free_tcp_port) as one:
         fault(one.peer)
         await until(lambda: expected in one.port.explain_age())
-        cause = find_cause(None, math.inf, Limits(0.05, 430.0, 5.0, "V"), one.port.explain_age)
+        limits = Limits(430.0, 5.0, "V")
+        cause = find_cause(None, math.inf, limits, 0.05, one.port.explain_age)
     assert cause is not None
     assert remedy(cause).startswith("check the register map")
 

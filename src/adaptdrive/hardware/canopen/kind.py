@@ -30,8 +30,7 @@ def _build(
     bus, mapping = _bus(configuration), _mapped(configuration, source)
     if passive:
         return CanOpenWatch(bus, mapping, clock)
-    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    return CanOpenPort(bus, mapping, half_cycle_s, clock, configuration.interlocks.stop_s)
+    return CanOpenPort(bus, mapping, configuration.timing, clock)
 
 
 def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:

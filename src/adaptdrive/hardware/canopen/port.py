@@ -18,6 +18,7 @@ from collections.abc import Callable
 import can
 
 from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
@@ -32,7 +33,7 @@ from adaptdrive.hardware.canopen.unseen import UnseenStop
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
 from adaptdrive.hardware.link.connection import CanConnection
-from adaptdrive.hardware.port import OBEY_S, Listener, PortStatistics
+from adaptdrive.hardware.port import Listener, PortStatistics
 from adaptdrive.hardware.rival import Rival
 
 _FAULT_RESET_S = 1.0
@@ -49,18 +50,16 @@ class CanOpenPort:
         self,
         config: CanOpenBus,
         mapping: CanOpenMapping,
-        half_cycle_s: float,
+        timing: Timing,
         clock: Callable[[], float],
-        stop_s: float = 0.0,
     ) -> None:
         """Prepare for the drive; nothing is opened yet.
 
         Args:
             config: `[bus]`.
             mapping: Which object is which quantity.
-            half_cycle_s: Half a line cycle.
+            timing: Times of the drive.
             clock: Monotonic clock, in seconds.
-            stop_s: Longest time that the drive may take for a stop.
         """
         self._config = config
         self._mapping = mapping
@@ -69,15 +68,15 @@ class CanOpenPort:
         self._counts: Counter[str] = Counter()
         self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._control = DriveControl()
-        self._unseen = UnseenStop(self._control, half_cycle_s, config.command_timeout_s)
+        self._unseen = UnseenStop(self._control, timing)
         self._reports = Reports(
             mapping.statuses, mapping.faults, self._control, self._unseen, self._counts
         )
-        self._master = Master(config, mapping, half_cycle_s, self._put, clock)
+        self._master = Master(config, mapping, timing.half_cycle_s, self._put, clock)
         self._health = Health(self._control, self._master)
-        self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
-        self._half_cycle_s = half_cycle_s
-        self._obey_s = max(OBEY_S, stop_s)
+        self._sync = SyncProducer(timing.half_cycle_s, clock, self._send_sync)
+        self._half_cycle_s = timing.half_cycle_s
+        self._obey_s = timing.obeyed_s(0.0)
         self._beat_s = -math.inf
         self._safe_s = math.inf
         self._been_up = False

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.canopen.profile import ENABLE_OPERATION, DriveControl, DriveState
-from adaptdrive.hardware.relink import on_for_certain_s
-
-_SILENT_READINGS = 2.5
-"""Readings without a statusword that are no silence, however short the drive's time-out is."""
 
 
 class UnseenStop:
@@ -19,17 +16,15 @@ class UnseenStop:
     which its own time-out may have ended: it falls.
     """
 
-    def __init__(self, control: DriveControl, half_cycle_s: float, timeout_s: float) -> None:
+    def __init__(self, control: DriveControl, timing: Timing) -> None:
         """Expect no statusword yet.
 
         Args:
             control: Follows the statusword.
-            half_cycle_s: Time from one statusword to the next.
-            timeout_s: The drive's own time-out, from a command on.
+            timing: Times of the drive; each reading has a statusword.
         """
         self._control = control
-        sure_s = on_for_certain_s(half_cycle_s, timeout_s)
-        self._limit_s = max(_SILENT_READINGS * half_cycle_s, sure_s)
+        self._limit_s = timing.reported_seldom_s
         self._heard_s = math.inf
         self._commanded_on = False
 

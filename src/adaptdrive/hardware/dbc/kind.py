@@ -7,16 +7,15 @@ from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
-from adaptdrive.config.supply import needed_names
+from adaptdrive.config.timing import Timing
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row
 from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
-from adaptdrive.hardware.dbc.mapping import CanMapping, CanSource, Timing, map_drive
+from adaptdrive.hardware.dbc.mapping import CanMapping, CanSource, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.dbc.sensors import build_can_sensors
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.port import Port
-from adaptdrive.hardware.relink import on_for_certain_s, silence_limit_s
 
 
 def _build(
@@ -31,7 +30,7 @@ def _build(
 
 def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
-    timing, demands = _timing(configuration), demands_of(configuration)
+    timing, demands = configuration.timing, demands_of(configuration)
     return map_drive(_bus(configuration), configuration.signals, timing, source, demands)
 
 
@@ -46,29 +45,26 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
-    bus, timing = _bus(configuration), _timing(configuration)
+    bus, timing = _bus(configuration), configuration.timing
     mapping = _mapped(configuration)
     statuses = mapping.statuses
     slack_s = min(one.slack_s for status in statuses for one in status.sources)
     key = "bus.stale_cycles" if slack_s else "interlocks.stale_s"
     yield from timeout_cautions(
         bus.command_timeout_s,
-        lost_command(bus.clock_ticks * timing.half_cycle_s, "bus.clock_ticks"),
+        lost_command(timing, "bus.clock_ticks"),
         silence(timing.stale_s + slack_s, key),
     )
     for status in statuses:
         for one in status.sources:
             if one.quantity == "bridge":
-                yield from _bridge_cautions(bus, timing, status.codec.name, one)
+                yield from _bridge_cautions(timing, status.codec.name, one)
     yield from mapping.cautions
 
 
-def _bridge_cautions(
-    bus: CanBus, timing: Timing, message: str, bridge: CanSource
-) -> Iterator[Flaw]:
+def _bridge_cautions(timing: Timing, message: str, bridge: CanSource) -> Iterator[Flaw]:
     """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
-    reading_s, timeout_s = bus.clock_ticks * timing.half_cycle_s, bus.command_timeout_s
-    limit_s = silence_limit_s(reading_s, on_for_certain_s(reading_s, timeout_s))
+    timeout_s, limit_s = timing.command_timeout_s, timing.silent_s
     oldest_s = timing.stale_s + bridge.slack_s
     if not bridge.cycle_stated and timeout_s is None and oldest_s > limit_s:
         yield Flaw("signals.bridge", _unstated(message, limit_s))
@@ -96,17 +92,6 @@ def _seldom(message: str, cycle_s: float, limit_s: float) -> str:
 def _bus(configuration: Configuration) -> CanBus:
     assert isinstance(configuration.bus, CanBus)  # noqa: S101 - selected by its type
     return configuration.bus
-
-
-def _timing(configuration: Configuration) -> Timing:
-    in_daemon = configuration.voltage_loop.where == "daemon"
-    voltage = ("boost_voltage_V",) if in_daemon else ()
-    return Timing(
-        half_cycle_s=0.5 / configuration.drive.line_frequency_Hz,
-        stale_s=configuration.interlocks.stale_s,
-        voltage_parts=frozenset(needed_names(configuration.derived, voltage)),
-        stop_s=configuration.interlocks.stop_s,
-    )
 
 
 CAN = BusKind(_build, build_can_sensors, _time_limits, _cautions)

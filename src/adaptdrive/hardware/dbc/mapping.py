@@ -14,6 +14,7 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.supply import VOLTAGE_TICKS
+from adaptdrive.config.timing import Timing
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Source, entries, fault_words, is_word
 from adaptdrive.hardware.dbc.command_frame import CommandFrame
@@ -32,28 +33,6 @@ from adaptdrive.hardware.link.layout import is_multiplexed
 
 LONGEST_STALE_S = 10.0
 """Age at which a value is old however seldom its message comes: three cycles of 3.3 s."""
-
-
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """Settings that determine the maximum age of a value, and the longest stop.
-
-    Attributes:
-        half_cycle_s: Half a line cycle.
-        stale_s: Oldest usable measurement, `interlocks.stale_s`.
-        voltage_parts: Values of which the daemon's voltage loop makes its v_bst, itself among
-            them; empty where the drive holds its own.
-        stop_s: Longest time that the drive may take for a stop, `interlocks.stop_s`.
-    """
-
-    half_cycle_s: float
-    stale_s: float
-    voltage_parts: frozenset[str]
-    stop_s: float = 0.0
-
-    def feeds_voltage_loop(self, quantity: str) -> bool:
-        """Return whether a quantity goes into the daemon's voltage loop as v_bst."""
-        return quantity in self.voltage_parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +82,7 @@ class CanMapping:
         bridge_on: Value of the signal while the bridge is on.
         faults: Fault words of the drive.
         cautions: What can be used, and is probably not meant.
-        stop_s: Longest time that the drive may take for a stop.
+        timing: Times of the drive.
     """
 
     statuses: tuple[StatusFrame, ...]
@@ -112,7 +91,7 @@ class CanMapping:
     counter_modulus: int | None
     bridge_on: float
     faults: Mapping[str, FaultWord]
-    stop_s: float
+    timing: Timing
     cautions: tuple[Flaw, ...]
 
 
@@ -132,7 +111,7 @@ def map_drive(
     Args:
         bus: `[bus]`.
         signals: `[signals]`.
-        timing: How old a value may be.
+        timing: Times of the drive.
         source: The configuration, for the error message.
         demands: What the signals must be able to carry.
 
@@ -170,7 +149,7 @@ def map_drive(
         counter_modulus=None if counter is None else counter_modulus(counter.field),
         bridge_on=1.0 if bridge is None or bridge.on is None else bridge.on,
         faults=fault_words(bound.values(), signals),
-        stop_s=timing.stop_s,
+        timing=timing,
         cautions=tuple(catalogue.cautions),
     )
 

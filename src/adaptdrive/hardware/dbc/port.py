@@ -22,6 +22,7 @@ from typing import Any, Final
 import can
 
 from adaptdrive.config.bus import CanBus
+from adaptdrive.config.timing import OBEY_S
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.dbc.assembly import StatusAssembly
 from adaptdrive.hardware.dbc.command_frame import CommandFrame, bridge_first
@@ -32,7 +33,7 @@ from adaptdrive.hardware.link.bus import as_received, describe_bus
 from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.port import OBEY_S, Listener, PortStatistics, Reading
+from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.relink import LEAPT, Relink
 from adaptdrive.hardware.rival import Rival
 
@@ -74,9 +75,7 @@ class CanPort:
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._stopping = bridge_first(mapping.orders)
-        report_s = self._assembly.bridge_cycle_s
-        known_s = report_s if report_s < math.inf else 0.0  # nothing may state it
-        self._obey_s = max(OBEY_S, mapping.stop_s + known_s)
+        self._obey_s = mapping.timing.obeyed_s(self._assembly.bridge_cycle_s)
         self._bridge_sent = False
         self._relink = Relink()
         self._leapt_s = -math.inf

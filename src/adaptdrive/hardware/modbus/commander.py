@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
@@ -13,7 +14,6 @@ from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, RegisterSink
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
 from adaptdrive.hardware.modbus.validity import CommandValidity
-from adaptdrive.hardware.port import OBEY_S
 
 
 class Commander:
@@ -31,7 +31,7 @@ class Commander:
         sight: Sight,
         counts: Counter[str],
         clock: Callable[[], float],
-        stop_s: float,
+        timing: Timing,
     ) -> None:
         """Hold no command yet.
 
@@ -40,7 +40,7 @@ class Commander:
             sight: Freshness of what is known of the drive.
             counts: `sent`, `send_drops` and `withheld_commands` are counted here.
             clock: Monotonic clock, in s.
-            stop_s: Longest time that the drive may take for a stop, in s.
+            timing: Times of the drive.
         """
         self._poll = poll
         self._counts = counts
@@ -49,15 +49,15 @@ class Commander:
         self._written: Command | None = None
         self._withheld = False
         self._sight = sight
-        self._validity = CommandValidity(sight.poll_s, sight, clock)
+        self._validity = CommandValidity(timing.frozen_s, sight, clock)
         self._safe = False
         self._untaken = UntakenCommands()
         self._reported_s = -math.inf
         self._alive = 0
         self._stopped_s = math.inf
         self._begun_s = -math.inf
-        self._taken_s = OBEY_S + sight.poll_s
-        self._obeyed_s = max(self._taken_s, stop_s + sight.poll_s)
+        self._taken_s = timing.taken_s
+        self._obeyed_s = max(timing.taken_s, timing.obeyed_s(timing.reading_s))
         self._tried_bridge = False
         self.bridge = False
         self.safe_s = math.inf

@@ -32,19 +32,17 @@ def _build(
     passive: bool,  # noqa: ARG001 - reading is all that a master on Modbus does until it commands
 ) -> Port:
     bus, signals = _bus(configuration), configuration.signals
-    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    poll = map_drive(bus, signals, half_cycle_s, source, demands_of(configuration))
-    stop_s = configuration.interlocks.stop_s
-    return ModbusPort(bus, poll, bus.poll_ticks * half_cycle_s, clock, stop_s)
+    timing, demands = configuration.timing, demands_of(configuration)
+    poll = map_drive(bus, signals, timing.half_cycle_s, source, demands)
+    return ModbusPort(bus, poll, timing, clock)
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and a report that may be an echo."""
     bus = _bus(configuration)
-    poll_s = 0.5 * bus.poll_ticks / configuration.drive.line_frequency_Hz
     yield from timeout_cautions(
         bus.command_timeout_s,
-        lost_command(poll_s, "bus.poll_ticks"),
+        lost_command(configuration.timing, "bus.poll_ticks"),
         silence(configuration.interlocks.stale_s, "interlocks.stale_s"),
     )
     yield from _echo_cautions(bus, configuration.signals)

@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
+from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
@@ -29,7 +30,6 @@ from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.sight import Sight, look_limit_s
 from adaptdrive.hardware.port import Listener, PortStatistics
-from adaptdrive.hardware.relink import on_for_certain_s, silence_limit_s
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is reported lost."""
@@ -50,20 +50,18 @@ class ModbusPort:
         self,
         config: ModbusTcp | ModbusRtu,
         poll: Poll,
-        poll_s: float,
+        timing: Timing,
         clock: Callable[[], float],
-        stop_s: float = 0.0,
     ) -> None:
         self._config = config
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self._poll = poll
-        self._poll_s = poll_s
+        self._poll_s = timing.reading_s
         self._clock = clock
         self._counts: Counter[str] = Counter()
-        limit_s = silence_limit_s(poll_s, on_for_certain_s(poll_s, config.command_timeout_s))
         look_s = look_limit_s(config.timeout_s, len(poll.writes))
-        sight = Sight(poll.reports_bridge, poll_s, look_s, limit_s, clock)
-        self._commander = Commander(poll, sight, self._counts, clock, stop_s)
+        sight = Sight(poll.reports_bridge, timing, look_s, clock)
+        self._commander = Commander(poll, sight, self._counts, clock, timing)
         self._listener: Listener | None = None
         self._link: ModbusConnection | None = None
         self._wake = asyncio.Event()

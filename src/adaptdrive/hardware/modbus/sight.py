@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from adaptdrive.config.timing import Timing
+
 _LOOK_TIMEOUTS = 0.5
 """Age of a report at which a write still follows it, in time-outs beside those of the exchanges."""
-
-_USUAL_POLLS = 1.5
-"""The same in polls for a command that goes with the next read: it may be one poll late by half."""
 
 
 class Sight:
@@ -19,32 +18,30 @@ class Sight:
     A drive without such a report shows nothing, and is commanded all the same.
 
     Attributes:
-        poll_s: Time between two polls, in s.
         limit_s: Time after which a drive that takes no command may have stopped, in s.
     """
 
     def __init__(
         self,
         reported: bool,
-        poll_s: float,
+        timing: Timing,
         look_s: float,
-        limit_s: float,
         clock: Callable[[], float],
     ) -> None:
         """See and feed nothing yet.
 
         Args:
             reported: Whether the drive reports its bridge.
-            poll_s: Time between two polls, in s.
+            timing: Times of the drive.
             look_s: Age of a report at which a write still follows it, in s.
-            limit_s: Time after which a drive that takes no command may have stopped, in s.
             clock: Monotonic clock, in s.
         """
         self._reported = reported
-        self.poll_s, self.limit_s = poll_s, limit_s
+        self.limit_s = timing.silent_s
         self._look_s = look_s
-        self._usual_s = _USUAL_POLLS * poll_s
-        self._each_poll = limit_s >= poll_s  # joined now and then, commands would be far apart
+        self._usual_s = timing.usual_s
+        # joined now and then, commands would be far apart
+        self._each_poll = self.limit_s >= timing.reading_s
         self._clock = clock
         self._seen_s = self._fed_s = -math.inf
 

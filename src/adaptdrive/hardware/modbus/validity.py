@@ -9,12 +9,6 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink
 
-_FROZEN_POLLS = 2.0
-"""Time without a step of the port, in polls, after which the process counts as having stood still.
-
-No reply that a running process awaits takes as long: its time-out is shorter than a poll.
-"""
-
 
 class CommandValidity:
     """Notes what the polls of a drive have shown, and whether a command may follow from it.
@@ -29,15 +23,15 @@ class CommandValidity:
             values.
     """
 
-    def __init__(self, poll_s: float, sight: Sight, clock: Callable[[], float]) -> None:
+    def __init__(self, frozen_s: float, sight: Sight, clock: Callable[[], float]) -> None:
         """Know nothing of the drive yet.
 
         Args:
-            poll_s: Time between two polls, in s.
+            frozen_s: Time without a step of the port after which its process has stood still.
             sight: Freshness of what is known of the drive.
             clock: Monotonic clock, in s.
         """
-        self._poll_s = poll_s
+        self._frozen_s = frozen_s
         self._sight = sight
         self._clock = clock
         self._relink = Relink()
@@ -165,4 +159,4 @@ class CommandValidity:
         return self._blank and self._clock() - self._read_s > self._sight.limit_s
 
     def _stands_still(self, now_s: float) -> bool:
-        return now_s - self._stepped_s > _FROZEN_POLLS * self._poll_s
+        return now_s - self._stepped_s > self._frozen_s

@@ -1,0 +1,118 @@
+"""A drive that takes 60 half cycles to switch its bridge on, on CAN and on Modbus."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptdrive.config import Configuration
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Disable, Enable, SetSetpoint
+from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.world import Sample, World
+from tests.closed_loop.test_same_on_every_bus import COURSES, configured
+from tests.closed_loop.wire import WAIT_s, Wire, virtual_time, wired
+
+START_TICKS = 60
+BUSES = ["motor", "motor-modbus-tcp"]
+
+
+def switch_on_slowly(world: World) -> None:
+    """Let the bridge come on once it has been commanded on for so many half cycles in a row."""
+    step, asked = world.step, [0]
+
+    def late(current_scale_S: float, bridge: bool) -> Sample:
+        asked[0] = asked[0] + 1 if bridge else 0
+        return step(current_scale_S, asked[0] >= START_TICKS)
+
+    world.step = late  # type: ignore[method-assign]
+
+
+def slow_drive(name: str, folder: Path, start_s: float | None) -> tuple[Configuration, Path]:
+    configuration, path = configured(name, folder)
+    interlocks = configuration.interlocks.model_copy(update={"start_s": start_s})
+    return configuration.model_copy(update={"interlocks": interlocks}), path
+
+
+async def run_drive(wire: Wire) -> str | None:
+    """Enable a drive, let it follow a set-point for 20 s; return the cause of its trip."""
+    world, machine = wire.world, wire.daemon._machine
+    await asyncio.sleep(WAIT_s)
+    await wire.daemon.execute(Enable())
+    await until(lambda: world.bridge or machine.trip is not None, 10.0)
+    if machine.trip is None:
+        await wire.daemon.execute(SetSetpoint(3.0))
+        await asyncio.sleep(20.0)
+    return machine.trip
+
+
+async def until(done: Callable[[], bool], longest_s: float) -> None:
+    for _ in range(round(longest_s / 0.01)):
+        if done():
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError(f"not within {longest_s:g} s")
+
+
+def driven(name: str, folder: Path, start_s: float | None, course: Callable[[Wire], Any]) -> None:
+    configuration, path = slow_drive(name, folder, start_s)
+
+    async def follow() -> None:
+        settings: DeviceSettings = COURSES["motor"].settings
+        async with wired(configuration, settings, path) as wire:
+            switch_on_slowly(wire.world)
+            await course(wire)
+
+    with virtual_time() as runner:
+        runner.run(follow())
+
+
+@pytest.mark.parametrize("name", BUSES)
+def test_a_drive_of_sixty_half_cycles_is_controlled_with_its_time_to_start(
+    name: str, tmp_path: Path
+) -> None:
+    async def course(wire: Wire) -> None:
+        assert await run_drive(wire) is None
+        assert wire.state is State.RUNNING
+        assert wire.world.true_output == pytest.approx(3.0, abs=0.05)
+        await wire.daemon.execute(Disable())
+        await until(lambda: wire.state is State.STANDBY, 1.0)
+        assert not wire.world.bridge
+
+    driven(name, tmp_path, 0.6, course)
+
+
+@pytest.mark.parametrize(("name", "limit_ms"), [(BUSES[0], 250), (BUSES[1], 300)])
+def test_a_drive_of_sixty_half_cycles_trips_without_it(
+    name: str, limit_ms: int, tmp_path: Path
+) -> None:
+    """Thirty half cycles, or three polls of 0.1 s."""
+
+    async def course(wire: Wire) -> None:
+        trip = await run_drive(wire) or ""
+        assert f"it has not come on within {limit_ms} ms" in trip
+        assert not wire.world.bridge
+
+    driven(name, tmp_path, None, course)
+
+
+@pytest.mark.parametrize("name", BUSES)
+def test_a_stop_before_it_has_come_on_is_confirmed_and_keeps_it_off(
+    name: str, tmp_path: Path
+) -> None:
+    async def course(wire: Wire) -> None:
+        await wire.until_running()
+        await wire.daemon.execute(SetSetpoint(3.0))
+        await asyncio.sleep(0.2)
+        assert not wire.world.bridge
+        await wire.daemon.execute(Disable())
+        await until(lambda: wire.state is State.STANDBY, 1.0)
+        await asyncio.sleep(2.0)
+        assert wire.state is State.STANDBY
+        assert not wire.world.bridge
+
+    driven(name, tmp_path, 0.6, course)
