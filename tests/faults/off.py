@@ -19,8 +19,8 @@ RATE_READINGS = 60
 OFF_COMMANDS = 34
 """Commands in a row after which a bridge that stays off is a drive that has stopped."""
 
-OFF_s = OFF_COMMANDS / 120.0
-"""Shortest time that they take: a faster line gives a drive no less time to close its bridge."""
+START_s = 30 / 120.0
+"""Time that a drive has to close its bridge: a faster line gives it no less."""
 
 OWN_TIMEOUT_s = 0.1
 """Time without a command after which the drive stops by itself, be it heard or not."""
@@ -36,6 +36,7 @@ class MustBeOff:
     Attributes:
         stale_s: Oldest usable measurement.
         own_timeout_s: Time without a command after which the drive stops by itself.
+        start_s: Time that the drive may take to switch its bridge on.
         enabled: Whether `enable` has been accepted, and nothing has revoked it since.
         why_not: What revoked it last.
         reading: The last reading that was handed over.
@@ -54,6 +55,7 @@ class MustBeOff:
 
     stale_s: float = 0.05
     own_timeout_s: float = OWN_TIMEOUT_s
+    start_s: float = START_s
 
     enabled: bool = False
     why_not: str = "nobody has enabled it"
@@ -137,7 +139,8 @@ class MustBeOff:
             return "the slow loop is behind"
         if self.been_on and self.reading is not None and not self.reading.bridge:
             return "the drive has stopped by itself, or has started anew"
-        if self.refused > OFF_COMMANDS and now_s - self.refused_from_s > OFF_s:
+        off_s = self.start_s + (OFF_COMMANDS - 30) / 120.0
+        if self.refused > OFF_COMMANDS and now_s - self.refused_from_s > off_s:
             return "the drive has not switched its bridge on"
         return None
 

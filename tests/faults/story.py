@@ -56,10 +56,11 @@ FAULTS = [
 ]
 
 
-def motor(stale_s: float, own_timeout_s: float) -> Configuration:
-    """The example of a motor: how old its measurements may be, and when its drive stops."""
+def motor(stale_s: float, own_timeout_s: float, start_s: float) -> Configuration:
+    """The example of a motor: how old its measurements may be, when its drive stops and starts."""
     tables = tomllib.loads(MOTOR.read_text())
     tables["interlocks"]["stale_s"] = stale_s
+    tables["interlocks"]["start_s"] = start_s
     tables["bus"]["command_timeout_s"] = own_timeout_s
     return validate_configuration(tables, MOTOR)
 
@@ -70,21 +71,25 @@ class Story(RuleBasedStateMachine):
     Attributes:
         stale_s: `interlocks.stale_s` of the daemon.
         own_timeout_s: The drive's own time-out, as the configuration states it.
+        start_s: `interlocks.start_s` of the daemon.
+        start_ticks: Half cycles that the drive takes to switch its bridge on.
     """
 
     stale_s = 0.05
     own_timeout_s = OWN_TIMEOUT_s
+    start_s = 30 * TICK_s
+    start_ticks = 0
 
     def __init__(self) -> None:
         super().__init__()
         self.now = 1000.0
-        self.must = MustBeOff(self.stale_s, self.own_timeout_s)
-        self.configuration = motor(self.stale_s, self.own_timeout_s)
+        self.must = MustBeOff(self.stale_s, self.own_timeout_s, self.start_s)
+        self.configuration = motor(self.stale_s, self.own_timeout_s, self.start_s)
         self.values = dict(HEALTHY)
         self.counter = 0
         self.bridge = False
         self.obeys = self.plugged = True
-        self.commanded_s = -math.inf
+        self.commanded_s, self.on_since_s = -math.inf, math.inf
         self.tripped = self.load_gone = False
         self.daemon = self._start_daemon()
 
@@ -163,7 +168,8 @@ class Story(RuleBasedStateMachine):
 
     @rule()
     def restart_drive(self) -> None:
-        self.counter, self.bridge, self.obeys = 0, False, True
+        self.counter, self.obeys = 0, True
+        self._obey(on=False)
 
     @rule()
     def lose_bus(self) -> None:
@@ -259,7 +265,12 @@ class Story(RuleBasedStateMachine):
         self.must.judge(command, self.daemon.now)
         self.commanded_s = self.daemon.now
         if self.obeys:
-            self.bridge = command.bridge and not self.values["fault"]
+            self._obey(on=command.bridge and not self.values["fault"])
+
+    def _obey(self, *, on: bool) -> None:
+        """Switch the bridge off at once, and on once that was commanded for long enough."""
+        self.on_since_s = min(self.on_since_s, self.now) if on else math.inf
+        self.bridge = on and self.now - self.on_since_s > (self.start_ticks - 0.5) * TICK_s
 
     def _note(self, reading: Reading) -> None:
         self.must.reading, self.must.readings = reading, self.must.readings + 1
@@ -269,7 +280,7 @@ class Story(RuleBasedStateMachine):
         self.now += lasts_s
         self.counter += 1
         if self.now - self.commanded_s > self.own_timeout_s and self.obeys:
-            self.bridge = False
+            self._obey(on=False)
         reading = self._reading()
         if keep and self.daemon.port.up:
             self.daemon.port.waiting.append(reading)
@@ -312,3 +323,10 @@ class HastyDriveStory(PatientStory):
     """The same with a drive that stops by itself sooner than one of an unknown time-out may."""
 
     own_timeout_s = 0.05
+
+
+class SlowDriveStory(PatientStory):
+    """The same with a drive that takes 60 half cycles to switch on, and a daemon that knows it."""
+
+    start_s = 0.6
+    start_ticks = 60

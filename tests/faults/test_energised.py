@@ -14,7 +14,7 @@ from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import SetSetpoint
-from tests.faults.story import HastyDriveStory, PatientStory, Story
+from tests.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 
 STORIES = int(os.environ.get("STORIES", "40"))
 QUICK = settings(
@@ -41,6 +41,9 @@ TestPatientStory.settings = QUICK
 
 TestHastyDriveStory = HastyDriveStory.TestCase
 TestHastyDriveStory.settings = QUICK
+
+TestSlowDriveStory = SlowDriveStory.TestCase
+TestSlowDriveStory.settings = QUICK
 
 
 def _no_cause(*_: object, **__: object) -> None:
