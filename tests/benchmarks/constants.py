@@ -29,9 +29,7 @@ from tests.control.constants_effects import CHANGES, COLUMNS, SEEDS
 Stands = dict[str, list[bench.Stand]]
 Fixed = dict[int, Run]
 
-TO_ONE = {"_NEAR_LIMIT", "_CEILING_RISE", "OBSERVER_POLE", "CLOSER", "GROWTH"} | {
-    name for name in (dial.name for dial in DIALS) if name.endswith("_RADIUS")
-}
+TO_ONE = {"_NEAR_LIMIT", "_CEILING_RISE", "CLOSER"}
 """Constants near 1, of which the distance from 1 is halved and doubled."""
 
 

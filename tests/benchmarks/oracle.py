@@ -50,7 +50,7 @@ class KnownLoad(LambdaMethod):
         self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
     ) -> tuple[Vector, Vector, int]:
         """Return A and B of the true load of this slow period, always trusted."""
-        k = round(state.estimator.elapsed_s / self.slow_s) - 1
+        k = round(state.estimator.sample.time_s / self.slow_s) - 1
         true = self.loads[min(max(k, 0), len(self.loads) - 1)]
         numerator, denominator = list(true.numerator), list(true.denominator)
         copy_into(state.values, load.physical(numerator, denominator))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adaptdrive.control.branch import Branch
 from adaptdrive.control.certainty import deviations_of, is_sure
 from adaptdrive.control.regression import filtered_model, theta_of
 from adaptdrive.control.settings import Learning
@@ -22,7 +23,7 @@ UNBIASED = replace(SCALED_LEARNING, tau_lambda_s=8.0)
 KINDS = [UNBIASED, replace(UNBIASED, bias=True), replace(UNBIASED, short_lag_s=10.0)]
 
 
-def estimate(learning: Learning) -> tuple[list[float], list[float], list[float]]:
+def estimate(learning: Learning) -> Branch:
     """θ of a motor with two disks, U and D, the last for a bias or cut to two parameters."""
     theta = theta_of(learning, MOTOR, *MOTOR.realise(VALUES))
     theta += [0.0] if learning.bias else []
@@ -30,7 +31,7 @@ def estimate(learning: Learning) -> tuple[list[float], list[float], list[float]]
     upper = np.eye(size)
     part = min(size, 3)
     upper[:part, :part] = np.reshape(UPPER, (3, 3))[:part, :part]
-    return theta, list(upper.ravel()), [*DIAGONAL, 3e-5][:size]
+    return Branch(theta, list(upper.ravel()), [*DIAGONAL, 3e-5][:size])
 
 
 def physical(theta: Array, learning: Learning) -> Array:
@@ -39,9 +40,10 @@ def physical(theta: Array, learning: Learning) -> Array:
 
 def propagated(learning: Learning) -> Array:
     """Deviations by central differences and the full covariance."""
-    theta, upper, diagonal = estimate(learning)
-    u = np.reshape(upper, (len(theta), len(theta)))
-    root = NOISE * u @ np.diag(np.sqrt(diagonal))
+    one = estimate(learning)
+    theta = np.array(one.theta)
+    u = np.reshape(one.upper, (len(theta), len(theta)))
+    root = NOISE * u @ np.diag(np.sqrt(one.diagonal))
     columns = []
     for direction in root.T:
         step = 1e-3 * direction
@@ -52,17 +54,16 @@ def propagated(learning: Learning) -> Array:
 
 @pytest.mark.parametrize("learning", KINDS)
 def test_deviations_are_those_of_the_propagated_covariance(learning: Learning) -> None:
-    theta, upper, diagonal = estimate(learning)
-    found = deviations_of(theta, upper, diagonal, NOISE, learning, MOTOR, VALUES)
+    found = deviations_of(estimate(learning), NOISE, learning, MOTOR, VALUES)
     assert found == pytest.approx(propagated(learning), rel=1e-4)
 
 
 def test_a_large_parameter_is_moved_in_proportion() -> None:
     """Rounding of a value of 1e9 would hide a step of a millionth."""
     learning = replace(UNBIASED, output_scale=1e-9)
-    theta, upper, diagonal = estimate(learning)
-    assert abs(theta[2]) > 1e8
-    found = deviations_of(theta, upper, diagonal, NOISE, learning, MOTOR, VALUES)
+    one = estimate(learning)
+    assert abs(one.theta[2]) > 1e8
+    found = deviations_of(one, NOISE, learning, MOTOR, VALUES)
     assert found[1:] == pytest.approx(propagated(learning)[1:], rel=1e-4)
     assert found[0] == pytest.approx(propagated(learning)[0], rel=0.01)
 
@@ -72,16 +73,15 @@ def test_a_large_parameter_is_moved_in_proportion() -> None:
 def test_it_is_sure_of_parameters_that_are_all_known_within_half(
     learning: Learning, share: float, *, sure: bool
 ) -> None:
-    theta, upper, diagonal = estimate(learning)
     worst = float(np.max(propagated(learning) / np.abs(VALUES)))
     power = (NOISE * share / worst) ** 2
-    assert is_sure(theta, upper, diagonal, power, learning, MOTOR) is sure
+    assert is_sure(estimate(learning), power, learning, MOTOR) is sure
 
 
 def test_the_sign_of_a_parameter_says_nothing_about_how_sure_it_is() -> None:
-    theta, upper, diagonal = estimate(UNBIASED)
-    theta[2] = -theta[2]
-    assert is_sure(theta, upper, diagonal, 1e-12, UNBIASED, MOTOR)
+    one = estimate(UNBIASED)
+    one.theta[2] = -one.theta[2]
+    assert is_sure(one, 1e-12, UNBIASED, MOTOR)
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-13])
@@ -89,14 +89,14 @@ def test_nobody_is_sure_of_a_load_without_a_gain_at_rest(level: float) -> None:
     """1 + α_1 + α_2 = 0 is a pole at s = 0."""
     theta = [level * UNBIASED.tau_lambda_s**2 - 1.0, 0.0, 1.0]
     upper = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    assert is_sure(theta, upper, [0.0] * 3, 0.0, UNBIASED, MOTOR) is False
+    assert is_sure(Branch(theta, upper, [0.0] * 3), 0.0, UNBIASED, MOTOR) is False
 
 
 def test_a_load_next_to_one_without_a_gain_has_unknown_deviations() -> None:
     theta = [-1e-6 - 1.0, 0.0, 1.0]
     upper = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     values = list(physical(np.array(theta), UNBIASED))
-    found = deviations_of(theta, upper, [1e-6] * 3, 1.0, UNBIASED, MOTOR, values)
+    found = deviations_of(Branch(theta, upper, [1e-6] * 3), 1.0, UNBIASED, MOTOR, values)
     assert len(found) == 3
     assert all(math.isnan(one) for one in found)
-    assert not is_sure(theta, upper, [0.0] * 3, 0.0, UNBIASED, MOTOR)
+    assert not is_sure(Branch(theta, upper, [0.0] * 3), 0.0, UNBIASED, MOTOR)

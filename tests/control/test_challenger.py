@@ -71,14 +71,14 @@ def _learn_slow(
     state: est.EstimatorState, learning: Learning, means: list[float], second: int
 ) -> Row:
     y, *rest = means
-    state.elapsed_s += 1.0
-    reg.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
-    elapsed_s = state.elapsed_s - state.origin_s
-    reg.fill_initial_state(state.regressor, learning, MOTOR, elapsed_s)
+    state.sample.time_s += 1.0
+    reg.fill_filtered_regressor(state.sample.regressor, learning, MOTOR, rest[:2], rest[2:])
+    elapsed_s = state.sample.time_s - state.estimate.origin_s
+    reg.fill_initial_state(state.sample.regressor, learning, MOTOR, elapsed_s)
     lowered = state.rivals.lowered
     reg.fill_lowered_regressor(lowered, learning, MOTOR, y, rest[:2], rest[2:])
     est.learn(state, learning, MOTOR, y, usable=True)
-    values = MOTOR.physical(*reg.filtered_model(state.theta, learning, MOTOR))
+    values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
     shown = learning.method.shown_deviations(state, learning, MOTOR, values)
     return second, values, shown, is_doubtful(state)
 

@@ -68,18 +68,22 @@ def learnt(learning: Learning) -> est.EstimatorState:
             fast.accumulate(bank)
             y, *rest = fast.take_means(bank)
             state.charge = float(np.sum(currents[:n])) * TICK_s / 20.0 / learning.output_scale
-            reg.fill_filtered_regressor(state.regressor, learning, BATTERY, rest[:1], rest[1:])
-            reg.fill_charge(state.regressor, learning, state.charge)
+            reg.fill_filtered_regressor(
+                state.sample.regressor, learning, BATTERY, rest[:1], rest[1:]
+            )
+            reg.fill_charge(state.sample.regressor, learning, state.charge)
             est.learn(state, learning, BATTERY, y, usable=True)
     return state
 
 
 def test_the_rise_of_an_emf_is_no_dynamics() -> None:
     state = learnt(LEARNING)
-    found = BATTERY.physical(*reg.filtered_model(state.theta, LEARNING, BATTERY))
+    found = BATTERY.physical(*reg.filtered_model(state.estimate.theta, LEARNING, BATTERY))
     assert found == pytest.approx(TRUTH, rel=0.02)
     ignorant = replace(LEARNING, charge=False)
-    mistaken = BATTERY.physical(*reg.filtered_model(learnt(ignorant).theta, ignorant, BATTERY))
+    mistaken = BATTERY.physical(
+        *reg.filtered_model(learnt(ignorant).estimate.theta, ignorant, BATTERY)
+    )
     assert abs(mistaken[1] / TRUTH[1] - 1.0) > 0.2
 
 
@@ -87,7 +91,7 @@ def test_the_offset_is_the_emf_of_now() -> None:
     state = learnt(LEARNING)
     _, currents = simulated()
     emf_V = 72.0 + RISE_V_PER_AS * float(np.sum(currents)) * TICK_s
-    offset_V = reg.input_offset(state.theta, LEARNING, BATTERY, state.charge)
+    offset_V = reg.input_offset(state.estimate.theta, LEARNING, BATTERY, state.charge)
     assert offset_V == pytest.approx(-emf_V / TURNS, rel=2e-3)
     assert emf_V - 72.0 > 0.8
 
@@ -95,26 +99,31 @@ def test_the_offset_is_the_emf_of_now() -> None:
 def test_without_a_bias_there_is_no_offset() -> None:
     learning = replace(LEARNING, bias=False, charge=False)
     state = est.new_estimator(learning, BATTERY, 2)
-    assert math.isnan(reg.input_offset(state.theta, learning, BATTERY, 0.0))
+    assert math.isnan(reg.input_offset(state.estimate.theta, learning, BATTERY, 0.0))
 
 
 def test_a_wandering_emf_leaves_everything_else_as_sure_as_it_was() -> None:
     state = learnt(LEARNING)
     before = row_norms(in_force.parameter_root(state, LEARNING, BATTERY, TRUTH))
-    offset = state.theta[-1] + state.theta[-2] * state.charge
-    excitation = ud.excitation(state.upper, state.diagonal, state.regressor)
+    offset = state.estimate.theta[-1] + state.estimate.theta[-2] * state.charge
+    excitation = ud.excitation(
+        state.estimate.upper, state.estimate.diagonal, state.sample.regressor
+    )
     est.let_emf_wander(state, LEARNING)
     assert row_norms(in_force.parameter_root(state, LEARNING, BATTERY, TRUTH)) == pytest.approx(
         before
     )
-    assert state.theta[-1] + state.theta[-2] * state.charge == offset
-    added = ud.excitation(state.upper, state.diagonal, state.regressor) - excitation
+    assert state.estimate.theta[-1] + state.estimate.theta[-2] * state.charge == offset
+    added = (
+        ud.excitation(state.estimate.upper, state.estimate.diagonal, state.sample.regressor)
+        - excitation
+    )
     assert added == pytest.approx(0.04, rel=1e-6)
 
 
 def test_without_a_charge_nothing_wanders() -> None:
     learning = replace(LEARNING, charge=False)
     state = est.new_estimator(learning, BATTERY, 2)
-    before = list(state.upper), list(state.diagonal)
+    before = list(state.estimate.upper), list(state.estimate.diagonal)
     est.let_emf_wander(state, learning)
-    assert (state.upper, state.diagonal) == before
+    assert (state.estimate.upper, state.estimate.diagonal) == before

@@ -23,6 +23,17 @@ def test_what_follows_has_the_values_that_the_pages_name() -> None:
     found = {one.name: value_of(one) for one in following()}
     expected = {
         "EARLIEST": 10,
+        "WINDOW": 20,
+        "UNKNOWN": 1.0,
+        "_LOUDER": 4.0,
+        "_RATE": 0.2,
+        "_LEAD": 20.0,
+        "TAPER_GAIN": 0.05,
+        "OBSERVER_POLE": 0.8,
+        "STABLE_RADIUS": 0.9999,
+        "MARGIN_RADIUS": 0.995,
+        "_RETUNE": 1e-4,
+        "_RESIDUAL_FLOOR": 1e-6,
         "ROOM": 11,
         "TRAVERSES": 60,
         "LONGEST_WAY": 60,
@@ -51,19 +62,19 @@ def test_the_page_is_current() -> None:
 def test_the_page_shows_the_effect_of_the_present_value_alone(tmp_path: Path) -> None:
     path = tmp_path / "constants.tsv"
     usual = ("", "", "", "", "", "1", "1", "2", "0", "0")
-    gain = ("control/charging.py", "TAPER_GAIN", "0.05")
+    gain = ("control/watch.py", "CLOSER", "0.9")
     rows = [
         usual,
-        (*gain, "halved", "0.025", "1.2345", "0.98", "3", "0", "17"),
-        (*gain[:2], "0.07", "doubled", "0.14", "9", "9", "9", "9", "9"),
+        (*gain, "halved", "1.05", "1.2345", "0.98", "3", "0", "17"),
+        (*gain[:2], "1.3", "doubled", "1.6", "9", "9", "9", "9", "9"),
         ("control/cycling.py", "AT_LIMIT", "0.1", "halved", "0.05", "1", "1", "2", "0", "0"),
     ]
     lines = ["\t".join(row) for row in (COLUMNS, *rows)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     shown = page(read_effects(path)).splitlines()
-    (charging,) = (line for line in shown if "`TAPER_GAIN`" in line)
+    (closer,) = (line for line in shown if "`CLOSER`" in line)
     (cycling,) = (line for line in shown if "`AT_LIMIT`" in line)
-    assert charging.endswith("| 1.23 / 0.98, 3 worse |  |")
+    assert closer.endswith("| 1.23 / 0.98, 3 worse |  |")
     assert cycling.endswith("| same |  |")
 
 

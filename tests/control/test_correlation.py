@@ -31,7 +31,8 @@ def fed(innovations: Array) -> EstimatorState:
     """Return an estimator that has seen these innovations, each of them certain."""
     state = new_estimator(LONG, MOTOR, 2)
     for one in innovations:
-        remember_residual(state, LONG, 0.0, float(one))
+        state.estimate.innovation = float(one)
+        remember_residual(state, state.estimate, LONG.forgetting)
     return state
 
 

@@ -72,7 +72,7 @@ def test_the_discrete_model_and_the_offset_of_the_input_are_found() -> None:
 
 def test_a_model_that_no_load_has_shows_no_parameters() -> None:
     state = new_slow_state(SETTINGS, MOTOR, 3.0, 280.0)
-    state.estimator.theta[:2] = [0.5, -0.1]  # poles at -0.65 and 0.15
+    state.estimator.estimate.theta[:2] = [0.5, -0.1]  # poles at -0.65 and 0.15
     DIRECT.method.model(SETTINGS, MOTOR, state, 1.0)
     assert all(math.isnan(value) for value in state.values)
 

@@ -71,16 +71,19 @@ def course(learning: Learning, drift_K_per_h: float, noise_K: float = 0.0, seed:
             continue
         fast.accumulate(bank)
         y, *rest = fast.take_means(bank)
-        state.elapsed_s += TICKS * TICK_s
-        reg.fill_filtered_regressor(state.regressor, learning, BATH, rest[:1], rest[1:])
-        reg.fill_initial_state(state.regressor, learning, BATH, state.elapsed_s - state.origin_s)
+        state.sample.time_s += TICKS * TICK_s
+        reg.fill_filtered_regressor(state.sample.regressor, learning, BATH, rest[:1], rest[1:])
+        reg.fill_initial_state(
+            state.sample.regressor, learning, BATH, state.sample.time_s - state.estimate.origin_s
+        )
         reg.fill_lowered_regressor(state.rivals.lowered, learning, BATH, y, rest[:1], rest[1:])
         est.learn(state, learning, BATH, y, usable=True)
         if n * TICK_s > 0.5 * SECONDS:
-            found = BATH.physical(*reg.filtered_model(state.theta, learning, BATH))
-            sigma = math.sqrt(state.residual_power / (state.residual_weight - len(state.theta)))
-            theta, upper, diagonal = state.theta, state.upper, state.diagonal
-            deviations = deviations_of(theta, upper, diagonal, sigma, learning, BATH, found)
+            found = BATH.physical(*reg.filtered_model(state.estimate.theta, learning, BATH))
+            sigma = math.sqrt(
+                state.residual_power / (state.residual_weight - len(state.estimate.theta))
+            )
+            deviations = deviations_of(state.estimate, sigma, learning, BATH, found)
             wrong = np.abs(np.array(found) - [R, TAU_s])
             relative.append(np.max(wrong / [R, TAU_s]))
             counted.append(np.max(wrong / deviations))

@@ -192,9 +192,11 @@ def _learn_filtered(
         _step_filters(bank, float(held[max(0, n - 1)]), float(output))
         if n % ticks == 0 and n:
             powers = [float(held[n - 1]), *bank.inputs]
-            reg.fill_filtered_regressor(state.regressor, learning, load, bank.outputs, powers)
+            reg.fill_filtered_regressor(
+                state.sample.regressor, learning, load, bank.outputs, powers
+            )
             est.learn(state, learning, load, float(output), usable=True)
-    found = load.physical(*reg.filtered_model(state.theta, learning, load))
+    found = load.physical(*reg.filtered_model(state.estimate.theta, learning, load))
     return found, load.physical(list(load.numerator), list(load.denominator))
 
 
@@ -214,9 +216,9 @@ def _learn_direct(
     state = est.new_estimator(learning, load, order)
     for k in range(order, len(inputs)):
         past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
-        fill_direct_regressor(state.regressor, learning, load, *past)
+        fill_direct_regressor(state.sample.regressor, learning, load, *past)
         est.learn(state, learning, load, float(outputs[k]), usable=True)
-    a, b = direct_model(state.theta, learning, load)
+    a, b = direct_model(state.estimate.theta, learning, load)
     return [*a[1:], *b[1:]], [*bottom[1:].tolist(), *top[1:].tolist()]
 
 

@@ -57,14 +57,14 @@ def learn_filtered(
             fast.accumulate(bank)
         if n % TICKS == 0:
             y, *rest = fast.take_means(bank)
-            reg.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
-            reg.fill_initial_state(state.regressor, learning, MOTOR, n * TICK_s)
+            reg.fill_filtered_regressor(state.sample.regressor, learning, MOTOR, rest[:2], rest[2:])
+            reg.fill_initial_state(state.sample.regressor, learning, MOTOR, n * TICK_s)
             est.learn(state, learning, MOTOR, y, usable=True)
     return state
 
 
 def physical(state: est.EstimatorState, learning: Learning) -> list[float]:
-    return MOTOR.physical(*reg.filtered_model(state.theta, learning, MOTOR))
+    return MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
 
 
 @pytest.mark.parametrize("learning", [PLAIN_LEARNING, SCALED_LEARNING])
@@ -132,7 +132,7 @@ def test_a_constant_disturbance_biases_the_estimate_unless_a_constant_is_estimat
         assert error < tolerance
         assert bias or error > 0.03
         if bias:
-            assert reg.input_offset(state.theta, learning, MOTOR, 0.0) == pytest.approx(
+            assert reg.input_offset(state.estimate.theta, learning, MOTOR, 0.0) == pytest.approx(
                 -20.0, rel=0.02
             )
 
@@ -151,10 +151,10 @@ def learn_direct(learning: Learning, inputs: Array, outputs: Array) -> tuple[Arr
     for k in range(2, len(inputs)):
         past_outputs, past_inputs = outputs[k - 2 : k][::-1], inputs[k - 2 : k][::-1]
         fill_direct_regressor(
-            state.regressor, learning, MOTOR, past_outputs.tolist(), past_inputs.tolist()
+            state.sample.regressor, learning, MOTOR, past_outputs.tolist(), past_inputs.tolist()
         )
         est.learn(state, learning, MOTOR, float(outputs[k]), usable=True)
-    a, b = direct_model(state.theta, learning, MOTOR)
+    a, b = direct_model(state.estimate.theta, learning, MOTOR)
     return np.array(a), np.array(b)
 
 
@@ -186,7 +186,7 @@ def taught(learning: Learning, count: int = 40, *, noise: float = 0.01) -> est.E
     state = est.new_estimator(learning, MOTOR, 2)
     draws = np.random.default_rng(6).normal(size=count)
     for regressor, draw in zip(random_regressors(count), draws, strict=True):
-        state.regressor[:] = regressor.tolist()
+        state.sample.regressor[:] = regressor.tolist()
         est.learn(
             state, learning, MOTOR, float(regressor @ [1.0, -0.5, 0.01] + noise * draw), usable=True
         )
@@ -219,7 +219,7 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
         state = est.new_estimator(learning, MOTOR, 2)
         noisy = outputs[slow] + 1e-4 * random.normal(size=len(rows))
         for (_, *rest), y in zip(rows, noisy, strict=True):
-            reg.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
+            reg.fill_filtered_regressor(state.sample.regressor, learning, MOTOR, rest[:2], rest[2:])
             est.learn(state, learning, MOTOR, float(y), usable=True)
         values = physical(state, learning)
         found.append(values)
@@ -233,7 +233,7 @@ def test_error_bars_are_unknown_before_there_are_more_samples_than_parameters() 
 
 
 def memory(state: est.EstimatorState) -> list[float]:
-    return [*state.theta, *state.upper, *state.diagonal]
+    return [*state.estimate.theta, *state.estimate.upper, *state.estimate.diagonal]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -241,7 +241,7 @@ def memory(state: est.EstimatorState) -> list[float]:
 def test_what_is_not_a_number_never_enters(bad: float, place: str) -> None:
     state = taught(PLAIN_LEARNING)
     before = memory(state)
-    state.regressor[:] = [1.0, bad if place == "regressor" else 2.0, 3.0]
+    state.sample.regressor[:] = [1.0, bad if place == "regressor" else 2.0, 3.0]
     est.learn(state, PLAIN_LEARNING, MOTOR, bad if place == "output" else 1.0, usable=True)
     assert memory(state) == before
 
@@ -249,7 +249,7 @@ def test_what_is_not_a_number_never_enters(bad: float, place: str) -> None:
 def after_stream(values: list[float]) -> est.EstimatorState:
     state = est.new_estimator(PLAIN_LEARNING, MOTOR, 2)
     for at in range(len(values) - 3):
-        state.regressor[:] = values[at : at + 3]
+        state.sample.regressor[:] = values[at : at + 3]
         est.learn(state, PLAIN_LEARNING, MOTOR, values[at + 3], usable=True)
         assert np.isfinite(memory(state)).all()
     return state
@@ -269,7 +269,7 @@ def test_no_stream_of_samples_makes_the_estimate_stop_being_a_number(values: lis
     )
 )
 def test_no_stream_of_samples_ends_learning(values: list[float]) -> None:
-    assert min(after_stream(values).diagonal) > 0.0
+    assert min(after_stream(values).estimate.diagonal) > 0.0
 
 
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_numbers_that_no_sensor_gives_teach_nothing(
 ) -> None:
     """From 1e20 on, where 1 is usual: the squares of larger ones leave the doubles."""
     state = est.new_estimator(PLAIN_LEARNING, MOTOR, 2)
-    state.regressor[:] = [1.0, entry, 0.0]
+    state.sample.regressor[:] = [1.0, entry, 0.0]
     est.learn(state, PLAIN_LEARNING, MOTOR, output, usable=False)
     assert (state.idle_periods == 1) is taught
 
@@ -289,28 +289,30 @@ def test_numbers_that_no_sensor_gives_teach_nothing(
 def test_a_sample_that_is_not_usable_is_predicted_but_not_learnt() -> None:
     state = taught(PLAIN_LEARNING)
     before, periods = memory(state), state.periods
-    state.regressor[:] = [1.0, 2.0, 300.0]
+    state.sample.regressor[:] = [1.0, 2.0, 300.0]
     est.learn(state, PLAIN_LEARNING, MOTOR, 9.0, usable=False)
     assert memory(state) == before
     assert state.periods == periods + 1
-    assert state.innovation == pytest.approx(9.0 - np.dot(state.theta, state.regressor))
+    assert state.innovation == pytest.approx(
+        9.0 - np.dot(state.estimate.theta, state.sample.regressor)
+    )
 
 
 def test_the_first_periods_are_not_learnt_from() -> None:
     learning = replace(PLAIN_LEARNING, settle_periods=30)
-    assert taught(learning, 30).theta == [0.0, 0.0, 0.0]
-    assert taught(learning, 31).theta != [0.0, 0.0, 0.0]
+    assert taught(learning, 30).estimate.theta == [0.0, 0.0, 0.0]
+    assert taught(learning, 31).estimate.theta != [0.0, 0.0, 0.0]
 
 
 def test_the_gate_keeps_out_what_teaches_nothing() -> None:
     learning = replace(PLAIN_LEARNING, gate=2.0)
     state = taught(learning)
-    p = np.array(covariance(state.upper, state.diagonal)).reshape(3, 3)
+    p = np.array(covariance(state.estimate.upper, state.estimate.diagonal)).reshape(3, 3)
     direction = np.array([1.0, 1.0, 100.0])
     limit = 2.0 * (1.0 - learning.forgetting) / (direction @ p @ direction)
     before = memory(state)
     for share, learns in ((0.99, False), (1.01, True)):
-        state.regressor[:] = (direction * math.sqrt(limit * share)).tolist()
+        state.sample.regressor[:] = (direction * math.sqrt(limit * share)).tolist()
         est.learn(state, learning, MOTOR, 5.0, usable=True)
         assert (memory(state) != before) == learns
 
@@ -318,7 +320,7 @@ def test_the_gate_keeps_out_what_teaches_nothing() -> None:
 def test_an_estimate_that_starts_at_the_nominal_model_is_the_nominal_model() -> None:
     state = est.new_estimator(SCALED_LEARNING, MOTOR, 3)
     assert physical(state, SCALED_LEARNING) == pytest.approx([0.011, 21.7, 117.0], rel=1e-12)
-    assert est.new_estimator(PLAIN_LEARNING, MOTOR, 3).theta == [0.0] * 3
+    assert est.new_estimator(PLAIN_LEARNING, MOTOR, 3).estimate.theta == [0.0] * 3
 
 
 def test_scales_change_the_units_of_the_parameters_and_nothing_else() -> None:
@@ -365,7 +367,7 @@ def test_with_a_short_lag_two_parameters_and_a_constant_tell_the_motor(
     disks: int, samples: int
 ) -> None:
     state = learn_filtered(SHORT, *simulate(disks, 240, filter_s=SHORT_S), samples)
-    assert len(state.theta) == 3
+    assert len(state.estimate.theta) == 3
     tau_motor = 11.7 * disks
     truth = [0.011, tau_motor + SHORT_S, tau_motor * SHORT_S]
     assert physical(state, SHORT) == pytest.approx(truth, rel=1e-2)
@@ -383,4 +385,6 @@ def test_an_unmodelled_voltage_is_told_from_the_load_behind_a_short_lag() -> Non
     voltages, outputs = simulate(2, 300, filter_s=SHORT_S)
     state = learn_filtered(SHORT, voltages + 20.0, outputs, 1)
     assert physical(state, SHORT)[0] == pytest.approx(0.011, rel=2e-3)
-    assert reg.input_offset(state.theta, SHORT, MOTOR, 0.0) == pytest.approx(-20.0, rel=0.02)
+    assert reg.input_offset(state.estimate.theta, SHORT, MOTOR, 0.0) == pytest.approx(
+        -20.0, rel=0.02
+    )

@@ -96,22 +96,24 @@ def learn(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
 
 def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> None:
     state = seen.state
-    state.elapsed_s += 1.0
-    reg.fill_filtered_regressor(state.regressor, LEARNING, MOTOR, y, u)
-    reg.fill_initial_state(state.regressor, LEARNING, MOTOR, state.elapsed_s - state.origin_s)
+    state.sample.time_s += 1.0
+    reg.fill_filtered_regressor(state.sample.regressor, LEARNING, MOTOR, y, u)
+    reg.fill_initial_state(
+        state.sample.regressor, LEARNING, MOTOR, state.sample.time_s - state.estimate.origin_s
+    )
     reg.fill_lowered_regressor(state.rivals.lowered, LEARNING, MOTOR, output, y, u)
-    expected = LEARNING.output_scale * predict(state.theta, state.regressor)
+    expected = LEARNING.output_scale * predict(state.estimate.theta, state.sample.regressor)
     est.learn(state, LEARNING, MOTOR, output, usable=True)
     if state.rivals.samples == 0 and state.surprise.alarms == (seen.alarms or [0])[-1]:
         seen.innovations.append((state.innovation, output - expected))
-    values = MOTOR.physical(*reg.filtered_model(state.theta, LEARNING, MOTOR))
+    values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, LEARNING, MOTOR))
     seen.values.append(values)
     seen.shown.append(LEARNING.method.shown_deviations(state, LEARNING, MOTOR, values))
     seen.doubtful.append(doubt.is_doubtful(state))
     seen.kinds.append(state.rivals.kind)
     seen.waiting.append(state.rivals.samples)
     seen.alarms.append(state.surprise.alarms)
-    seen.thetas.append(list(state.theta))
+    seen.thetas.append(list(state.estimate.theta))
 
 
 def truth(disks: float) -> Array:
@@ -157,7 +159,7 @@ def test_a_torque_is_noticed_and_leaves_the_load_as_it_was(torque: Seen) -> None
     assert torque.alarms[CHANGE_s + 30] >= 1
     assert torque.kinds[CHANGE_s + 60] == DISTURBANCE
     assert max(error(values, 2.0) for values in torque.values[CHANGE_s:]) < 0.1
-    offset_V = reg.input_offset(torque.state.theta, LEARNING, MOTOR, 0.0)
+    offset_V = reg.input_offset(torque.state.estimate.theta, LEARNING, MOTOR, 0.0)
     assert offset_V == pytest.approx(-25.0, rel=0.1)
 
 
@@ -217,20 +219,22 @@ def settled() -> est.EstimatorState:
     """An estimate of the nominal motor whose last sample moved a lot."""
     state = est.new_estimator(LEARNING, MOTOR, 2)
     state.surprise.power = 1e-6
-    reg.fill_filtered_regressor(state.regressor, LEARNING, MOTOR, [3.0, 2.9], [280.0, 290.0, 300.0])
-    ud.open_up(state.upper, state.diagonal, 1e-3)
+    reg.fill_filtered_regressor(
+        state.sample.regressor, LEARNING, MOTOR, [3.0, 2.9], [280.0, 290.0, 300.0]
+    )
+    ud.open_up(state.estimate.upper, state.estimate.diagonal, 1e-3)
     state.residual_power, state.residual_weight = 30.0 * 1e-6, 36.0
     return state
 
 
 def shown_by(state: est.EstimatorState, index: int) -> float:
     """How much a change of an α by 0.1, with the same dc gain, would move the sample."""
-    below = 1.0 + state.theta[0] + state.theta[1]
-    moved = list(state.theta)
+    below = 1.0 + state.estimate.theta[0] + state.estimate.theta[1]
+    moved = list(state.estimate.theta)
     moved[index] += 0.1
-    moved[2] += 0.1 * state.theta[2] / below
-    moved[5] += 0.1 * state.theta[5] / below
-    return abs(float(np.dot(np.array(moved) - state.theta, state.regressor)))
+    moved[2] += 0.1 * state.estimate.theta[2] / below
+    moved[5] += 0.1 * state.estimate.theta[5] / below
+    return abs(float(np.dot(np.array(moved) - state.estimate.theta, state.sample.regressor)))
 
 
 def test_information_is_as_old_as_the_last_sample_that_would_have_shown_another_load() -> None:
@@ -270,7 +274,7 @@ def test_a_challenger_contests_it_until_it_was_heard_and_while_it_leads(
 ) -> None:
     state = settled()
     state.challenger.samples, state.challenger.judged = 20, judged
-    state.challenger.power, state.challenger.logs = 1e-6, logs
+    state.challenger.power, state.estimate.logs = 1e-6, logs
     assert doubt.is_contested(state) is contested
     state.challenger.samples = 0
     assert doubt.is_contested(state) is False
@@ -285,7 +289,7 @@ def propagated(state: est.EstimatorState, covariance: Array, noise: float) -> Ar
     """√(Jᵀ P J) σ, with the derivatives of the parameters by numpy."""
     jacobian = np.empty((3, 6))
     for j in range(6):
-        moved = [list(state.theta), list(state.theta)]
+        moved = [list(state.estimate.theta), list(state.estimate.theta)]
         moved[0][j] += 1e-5
         moved[1][j] -= 1e-5
         values = [MOTOR.physical(*reg.filtered_model(one, LEARNING, MOTOR)) for one in moved]
@@ -295,7 +299,7 @@ def propagated(state: est.EstimatorState, covariance: Array, noise: float) -> Ar
 
 def test_shown_deviations_are_those_of_p_with_noise_floor_and_rounding() -> None:
     state = settled()
-    state.rounding = 2e-3
+    state.sample.rounding = 2e-3
     noise = math.sqrt(30.0 * 1e-6 / (36.0 - 6.0) + 1e-8 + 60.0 * 4e-6)
     expected = propagated(state, 1e-3 * np.eye(6), noise)
     assert deviations(state) == pytest.approx(expected, rel=1e-3)
@@ -304,12 +308,12 @@ def test_shown_deviations_are_those_of_p_with_noise_floor_and_rounding() -> None
 def test_in_doubt_they_are_those_of_a_load_whose_alphas_may_be_others_by_one() -> None:
     """With the same dc gain and the same offset of the input."""
     state = settled()
-    state.theta[5] = 0.03
-    noise, below = math.sqrt(1e-6 + 1e-8), 1.0 + state.theta[0] + state.theta[1]
+    state.estimate.theta[5] = 0.03
+    noise, below = math.sqrt(1e-6 + 1e-8), 1.0 + state.estimate.theta[0] + state.estimate.theta[1]
     covariance = 1e-3 * np.eye(6)
     for index in (0, 1):
         v = np.zeros(6)
-        v[index], v[2], v[5] = 1.0, state.theta[2] / below, state.theta[5] / below
+        v[index], v[2], v[5] = 1.0, state.estimate.theta[2] / below, state.estimate.theta[5] / below
         covariance += np.outer(v, v) / noise**2
     state.unseen_periods = 6
     assert deviations(state) == pytest.approx(propagated(state, covariance, noise), rel=1e-3)

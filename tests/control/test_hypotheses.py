@@ -11,6 +11,13 @@ from scipy.signal import lsim
 
 from adaptdrive.control import rls
 from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.branch import (
+    Branch,
+    Sample,
+    count_prediction,
+    new_branch,
+    predict_sample,
+)
 from adaptdrive.control.hypotheses import (
     ANEW,
     BOTH,
@@ -18,11 +25,7 @@ from adaptdrive.control.hypotheses import (
     LOAD,
     NOTHING,
     Anchor,
-    Branch,
-    count_prediction,
     load_direction,
-    new_branch,
-    predict_sample,
     restart_past,
     widen,
 )
@@ -204,7 +207,7 @@ def test_a_prediction_is_judged_by_its_error_and_by_what_it_was_unsure_of() -> N
     filled = np.array([*r[:3], math.exp(-0.3), 0.3 * math.exp(-0.3), 1.0])
     error, excitation = 0.5 - filled @ one.theta, 0.25 * float(filled @ filled)
     for count in (1, 2):
-        predict_sample(one, LEARNING, MOTOR, r.tolist(), 0.5, 7.0)
+        predict_sample(one, LEARNING, MOTOR, Sample(r.tolist(), 0.5, 7.0))
         count_prediction(one, forgetting)
         weight = forgetting / (forgetting + excitation)
         assert one.squares == pytest.approx(count * error**2 * weight)

@@ -10,7 +10,9 @@ import pytest
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import in_force
+from adaptdrive.control.branch import Branch, Sample
 from adaptdrive.control.drift import OFFSET_WALK, learn_sample, walking_count
+from adaptdrive.control.integrated import follow
 from adaptdrive.control.ud_factors import covariance
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 
@@ -21,9 +23,9 @@ BOTH = pytest.mark.parametrize("walks", [False, True])
 def two_estimates(*, walks: bool) -> est.EstimatorState:
     """Two estimates that differ in every number; the one whose bias walks may be in force."""
     state = est.new_estimator(LEARNING, MOTOR, 2)
-    count = len(state.theta)
-    state.theta[:] = [1.0] * count
-    state.diagonal[:] = [2.0] * count
+    count = len(state.estimate.theta)
+    state.estimate.theta[:] = [1.0] * count
+    state.estimate.diagonal[:] = [2.0] * count
     state.residual_power, state.residual_weight = 48.0, count + 3.0
     state.innovation, state.excitation = 0.25, 0.5
     walking = state.integrated
@@ -38,8 +40,8 @@ def two_estimates(*, walks: bool) -> est.EstimatorState:
 @BOTH
 def test_parameters_covariance_and_noise_are_those_of_the_estimate_in_force(walks: bool) -> None:
     state = two_estimates(walks=walks)
-    assert in_force.theta_in_force(state)[0] == (3.0 if walks else 1.0)
-    assert in_force.covariance_in_force(state)[1][0] == (4.0 if walks else 2.0)
+    assert in_force.in_force(state).theta[0] == (3.0 if walks else 1.0)
+    assert in_force.in_force(state).diagonal[0] == (4.0 if walks else 2.0)
     assert in_force.residual_noise(state) == (2.0 if walks else 4.0)
 
 
@@ -55,7 +57,7 @@ def test_innovation_and_excitation_are_those_of_the_estimate_in_force(walks: boo
 @pytest.mark.parametrize(("more", "known"), [(-1.0, False), (0.0, False), (1.0, True)])
 def test_noise_is_known_from_more_samples_than_parameters(more: float, *, known: bool) -> None:
     state = two_estimates(walks=False)
-    state.residual_weight = len(state.theta) + more
+    state.residual_weight = len(state.estimate.theta) + more
     assert math.isfinite(in_force.residual_noise(state)) is known
 
 
@@ -71,13 +73,12 @@ def test_the_residual_is_the_noise_that_would_make_such_an_innovation(excitation
 def test_the_estimate_whose_bias_walks_begins_where_the_other_is() -> None:
     state = two_estimates(walks=False)
     state.integrated.samples, state.integrated.lead = 0, 5.0
-    state.origin_s, state.elapsed_s = 7.0, 100.0
-    before = covariance(state.upper, state.diagonal)
-    in_force.let_both_predict(
-        state, LEARNING, MOTOR, float(np.dot(state.theta, state.regressor)), 0.0
-    )
+    state.estimate.origin_s, state.sample.time_s = 7.0, 100.0
+    before = covariance(state.estimate.upper, state.estimate.diagonal)
+    state.sample.target = float(np.dot(state.estimate.theta, state.sample.regressor))
+    follow(state.integrated, LEARNING, MOTOR, state.sample, state.estimate)
     branch = state.integrated.branch
-    assert branch.theta == pytest.approx(state.theta)
+    assert branch.theta == pytest.approx(state.estimate.theta)
     assert branch.origin_s == 7.0
     assert (state.integrated.samples, state.integrated.lead) == (1, 0.0)
     widened = np.array(covariance(branch.upper, branch.diagonal)) - np.array(before)
@@ -108,12 +109,12 @@ def test_an_offset_that_drifts_walks_and_so_do_an_emf_and_its_rise(
 def test_an_offset_that_drifts_is_less_certain_by_its_walk(drifts: bool) -> None:
     """A sample of it alone leaves 1/(1/p + 1), and the walk adds its variance."""
     learning = replace(LEARNING, drifts=drifts, forgetting=1.0)
-    theta, upper, diagonal = [0.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.25, 0.5]
-    learn_sample(theta, upper, diagonal, [0.0, 1.0], 0.3, learning, 0.0)
-    variances = np.diag(np.array(covariance(upper, diagonal)).reshape(2, 2))
+    branch = Branch([0.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.25, 0.5])
+    learn_sample(branch, Sample([0.0, 1.0], 0.3), learning, 0.0)
+    variances = np.diag(np.array(covariance(branch.upper, branch.diagonal)).reshape(2, 2))
     walked = OFFSET_WALK**2 if drifts else 0.0
     assert variances == pytest.approx([0.25, 0.5 / 1.5 + walked])
-    assert theta == pytest.approx([0.0, 0.3 / 3.0])
+    assert branch.theta == pytest.approx([0.0, 0.3 / 3.0])
 
 
 @pytest.mark.parametrize(("bias", "charge"), [(False, False), (True, True)])
@@ -122,15 +123,16 @@ def test_without_a_bias_or_with_an_emf_there_is_no_second_estimate(
 ) -> None:
     state = two_estimates(walks=False)
     state.integrated.samples = 0
-    in_force.let_both_predict(state, replace(LEARNING, bias=bias, charge=charge), MOTOR, 1.0, 0.0)
+    learning = replace(LEARNING, bias=bias, charge=charge)
+    follow(state.integrated, learning, MOTOR, state.sample, state.estimate)
     assert state.integrated.samples == 0
 
 
 def test_the_walk_of_an_emf_is_not_added_with_its_samples() -> None:
     """The estimator adds it once in each slow period, whether a sample teaches or not."""
     learning = replace(LEARNING, charge=True, forgetting=1.0)
-    theta, diagonal = [0.0] * 3, [0.25, 0.5, 0.5]
     upper = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    learn_sample(theta, upper, diagonal, [0.0, 0.0, 1.0], 0.3, learning, 0.0)
-    variances = np.diag(np.array(covariance(upper, diagonal)).reshape(3, 3))
+    branch = Branch([0.0] * 3, upper, [0.25, 0.5, 0.5])
+    learn_sample(branch, Sample([0.0, 0.0, 1.0], 0.3), learning, 0.0)
+    variances = np.diag(np.array(covariance(branch.upper, branch.diagonal)).reshape(3, 3))
     assert variances == pytest.approx([0.25, 0.5, 0.5 / 1.5])

@@ -56,9 +56,11 @@ def learnt(inflow_K: Array, noise_K: float = 0.002, seed: int = 7) -> est.Estima
             continue
         fast.accumulate(bank)
         y, *rest = fast.take_means(bank)
-        state.elapsed_s += TICKS * TICK_s
-        reg.fill_filtered_regressor(state.regressor, learning, BATH, rest[:1], rest[1:])
-        reg.fill_initial_state(state.regressor, learning, BATH, state.elapsed_s - state.origin_s)
+        state.sample.time_s += TICKS * TICK_s
+        reg.fill_filtered_regressor(state.sample.regressor, learning, BATH, rest[:1], rest[1:])
+        reg.fill_initial_state(
+            state.sample.regressor, learning, BATH, state.sample.time_s - state.estimate.origin_s
+        )
         reg.fill_lowered_regressor(state.rivals.lowered, learning, BATH, y, rest[:1], rest[1:])
         est.learn(state, learning, BATH, y, usable=True)
     return state
@@ -75,8 +77,8 @@ def test_it_finds_the_load_under_an_inflow_that_swings(period_s: float) -> None:
     for seed in (0, 1, 7):
         state = learnt(0.1 * np.sin(2.0 * math.pi * TIMES_s / period_s), seed=seed)
         assert state.integrated.in_force
-        assert values(in_force.theta_in_force(state)) == pytest.approx([R, TAU_s], rel=0.05)
-        resting = np.array(values(state.theta))
+        assert values(in_force.in_force(state).theta) == pytest.approx([R, TAU_s], rel=0.05)
+        resting = np.array(values(state.estimate.theta))
         worst = max(worst, float(np.max(np.abs(resting / [R, TAU_s] - 1.0))))
     assert worst > 0.08  # where the bias rests; the other estimate is within 5 %
 
@@ -86,14 +88,14 @@ def test_it_finds_the_load_under_an_inflow_that_swings(period_s: float) -> None:
 def test_it_leaves_a_bias_that_rests_to_the_other_estimate(seed: int, noise_K: float) -> None:
     state = learnt(np.zeros_like(TIMES_s), noise_K, seed)
     assert not state.integrated.in_force
-    assert in_force.theta_in_force(state) is state.theta
+    assert in_force.in_force(state) is state.estimate
 
 
 def test_what_is_in_force_is_what_is_shown() -> None:
     state = learnt(0.5 * np.sin(2.0 * math.pi * TIMES_s / 900.0))
     branch = state.integrated.branch
     assert state.innovation == branch.innovation * LEARNING.output_scale
-    assert in_force.covariance_in_force(state) == (branch.upper, branch.diagonal)
+    assert in_force.in_force(state) is branch
     deviations = row_norms(in_force.parameter_root(state, LEARNING, BATH, values(branch.theta)))
     assert np.all(np.array(deviations) > 0.0)
 

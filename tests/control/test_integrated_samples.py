@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
+from adaptdrive.control.branch import Branch, Sample, copy_estimate, new_branch
 from adaptdrive.control.integrated import Integrated, follow
 from adaptdrive.control.surprise import move_median
 from adaptdrive.control.ud_factors import covariance
@@ -70,6 +71,15 @@ def dense(integrated: Integrated) -> tuple[Array, Array]:
     return np.array(branch.theta), matrix
 
 
+def other(integrated: Integrated, squared: float, excitation: float) -> Branch:
+    """The estimate whose bias rests, with a prediction of given ε² ρ/(ρ + rᵀPr) and rᵀPr."""
+    branch = new_branch(len(integrated.branch.theta))
+    copy_estimate(branch, integrated.branch)
+    branch.excitation = excitation
+    branch.innovation = math.sqrt(squared * (RHO + excitation) / RHO)
+    return branch
+
+
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_the_comparison_is_that_of_the_formulas(seed: int) -> None:
     random, integrated, books, course = np.random.default_rng(seed), started(), Books(), []
@@ -85,8 +95,8 @@ def test_the_comparison_is_that_of_the_formulas(seed: int) -> None:
         own_excitation = float(regressor @ matrix @ regressor)
         own = float(target - regressor @ theta) ** 2 * RHO / (RHO + own_excitation)
         books.take(own, own_excitation, squared, excitation)
-        follow(integrated, LEARNING, MOTOR, regressor.tolist(), target, float(number), squared,
-               excitation, ROUNDING)  # fmt: skip
+        sample = Sample(regressor.tolist(), target, float(number), ROUNDING)
+        follow(integrated, LEARNING, MOTOR, sample, other(integrated, squared, excitation))
         assert integrated.lead == pytest.approx(books.lead, rel=1e-6, abs=1e-6)
         assert integrated.in_force is books.in_force
         assert integrated.residual_power == pytest.approx(books.residual_power, rel=1e-6)
@@ -101,7 +111,8 @@ def test_after_each_sample_the_bias_is_uncertain_by_thirty_sigma_more() -> None:
     integrated = started()
     regressor = [0.0] * (len(integrated.branch.theta) - 1) + [1.0]
     for number in range(5):
-        follow(integrated, LEARNING, MOTOR, regressor, 0.1, float(number), 1e-4, 0.1, ROUNDING)
+        sample = Sample(regressor, 0.1, float(number), ROUNDING)
+        follow(integrated, LEARNING, MOTOR, sample, other(integrated, 1e-4, 0.1))
         assert 900.0 <= dense(integrated)[1][-1, -1] <= 905.0
 
 
@@ -111,5 +122,6 @@ def test_a_jump_of_the_bias_is_followed_at_once() -> None:
     regressor = [0.0] * (count - 1) + [1.0]
     for number in range(60):
         target = 0.01 * (-1.0) ** number + (50.0 if number == 59 else 0.0)
-        follow(integrated, LEARNING, MOTOR, regressor, target, float(number), 1e-4, 0.1, ROUNDING)
+        sample = Sample(regressor, target, float(number), ROUNDING)
+        follow(integrated, LEARNING, MOTOR, sample, other(integrated, 1e-4, 0.1))
     assert dense(integrated)[0][-1] == pytest.approx(50.0, rel=1e-3)

@@ -36,20 +36,20 @@ def filled(learning: Learning, load: Load) -> SlowState:
     """A state 60 s after its start, 20 s after its origin, whose r has been filled in."""
     state = new_slow_state(replace(EXACT, learning=learning), load, 3.0, 280.0)
     estimator = state.estimator
-    estimator.elapsed_s, estimator.origin_s, estimator.charge = 60.0, 40.0, 0.7
+    estimator.sample.time_s, estimator.estimate.origin_s, estimator.charge = 60.0, 40.0, 0.7
     learning.method.fill_regressor(state, learning, load, SAMPLE)
     return state
 
 
 def covariance(state: est.EstimatorState) -> Array:
-    count = len(state.theta)
-    flat = ud.covariance(state.upper, state.diagonal)
+    count = len(state.estimate.theta)
+    flat = ud.covariance(state.estimate.upper, state.estimate.diagonal)
     return np.reshape(np.array(flat), (count, count))
 
 
 def test_the_regressor_of_a_motor_is_equation_29_and_the_initial_state_since_the_origin() -> None:
     learning = replace(SCALED_LEARNING, initial_state=True, bias=True)
-    found = filled(learning, MOTOR).estimator.regressor
+    found = filled(learning, MOTOR).estimator.sample.regressor
     ratio = 20.0 / TAU_s
     expected = [-3.2 / 3.0, -3.1 / 3.0, 285.0 / 280.0]
     expected += [math.exp(-ratio), ratio * math.exp(-ratio), 1.0]
@@ -67,7 +67,7 @@ def test_a_charge_is_beside_the_bias_and_its_rate_in_the_lowered_regressor() -> 
     """(τ_λ p + 1) q/τ_λ is y + q/τ_λ."""
     learning = replace(SCALED_LEARNING, bias=True, charge=True)
     estimator = filled(learning, BATTERY).estimator
-    assert estimator.regressor[-2:] == [0.7, 1.0]
+    assert estimator.sample.regressor[-2:] == [0.7, 1.0]
     assert estimator.rivals.lowered[-2:] == pytest.approx([0.7 + 3.3 / 3.0, 1.0], rel=1e-12)
 
 
@@ -76,7 +76,7 @@ def test_an_emf_wanders_along_the_bias_and_its_rise_along_both() -> None:
     learning = replace(SCALED_LEARNING, bias=True, charge=True)
     fresh = new_slow_state(replace(EXACT, learning=learning), BATTERY, 3.0, 280.0).estimator
     widened = covariance(filled(learning, BATTERY).estimator) - covariance(fresh)
-    rise, bias = len(fresh.theta) - 2, len(fresh.theta) - 1
+    rise, bias = len(fresh.estimate.theta) - 2, len(fresh.estimate.theta) - 1
     expected = np.zeros_like(widened)
     expected[rise, rise] = 0.1**2
     expected[rise, bias] = expected[bias, rise] = -(0.1**2) * 0.7
@@ -89,12 +89,12 @@ def test_without_learning_it_the_initial_state_is_known(load: Load, first: int) 
     """Explanations need its places in θ; the load was at rest at the start."""
     learning = replace(SCALED_LEARNING, alert=True, bias=True)
     p0 = learning.initial_covariance
-    known = est.new_estimator(learning, load, 2).diagonal
+    known = est.new_estimator(learning, load, 2).estimate.diagonal
     places = range(first, first + load.order)
     for i, variance in enumerate(known[:-1]):
-        assert variance == pytest.approx(1e-9 * p0 if i in places else p0, rel=1e-12), i
+        assert variance == pytest.approx(1e-8 * p0 if i in places else p0, rel=1e-12), i
     learnt = est.new_estimator(replace(learning, initial_state=True), load, 2)
-    assert learnt.diagonal[:-1] == [p0] * (len(known) - 1)
+    assert learnt.estimate.diagonal[:-1] == [p0] * (len(known) - 1)
 
 
 @pytest.mark.parametrize(
@@ -116,20 +116,20 @@ def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
     learning = replace(SCALED_LEARNING, **(usual | options))
     state = est.new_estimator(learning, MOTOR, 2)
     variance = share**2 * learning.initial_covariance
-    assert state.diagonal[-1] == pytest.approx(variance, rel=1e-12)
-    state.diagonal[-1] = 1.0
+    assert state.estimate.diagonal[-1] == pytest.approx(variance, rel=1e-12)
+    state.estimate.diagonal[-1] = 1.0
     est.begin_anew(state, learning, MOTOR)
-    assert state.diagonal[-1] == pytest.approx(variance, rel=1e-12)
+    assert state.estimate.diagonal[-1] == pytest.approx(variance, rel=1e-12)
 
 
 @pytest.mark.parametrize("ceiling", [0.0, 0.5])
 def test_a_ceiling_of_the_covariance_adds_its_information_to_each_sample(ceiling: float) -> None:
     learning = replace(SCALED_LEARNING, forgetting=0.9, covariance_max=ceiling)
     state = est.new_estimator(learning, MOTOR, 2)
-    state.regressor[:] = [-1.0, -0.9, 1.1]
+    state.sample.regressor[:] = [-1.0, -0.9, 1.1]
     before = np.linalg.inv(covariance(state))
     est.learn(state, learning, MOTOR, 3.0, usable=True)
-    information = 0.9 * before + np.outer(state.regressor, state.regressor)
+    information = 0.9 * before + np.outer(state.sample.regressor, state.sample.regressor)
     if ceiling > 0.0:
         information += 0.1 / ceiling * np.eye(3)
     np.testing.assert_allclose(np.linalg.inv(covariance(state)), information, rtol=1e-6, atol=1e-6)
@@ -142,7 +142,7 @@ def test_each_period_that_teaches_nothing_is_idle() -> None:
     for expected in (1, 2, 3):
         est.learn(state, learning, MOTOR, 0.0, usable=True)  # a regressor of zeros
         assert state.idle_periods == expected
-    state.regressor[:] = [-1.0, -0.9, 1.1]
+    state.sample.regressor[:] = [-1.0, -0.9, 1.1]
     est.learn(state, learning, MOTOR, 3.0, usable=False)
     assert state.idle_periods == 4
     est.learn(state, learning, MOTOR, 3.0, usable=True)
@@ -151,7 +151,7 @@ def test_each_period_that_teaches_nothing_is_idle() -> None:
 
 def test_the_deviations_are_those_of_p_by_the_noise_of_the_innovations() -> None:
     state, learning = settled(), test_explanation.LEARNING
-    values = MOTOR.physical(*reg.filtered_model(state.theta, learning, MOTOR))
+    values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
     expected = propagated(state, 1e-3 * np.eye(6), math.sqrt(30e-6 / (36.0 - 6.0)))
     root = np.reshape(learning.method.root(state, learning, MOTOR, values), (3, 3))
     assert np.linalg.norm(root, axis=1) == pytest.approx(expected, rel=1e-3)
@@ -169,7 +169,7 @@ def test_the_noise_is_known_from_more_innovations_than_parameters(
 def test_the_offset_of_the_input_is_what_bias_and_charge_move_the_output_by_over_beta() -> None:
     learning = replace(SCALED_LEARNING, bias=True, charge=True)
     state = filled(learning, BATTERY).estimator
-    state.theta[:] = [-0.4, 0.3, 0.5, *state.theta[3:-2], 0.2, 0.1]
+    state.estimate.theta[:] = [-0.4, 0.3, 0.5, *state.estimate.theta[3:-2], 0.2, 0.1]
     offset_V = learning.method.input_offset(state, learning, BATTERY)
     assert offset_V == pytest.approx((0.1 + 0.2 * 0.7) / 0.8 * 280.0, rel=1e-12)
     without = replace(SCALED_LEARNING, bias=False)

@@ -26,17 +26,10 @@ class Projection(LambdaMethod):
 
     step: float = 1.0
 
-    def take_in(
-        self,
-        state: EstimatorState,
-        learning: Learning,
-        load: Load,
-        target: float,
-        innovation: float,
-    ) -> None:
-        power = sum(r * r for r in state.regressor)
-        for i, r in enumerate(state.regressor):
-            state.theta[i] += self.step * r * innovation / power
+    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+        power = sum(r * r for r in state.sample.regressor)
+        for i, r in enumerate(state.sample.regressor):
+            state.estimate.theta[i] += self.step * r * state.estimate.innovation / power
 
 
 def innovations(method: Method) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -43,8 +43,8 @@ def known(disks: float = 2.0, settings: ControllerSettings = CAREFUL) -> SlowSta
     state = new_slow_state(settings, MOTOR, 3.0, REST_V)
     estimator = state.estimator
     first = theta_of(settings.learning, MOTOR, *MOTOR.realise(parameters(disks)))
-    estimator.theta[: len(first)] = first
-    estimator.diagonal[:] = [1e-6] * len(estimator.theta)
+    estimator.estimate.theta[: len(first)] = first
+    estimator.estimate.diagonal[:] = [1e-6] * len(estimator.estimate.theta)
     estimator.residual_power, estimator.residual_weight = 30e-6, 36.0
     estimator.periods = 100
     return state
@@ -125,7 +125,7 @@ def test_gains_in_force_move_by_their_share_and_waiting_ones_at_once(
     settings = replace(CAREFUL, jacket=replace(JACKET, gain_slew=slew))
     state = known(1.0, settings)
     adapted(state, settings)
-    state.estimator.theta[:] = known(2.0).estimator.theta
+    state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
     state.adaptive = adaptive
     old = list(state.adaptive_gains), list(state.reference_filter.loop)
     adapted(state, settings)
@@ -160,7 +160,7 @@ def test_parameters_out_of_bounds_are_refused(disks: float, verdict: Verdict) ->
 
 def test_a_model_without_a_gain_at_rest_is_not_finite() -> None:
     state = known()
-    state.estimator.theta[0], state.estimator.theta[1] = math.nan, 0.0
+    state.estimator.estimate.theta[0], state.estimator.estimate.theta[1] = math.nan, 0.0
     assert adapted(state) == Verdict.NOT_FINITE
 
 
@@ -169,14 +169,14 @@ def test_a_load_that_swings_is_refused_before_its_certainty() -> None:
     for product, verdict in ((234.0, Verdict.TRUSTED), (900.0, Verdict.UNDERDAMPED)):
         state = known(2.0, damped)
         values = [0.011, 33.4, product]
-        state.estimator.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
+        state.estimator.estimate.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
         assert adapted(state, damped) == verdict
         assert math.isnan(state.spread) is (verdict == Verdict.UNDERDAMPED)
 
 
 def test_an_estimate_whose_loop_is_not_sure_is_refused_after_its_residuals() -> None:
     state = known()
-    state.estimator.diagonal[:] = [1e6] * len(state.estimator.theta)
+    state.estimator.estimate.diagonal[:] = [1e6] * len(state.estimator.estimate.theta)
     assert adapted(state) == Verdict.UNCERTAIN
     careless = replace(CAREFUL, jacket=replace(JACKET, spread_max=0.0))
     assert adapted(state, careless) == Verdict.TRUSTED
@@ -189,7 +189,7 @@ def test_a_load_that_grows_is_refused() -> None:
     wide = replace(wide, jacket=replace(wide.jacket, spread_max=0.0, residual_margin=0.0))
     state = known()
     values = [0.011, -30.0, 234.0]
-    state.estimator.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
+    state.estimator.estimate.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
     assert adapted(state, wide) == Verdict.UNSTABLE_LOAD
 
 
@@ -200,7 +200,7 @@ def test_noise_of_the_output_makes_the_poles_slower(noise: float, rounding: floa
     limit = 0.5 * 4e-3 * LEARNING.output_scale * noise_gain(a, b, asked_loop(b, 2, POLE))
     settings = replace(CAREFUL, jacket=replace(JACKET, noise_max=limit))
     state = known(2.0, settings)
-    state.estimator.surprise.noise, state.estimator.rounding = noise * noise, rounding
+    state.estimator.surprise.noise, state.estimator.sample.rounding = noise * noise, rounding
     assert adapted(state, settings) == Verdict.TRUSTED
     noise_V = 4e-3 * LEARNING.output_scale * noise_gain(a, b, state.new_loop)
     assert 0.9 * limit < noise_V <= limit
@@ -234,19 +234,19 @@ def lost(state: SlowState, settings: ControllerSettings, periods: int) -> list[i
 def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods() -> None:
     state = known(30.0)
     estimator = state.estimator
-    estimator.elapsed_s, estimator.theta[5] = 500.0, 0.7
+    estimator.sample.time_s, estimator.estimate.theta[5] = 500.0, 0.7
     estimator.surprise.sum, estimator.rivals.samples, estimator.challenger.samples = 3.0, 4, 5
-    before = list(estimator.theta)
+    before = list(estimator.estimate.theta)
     assert lost(state, CAREFUL, 60) == list(range(1, 61))
-    assert estimator.theta == before
+    assert estimator.estimate.theta == before
     assert lost(state, CAREFUL, 1) == [0]
-    assert estimator.theta == pytest.approx([*state.nominal_theta])
-    assert estimator.diagonal == [LEARNING.initial_covariance] * 6
-    assert estimator.origin_s == 500.0
+    assert estimator.estimate.theta == pytest.approx([*state.nominal_theta])
+    assert estimator.estimate.diagonal == [LEARNING.initial_covariance] * 6
+    assert estimator.estimate.origin_s == 500.0
     assert estimator.surprise.sum == 0.0
     assert estimator.rivals.samples == estimator.challenger.samples == 0
-    assert estimator.rivals.calm.theta == estimator.theta
-    assert estimator.rivals.calm.diagonal == estimator.diagonal
+    assert estimator.rivals.calm.theta == estimator.estimate.theta
+    assert estimator.rivals.calm.diagonal == estimator.estimate.diagonal
     assert estimator.rivals.anchor.time_s == 500.0
     assert adapted(state) == Verdict.UNCERTAIN
 
@@ -256,14 +256,14 @@ def test_where_the_walking_bias_is_in_force_its_estimate_alone_begins_anew() -> 
     state = known(30.0)
     estimator = state.estimator
     estimator.integrated.in_force, estimator.integrated.samples = True, 200
-    estimator.integrated.branch.theta[:] = estimator.theta
-    estimator.integrated.branch.diagonal[:] = estimator.diagonal
-    before = list(estimator.theta)
+    estimator.integrated.branch.theta[:] = estimator.estimate.theta
+    estimator.integrated.branch.diagonal[:] = estimator.estimate.diagonal
+    before = list(estimator.estimate.theta)
     assert lost(state, CAREFUL, 61)[-2:] == [60, 0]
     assert not estimator.integrated.in_force
     assert estimator.integrated.samples == 0
-    assert estimator.theta == before
-    assert estimator.origin_s == 0.0
+    assert estimator.estimate.theta == before
+    assert estimator.estimate.origin_s == 0.0
 
 
 def test_periods_that_teach_nothing_do_not_count() -> None:
@@ -278,7 +278,7 @@ def test_periods_that_teach_nothing_do_not_count() -> None:
 def test_an_estimate_that_a_load_can_have_ends_the_count() -> None:
     state = known(30.0)
     lost(state, CAREFUL, 30)
-    state.estimator.theta[:] = known(2.0).estimator.theta
+    state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
     assert lost(state, CAREFUL, 1) == [0]
 
 
@@ -297,7 +297,7 @@ def test_gains_that_the_uncertainty_makes_unstable_are_refused(
     """Parameters with deviations of 3 to 4 %: the loop holds two of them, not a hundred."""
     settings = replace(CAREFUL, jacket=replace(JACKET, confidence=confidence))
     state = known(2.0, settings)
-    state.estimator.diagonal[:] = [100.0] * len(state.estimator.diagonal)
+    state.estimator.estimate.diagonal[:] = [100.0] * len(state.estimator.estimate.diagonal)
     assert adapted(state, settings) == verdict
 
 

@@ -27,7 +27,7 @@ BIASED = replace(EXACT.learning, bias=True, alert=True)
 def state_with(load: Load, offset: float = 0.0) -> SlowState:
     """A slow half whose estimate has an offset of the input."""
     state = new_slow_state(replace(EXACT, learning=BIASED), load, 3.0, REST_V)
-    theta, first = state.estimator.theta, load.order
+    theta, first = state.estimator.estimate.theta, load.order
     gain = sum(theta[first : first + len(load.input_powers)])
     theta[-1] = gain * offset / BIASED.input_scale
     return state
@@ -86,7 +86,7 @@ def test_an_offset_that_is_not_estimated_or_no_number_is_none() -> None:
     assert believed_offset(BIASED, MOTOR, state) == pytest.approx(40.0)
     assert believed_offset(replace(BIASED, bias=False), MOTOR, state) == 0.0
     assert believed_offset(replace(BIASED, method=METHODS["rls"]), MOTOR, state) == 0.0
-    state.estimator.theta[-1] = math.inf
+    state.estimator.estimate.theta[-1] = math.inf
     assert believed_offset(BIASED, MOTOR, state) == 0.0
 
 

@@ -15,15 +15,13 @@ from adaptdrive.control import challenger as chal
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
 from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.branch import Branch, Sample, copy_estimate, new_branch, posterior_power
 from adaptdrive.control.hypotheses import (
     ANEW,
     BOTH,
     DISTURBANCE,
     LOAD,
     NOTHING,
-    Branch,
-    copy_estimate,
-    new_branch,
     restart_past,
     widen,
 )
@@ -66,17 +64,17 @@ class Case:
 def case(count: int = 5, seed: int = 1, noise: float = 0.004) -> Case:
     random = np.random.default_rng(seed)
     rivals = riv.new_rivals(COUNT)
-    now = rivals.now
+    now = new_branch(COUNT)
     rls.reset(now.theta, now.upper, now.diagonal, 3.0)
     now.theta[:] = theta()
     now.origin_s = 2.0
     rivals.lowered[:] = regressor(random)
-    riv.drop_anchor(rivals, regressor(random), 30.0)
+    riv.drop_anchor(rivals, now, Sample(regressor(random), time_s=30.0))
     found = Case(rivals, [], [], [])
     for number in range(count):
         r, time_s = regressor(random), 31.0 + number
         target = float(np.dot(r, theta(2.6)) + noise * random.normal())
-        assert riv.keep_sample(rivals, r, target, time_s, riv.ROOM)
+        assert riv.keep_sample(rivals, Sample(r, target, time_s), riv.ROOM)
         found.regressors.append(r)
         found.targets.append(target)
         found.times_s.append(time_s)
@@ -142,8 +140,8 @@ def test_explanations_are_compared_by_their_likelihood_and_rarity(seed: int, loa
     rarity = {NOTHING: 0.0, DISTURBANCE: 0.0, LOAD: 9.0 + 9.0 * loads, BOTH: 18.0 + 9.0 * loads}
     scores = {kind: expected[kind].log_density - rarity[kind] for kind in expected}
     for kind in (DISTURBANCE, LOAD, BOTH):
-        branch = riv.branch_of(one.rivals, kind)
-        lead = branch.score - one.rivals.nothing.score
+        branch = one.rivals.branches[kind]
+        lead = branch.score - one.rivals.branches[NOTHING].score
         assert lead == pytest.approx(scores[kind] - scores[NOTHING], rel=1e-6, abs=1e-6)
         assert branch.theta == pytest.approx(expected[kind].mean, abs=1e-6)
         assert branch.squares == pytest.approx(expected[kind].squares, rel=1e-6)
@@ -159,7 +157,7 @@ def test_an_explanation_forgets_along_its_samples() -> None:
         sample = filled(r, time_s - 30.0).tolist()
         rls.update_along(branch.theta, branch.upper, branch.diagonal, sample, target, 0.97)
     riv.split(one.rivals, learning, MOTOR, POWER)
-    found = one.rivals.load
+    found = one.rivals.branches[LOAD]
     assert found.theta == pytest.approx(branch.theta)
     assert ud.covariance(found.upper, found.diagonal) == pytest.approx(
         ud.covariance(branch.upper, branch.diagonal)
@@ -170,7 +168,7 @@ def test_the_sample_is_left_as_the_likeliest_explanation_sees_it() -> None:
     one = case()
     riv.split(one.rivals, LEARNING, MOTOR, POWER)
     r = list(one.regressors[0])
-    riv.follow(one.rivals, LEARNING, MOTOR, r, one.targets[0], 40.0)
+    riv.follow(one.rivals, LEARNING, MOTOR, Sample(r, one.targets[0], 40.0))
     origin_s = 2.0 if one.rivals.kind == NOTHING else 30.0
     assert r == pytest.approx(filled(r, 40.0 - origin_s))
     assert one.rivals.samples == 6
@@ -186,19 +184,19 @@ def test_an_anchor_is_the_last_calm_sample_and_the_gap_ends_at_the_next() -> Non
     riv.prepare(one.rivals, 7e-6)
     assert one.rivals.anchor.power == 7e-6
     assert one.rivals.anchor.gap_s == 1.0
-    riv.drop_anchor(one.rivals, one.regressors[2], 33.0)
+    riv.drop_anchor(one.rivals, one.rivals.calm, Sample(one.regressors[2], time_s=33.0))
     assert one.rivals.waiting == 0
     assert one.rivals.anchor.regressor == one.regressors[2]
 
 
 def test_no_more_samples_are_kept_than_there_is_room_for() -> None:
     rivals = riv.new_rivals(COUNT)
-    kept = [riv.keep_sample(rivals, [float(k)] * COUNT, 10.0 * k, 0.5 * k, 3) for k in range(5)]
+    samples = [Sample([float(k)] * COUNT, 10.0 * k, 0.5 * k) for k in range(5)]
+    kept = [riv.keep_sample(rivals, one, 3) for one in samples]
     assert kept == [True, True, True, False, False]
-    assert rivals.targets[:3] == [0.0, 10.0, 20.0]
-    assert rivals.times_s[:3] == [0.0, 0.5, 1.0]
-    assert rivals.regressors[: 3 * COUNT] == [0.0] * COUNT + [1.0] * COUNT + [2.0] * COUNT
-    full = [riv.keep_sample(rivals, [0.0] * COUNT, 0.0, 0.0, riv.ROOM) for _ in range(20)]
+    assert rivals.kept[:3] == samples[:3]
+    assert rivals.kept[0] is not samples[0]
+    full = [riv.keep_sample(rivals, samples[0], riv.ROOM) for _ in range(20)]
     assert sum(full) == 11 - 3
 
 
@@ -209,7 +207,7 @@ def compared(
     """A comparison with given scores; every load can exist."""
     rivals = riv.new_rivals(COUNT)
     for kind, score in enumerate((nothing, disturbance, load, both)):
-        branch = riv.branch_of(rivals, kind)
+        branch = rivals.branches[kind]
         branch.theta[:] = theta()
         branch.score = score
     rivals.samples = samples
@@ -225,8 +223,8 @@ def test_an_explanation_is_clear_when_it_has_left_each_other_behind(
     """By odds of e^10."""
     rivals = compared(6)
     for kind in range(4):
-        riv.branch_of(rivals, kind).score = -distance if kind == rival else -50.0
-    riv.branch_of(rivals, best).score = 0.0
+        rivals.branches[kind].score = -distance if kind == rival else -50.0
+    rivals.branches[best].score = 0.0
     assert riv.is_clear(rivals) is (clear or best == rival)
 
 
@@ -248,10 +246,10 @@ def test_a_sample_is_expected_where_one_that_is_not_left_behind_has_z2_below_thr
     rivals = compared(6, load=load)
     rivals.anchor.power = POWER
     for kind in range(NOTHING, BOTH + 1):
-        branch = riv.branch_of(rivals, kind)
+        branch = rivals.branches[kind]
         branch.excitation, branch.innovation = 0.2, 9.0 * math.sqrt(POWER)
-    rivals.disturbance.innovation = 0.0
-    rivals.load.innovation = error * math.sqrt(1.2 * POWER)
+    rivals.branches[DISTURBANCE].innovation = 0.0
+    rivals.branches[LOAD].innovation = error * math.sqrt(1.2 * POWER)
     assert riv.is_expected(rivals, LEARNING) is expected
 
 
@@ -289,7 +287,7 @@ def test_a_load_that_cannot_be_waits_and_loses(
 ) -> None:
     for samples, found in ((39, None), (40, expected)):
         rivals = compared(samples, disturbance=disturbance)
-        branch = riv.branch_of(rivals, kind)
+        branch = rivals.branches[kind]
         branch.score, branch.theta[1] = 30.0, -9.0
         assert not riv.is_possible(branch.theta, LEARNING, MOTOR)
         assert decision(rivals) == found
@@ -348,29 +346,32 @@ def test_disturbances_add_up_by_their_squares_and_are_forgotten() -> None:
 
 def test_the_variance_that_remains_is_a_mean_with_the_prior() -> None:
     rivals = compared(6)
-    rivals.kind, rivals.anchor.power, rivals.load.squares = LOAD, 1e-4, 5e-4
-    assert riv.posterior_power(rivals) == pytest.approx((4.0 * 1e-4 + 5e-4) / 10.0)
-    rivals.anchor.power = rivals.load.squares = 0.0
-    assert riv.posterior_power(rivals) == 1e-8
+    rivals.kind, rivals.anchor.power, rivals.branches[LOAD].squares = LOAD, 1e-4, 5e-4
+    assert riv.explained_power(rivals) == pytest.approx((4.0 * 1e-4 + 5e-4) / 10.0)
+    rivals.anchor.power = rivals.branches[LOAD].squares = 0.0
+    assert riv.explained_power(rivals) == 1e-8
 
 
 # the challenger
 
 
-def begun(one: Case) -> chal.Challenger:
-    challenger = chal.Challenger(new_branch(COUNT), squares=9.0, logs=9.0, judged=9)
+def begun(one: Case) -> tuple[chal.Challenger, Branch]:
+    """A challenger, and the estimate."""
+    challenger, estimate = chal.Challenger(new_branch(COUNT), judged=9), new_branch(COUNT)
+    for branch in (challenger.branch, estimate):
+        branch.squares = branch.logs = 9.0
     riv.prepare(one.rivals, POWER)
-    chal.begin(challenger, one.rivals, LEARNING, MOTOR)
-    return challenger
+    chal.begin(challenger, estimate, one.rivals, LEARNING, MOTOR)
+    return challenger, estimate
 
 
 def test_it_learns_all_samples_since_the_anchor_without_judging_them() -> None:
     one = case(8)
-    challenger, expected = begun(one), bayes(ANEW, one)
+    (challenger, estimate), expected = begun(one), bayes(ANEW, one)
     assert challenger.branch.theta == pytest.approx(expected.mean, abs=1e-6)
     assert challenger.samples == 8
     assert challenger.power == POWER
-    assert (challenger.judged, challenger.squares, challenger.logs) == (0, 0.0, 0.0)
+    assert (challenger.judged, estimate.squares, estimate.logs) == (0, 0.0, 0.0)
     assert (challenger.branch.squares, challenger.branch.logs) == (0.0, 0.0)
 
 
@@ -378,40 +379,42 @@ def test_it_learns_all_samples_since_the_anchor_without_judging_them() -> None:
 def test_its_lead_is_the_ratio_of_both_likelihoods(seed: int) -> None:
     """Each predicts a sample before it learns it; the estimate here learns like any other."""
     one, random = case(9, seed), np.random.default_rng(seed)
-    challenger, new, old = begun(one), bayes(ANEW, one), bayes(NOTHING, one)
+    (challenger, estimate), new, old = begun(one), bayes(ANEW, one), bayes(NOTHING, one)
     for bayesian in (new, old):
         bayesian.squares, bayesian.samples, bayesian.log_density = 0.0, 0, 0.0
     for number in range(12):
         r, time_s = regressor(random), 40.0 + number
         target = float(np.dot(r, theta(2.6)) + 0.002 * random.normal())
         seen = filled(r, time_s - 2.0)
-        excitation = float(seen @ old.covariance @ seen)
-        error = target - float(seen @ old.mean)
+        estimate.excitation = float(seen @ old.covariance @ seen)
+        estimate.innovation = target - float(seen @ old.mean)
         new.take(filled(r, time_s - 30.0), target)
         old.take(seen, target)
-        chal.follow(challenger, LEARNING, MOTOR, r, target, time_s, excitation, error)
+        chal.follow(challenger, LEARNING, MOTOR, Sample(r, target, time_s), estimate)
         assert r == pytest.approx(filled(r, time_s - 30.0))
         assert challenger.samples in {0, 10 + number}
         if challenger.judged == new.samples:
             lead = new.log_density - old.log_density
-            assert chal.lead(challenger) == pytest.approx(lead, rel=1e-6, abs=1e-6)
+            assert chal.lead(challenger, estimate) == pytest.approx(lead, rel=1e-6, abs=1e-6)
     assert challenger.judged == 12
 
 
 def test_a_prediction_of_an_untrained_challenger_is_not_judged() -> None:
     for excitation, judged in ((1.0, 1), (1e6, 0)):
         one = case(1)
-        challenger = begun(one)
+        challenger, estimate = begun(one)
+        estimate.excitation, estimate.innovation = 0.1, 0.01
         ud.open_up(challenger.branch.upper, challenger.branch.diagonal, excitation / 3.0)
-        chal.follow(challenger, LEARNING, MOTOR, one.regressors[0], 0.9, 40.0, 0.1, 0.01)
+        chal.follow(challenger, LEARNING, MOTOR, Sample(one.regressors[0], 0.9, 40.0), estimate)
         assert challenger.judged == judged
 
 
-def led(lead: float, judged: int, samples: int = 20) -> chal.Challenger:
-    """A challenger that leads by so much through its logarithms."""
-    branch = new_branch(COUNT)
+def led(lead: float, judged: int, samples: int = 20) -> tuple[chal.Challenger, Branch]:
+    """A challenger that leads by so much through the logarithms of the estimate."""
+    branch, estimate = new_branch(COUNT), new_branch(COUNT)
     branch.theta[:] = theta()
-    return chal.Challenger(branch, logs=2.0 * lead, power=POWER, samples=samples, judged=judged)
+    estimate.logs = 2.0 * lead
+    return chal.Challenger(branch, power=POWER, samples=samples, judged=judged), estimate
 
 
 @pytest.mark.parametrize("judged", [0, 99])
@@ -422,21 +425,21 @@ def led(lead: float, judged: int, samples: int = 20) -> chal.Challenger:
 def test_it_wins_by_twenty_seven_and_nine_for_each_load_found_lately(
     lead: float, loads: float, judged: int, wins: bool
 ) -> None:
-    challenger = led(lead, judged)
-    assert chal.lead(challenger) == pytest.approx(lead)
-    assert chal.has_won(challenger, loads, LEARNING, MOTOR) is wins
-    assert chal.has_won(led(lead, judged, samples=0), loads, LEARNING, MOTOR) is False
+    challenger, estimate = led(lead, judged)
+    assert chal.lead(challenger, estimate) == pytest.approx(lead)
+    assert chal.has_won(challenger, estimate, loads, LEARNING, MOTOR) is wins
+    assert chal.has_won(*led(lead, judged, samples=0), loads, LEARNING, MOTOR) is False
     challenger.branch.theta[1] = -9.0
-    assert chal.has_won(challenger, loads, LEARNING, MOTOR) is False
+    assert chal.has_won(challenger, estimate, loads, LEARNING, MOTOR) is False
 
 
 def followed(lead: float, samples: int) -> int:
     """Samples of a challenger after one that supports neither."""
-    challenger = led(lead, 5, samples)
+    challenger, estimate = led(lead, 5, samples)
     ud.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-12)
     r = regressor(np.random.default_rng(1))
     target = float(np.dot(filled(r, 40.0), theta()))
-    chal.follow(challenger, LEARNING, MOTOR, r, target, 40.0, 0.0, 0.0)
+    chal.follow(challenger, LEARNING, MOTOR, Sample(r, target, 40.0), estimate)
     return challenger.samples
 
 
@@ -447,11 +450,12 @@ def test_it_gives_up_when_it_is_beaten_or_after_a_hundred_and_fifty_samples() ->
     assert followed(-10.01, 20) == 0
 
 
-def test_a_challenger_without_a_variance_or_with_a_sum_that_is_no_number_leads_by_nothing() -> None:
-    for power, squares in ((0.0, 1.0), (math.nan, 1.0), (POWER, math.nan)):
-        challenger = led(30.0, 5)
-        challenger.power, challenger.squares = power, squares
-        assert chal.lead(challenger) == 0.0
+def test_a_challenger_with_a_sum_that_is_no_number_does_not_win() -> None:
+    for power, squares in ((math.nan, 1.0), (POWER, math.nan)):
+        challenger, estimate = led(30.0, 5)
+        challenger.power, estimate.squares = power, squares
+        assert not chal.lead(challenger, estimate) > 0.0
+        assert not chal.has_won(challenger, estimate, 0.0, LEARNING, MOTOR)
 
 
 @pytest.mark.parametrize(("error", "surprised"), [(1.7, False), (1.8, True), (-1.8, True)])
@@ -459,20 +463,21 @@ def test_a_sample_beyond_the_root_of_three_deviations_is_new_to_it(
     error: float, surprised: bool
 ) -> None:
     """z² above the drift of the detector, 3."""
-    challenger, r = led(0.0, 5), regressor(np.random.default_rng(2))
+    (challenger, _), r = led(0.0, 5), regressor(np.random.default_rng(2))
     ud.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-9)
     target = float(np.dot(filled(r, 40.0), theta())) + error * math.sqrt(POWER)
-    ask = (LEARNING, MOTOR, r, target, 40.0)
+    ask = (LEARNING, MOTOR, Sample(r, target, 40.0))
     assert chal.is_surprised(challenger, *ask) is surprised
     challenger.samples = 0
     assert chal.is_surprised(challenger, *ask) is True
 
 
 def test_what_remains_of_its_variance_and_a_new_count() -> None:
-    challenger = led(0.0, 6)
-    challenger.branch.squares, challenger.power = 5e-4, 1e-4
-    assert chal.posterior_power(challenger) == pytest.approx((4.0 * 1e-4 + 5e-4) / 10.0)
-    challenger.squares, challenger.logs, challenger.branch.logs = 1.0, 2.0, 3.0
-    chal.recount(challenger)
-    assert (challenger.squares, challenger.logs, challenger.judged) == (0.0, 0.0, 0)
+    challenger, estimate = led(0.0, 6)
+    challenger.branch.squares = 5e-4
+    power = posterior_power(challenger.branch, 1e-4, challenger.judged)
+    assert power == pytest.approx((4.0 * 1e-4 + 5e-4) / 10.0)
+    estimate.squares, estimate.logs, challenger.branch.logs = 1.0, 2.0, 3.0
+    chal.recount(challenger, estimate)
+    assert (estimate.squares, estimate.logs, challenger.judged) == (0.0, 0.0, 0)
     assert (challenger.branch.squares, challenger.branch.logs) == (0.0, 0.0)

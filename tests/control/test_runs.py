@@ -193,7 +193,7 @@ def test_a_tenth_of_the_ticks_may_be_stood_in_for(held: int, *, learns: bool) ->
     for tick in range(1, TICKS + 1):
         controller.tick(measured(tick, 3.01, fresh=tick > held), order())
     controller.decide(snapshot_of(controller))
-    assert any(controller._slow.estimator.theta) is learns
+    assert any(controller._slow.estimator.estimate.theta) is learns
 
 
 SMALL = Rates(ticks_per_period=2, latency_ticks=1, samples=1, nominal_tick_s=1.0)

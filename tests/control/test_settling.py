@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,11 @@ import pytest
 from adaptdrive.control import challenger as chal
 from adaptdrive.control import regression as reg
 from adaptdrive.control import rivals as riv
+from adaptdrive.control.branch import Branch, Sample, predict
 from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.explanation import learn_and_explain
-from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING, Branch
+from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
 from tests.closed_loop.bench import MOTOR
 from tests.control.test_explanation import LEARNING, settled
 
@@ -31,33 +33,36 @@ MARK = 3
 
 
 def sure_branch(branch: Branch, state: EstimatorState, mark: float, squares: float) -> None:
-    branch.theta[:] = state.theta
+    branch.theta[:] = state.estimate.theta
     branch.theta[MARK] = mark
-    branch.upper[:] = state.upper
-    branch.diagonal[:] = [1e-9] * len(state.diagonal)
+    branch.upper[:] = state.estimate.upper
+    branch.diagonal[:] = [1e-9] * len(state.estimate.diagonal)
     branch.squares, branch.logs = squares, 0.0
 
 
 def compared(winner: int, squares: float = 20.0, others: float = 2000.0) -> EstimatorState:
     """A comparison of WINDOW samples in which one explanation has predicted best."""
     state = settled()
-    state.elapsed_s, state.periods, state.idle_periods, state.innovation = 1e4, 5000, 7, 0.0
+    state.sample.time_s, state.periods, state.idle_periods, state.innovation = 1e4, 5000, 7, 0.0
     state.surprise.power, state.surprise.samples = POWER, 100
-    state.diagonal[:] = [1e-9] * len(state.diagonal)
+    state.estimate.diagonal[:] = [1e-9] * len(state.estimate.diagonal)
     for kind in range(NOTHING, BOTH + 1):
         sums = squares if kind == winner else others
-        sure_branch(riv.branch_of(state.rivals, kind), state, 0.1 * (kind + 1), sums * POWER)
+        sure_branch(state.rivals.branches[kind], state, 0.1 * (kind + 1), sums * POWER)
     state.rivals.samples, state.rivals.anchor.power = WINDOW, POWER
     return state
 
 
 def expected_sample(state: EstimatorState) -> float:
-    return float(np.dot(state.theta, state.regressor))
+    return float(np.dot(state.estimate.theta, state.sample.regressor))
 
 
 def take(state: EstimatorState, error: float = 0.0) -> None:
     """Learn a sample that each estimate has expected within an error, by default exactly."""
-    learn_and_explain(state, LEARNING, MOTOR, expected_sample(state) + error, 0.0)
+    state.sample.target = expected_sample(state)
+    predict(state.estimate, state.sample)
+    state.sample.target += error
+    learn_and_explain(state, LEARNING, MOTOR)
 
 
 def posterior(squares: float) -> float:
@@ -70,12 +75,11 @@ def test_what_has_won_is_the_estimate_and_ends_the_comparison(winner: int) -> No
     state = compared(winner)
     weight = state.residual_weight
     take(state)
-    best = riv.branch_of(state.rivals, winner)
+    best = state.rivals.branches[winner]
     assert (state.rivals.kind, state.rivals.samples) == (winner, 0)
-    assert state.theta == best.theta
-    assert state.theta[MARK] == 0.1 * (winner + 1)
-    assert (state.upper, state.diagonal) == (best.upper, best.diagonal)
-    assert state.rivals.now.theta == best.theta
+    assert state.estimate.theta == best.theta
+    assert state.estimate.theta[MARK] == 0.1 * (winner + 1)
+    assert (state.estimate.upper, state.estimate.diagonal) == (best.upper, best.diagonal)
     assert state.idle_periods == 0
     assert state.residual_weight == LEARNING.forgetting * weight + 1.0
     assert state.residual_power == state.surprise.power * state.residual_weight
@@ -132,7 +136,7 @@ def test_what_a_load_in_the_running_expected_is_no_other_change(
 ) -> None:
     state = compared(NOTHING, 20.0, others)
     state.rivals.samples, state.surprise.sum = WINDOW // 2, 1e3
-    state.rivals.load.theta[-1] += 4.0 * SIGMA
+    state.rivals.branches[LOAD].theta[-1] += 4.0 * SIGMA
     take(state, 4.0 * SIGMA)
     assert (state.alarm_period == state.periods) is alarms
     assert state.surprise.power == pytest.approx(1.03 * POWER, rel=1e-9)
@@ -166,10 +170,12 @@ def test_suspicious_samples_wait_while_there_is_room_for_the_one_that_gives_the_
 def test_an_alarm_begins_a_challenger_that_has_learnt_the_waiting_samples_once() -> None:
     state = compared(NOTHING)
     state.rivals.samples = 0
-    riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s - 3.0)
+    before = replace(state.sample, time_s=state.sample.time_s - 3.0)
+    riv.drop_anchor(state.rivals, state.estimate, before)
     for second in (2.0, 1.0):
-        sample = expected_sample(state)
-        riv.keep_sample(state.rivals, state.regressor, sample, state.elapsed_s - second, riv.ROOM)
+        time_s = state.sample.time_s - second
+        sample = Sample(state.sample.regressor, expected_sample(state), time_s)
+        riv.keep_sample(state.rivals, sample, riv.ROOM)
     state.surprise.sum = 1e3
     take(state)
     assert state.rivals.samples == 3
@@ -181,19 +187,23 @@ def ahead(state: EstimatorState) -> None:
     sure_branch(state.challenger.branch, state, 0.9, 1.0 * POWER)
     challenger = state.challenger
     challenger.samples, challenger.judged, challenger.power = 60, 50, POWER
-    challenger.squares, challenger.logs = 1e4 * POWER, 0.0
+    state.estimate.squares, state.estimate.logs = 1e4 * POWER, 0.0
 
 
 def test_a_challenger_that_has_won_is_the_estimate() -> None:
     state = compared(DISTURBANCE)
     state.rivals.samples = 0
     ahead(state)
-    assert chal.lead(state.challenger) > 27.0
+    assert chal.lead(state.challenger, state.estimate) > 27.0
     take(state)
-    assert state.theta == state.challenger.branch.theta
-    assert state.theta[MARK] == 0.9
-    now = state.rivals.now
-    assert (now.theta, now.upper, now.diagonal) == (state.theta, state.upper, state.diagonal)
+    assert state.estimate.theta == state.challenger.branch.theta
+    assert state.estimate.theta[MARK] == 0.9
+    calm = state.rivals.calm
+    assert (calm.theta, calm.upper, calm.diagonal) == (
+        state.estimate.theta,
+        state.estimate.upper,
+        state.estimate.diagonal,
+    )
     assert (state.rivals.kind, state.rivals.samples) == (BOTH, 0)
     assert state.rivals.loads == pytest.approx(1.0, rel=0.01)
     assert (state.challenger.samples, state.surprise.alarms, state.surprise.sum) == (0, 1, 0.0)
@@ -207,7 +217,7 @@ def test_a_challenger_that_wins_ends_a_suspicion_with_it() -> None:
     state.rivals.samples, state.surprise.sum = 0, 8.0
     ahead(state)
     take(state)
-    assert state.theta[MARK] == 0.9
+    assert state.estimate.theta[MARK] == 0.9
     assert (state.surprise.sum, state.rivals.waiting) == (0.0, 0)
 
 
@@ -239,20 +249,20 @@ def test_a_challenger_waits_while_a_load_is_compared() -> None:
     ahead(state)
     take(state)
     assert state.rivals.samples == 6
-    assert state.theta[MARK] == 0.1 * (LOAD + 1)
+    assert state.estimate.theta[MARK] == 0.1 * (LOAD + 1)
     assert state.challenger.samples == 61
 
 
 def test_the_regressor_stays_that_of_the_estimate_beside_a_challenger() -> None:
     """The functions of the initial state are counted from the origin of each."""
     state = compared(NOTHING)
-    state.rivals.samples, state.origin_s = 0, state.elapsed_s - 10.0
+    state.rivals.samples, state.estimate.origin_s = 0, state.sample.time_s - 10.0
     sure_branch(state.challenger.branch, state, 0.0, 0.0)
-    state.challenger.branch.origin_s = state.elapsed_s - 25.0
+    state.challenger.branch.origin_s = state.sample.time_s - 25.0
     state.challenger.samples, state.challenger.power = 5, POWER
-    reg.fill_initial_state(state.regressor, LEARNING, MOTOR, 10.0)
+    reg.fill_initial_state(state.sample.regressor, LEARNING, MOTOR, 10.0)
     take(state)
     assert state.challenger.samples == 6
     ratio = 10.0 / LEARNING.tau_lambda_s
     expected = [math.exp(-ratio), ratio * math.exp(-ratio)]
-    assert state.regressor[MARK : MARK + 2] == pytest.approx(expected, rel=1e-12)
+    assert state.sample.regressor[MARK : MARK + 2] == pytest.approx(expected, rel=1e-12)

@@ -122,7 +122,7 @@ def test_a_period_with_many_stand_in_ticks_teaches_nothing(held_share: float, le
     settings = replace(EXACT, learning=PLAIN_LEARNING)
     state = at_rest(settings)
     slow_step(settings, MOTOR, state, sample(3.01, held_share=held_share))
-    assert any(state.estimator.theta) == learns
+    assert any(state.estimator.estimate.theta) == learns
 
 
 @pytest.mark.parametrize(("moved", "learns"), [(0.009, False), (0.011, True), (-0.011, True)])
@@ -130,7 +130,7 @@ def test_an_output_within_the_dead_band_teaches_nothing(moved: float, learns: bo
     settings = replace(EXACT, learning=replace(PLAIN_LEARNING, dead_band=0.01))
     state = at_rest(settings)
     slow_step(settings, MOTOR, state, sample(3.0 + moved))
-    assert any(state.estimator.theta) == learns
+    assert any(state.estimator.estimate.theta) == learns
 
 
 @pytest.mark.parametrize(("method", "compared"), [("lm-rls", True), ("rls", False)])

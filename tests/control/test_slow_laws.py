@@ -33,8 +33,8 @@ BATTERY = battery_load(0.25, 1.2, 0.3, 60.0, Charging(0.25, 1.0, 0.2, 58.0, 1.0)
 def known() -> SlowState:
     """A slow half at rest that is sure of a motor with two disks."""
     state = new_slow_state(SETTINGS, MOTOR, 3.0, REST_V)
-    state.estimator.theta[:3] = theta_of(SETTINGS.learning, MOTOR, *MOTOR.realise(HEAVY))
-    state.estimator.diagonal[:] = [1e-6] * 3
+    state.estimator.estimate.theta[:3] = theta_of(SETTINGS.learning, MOTOR, *MOTOR.realise(HEAVY))
+    state.estimator.estimate.diagonal[:] = [1e-6] * 3
     state.estimator.periods = 100
     state.reference_filter.course[:] = [3.0] * len(state.reference_filter.course)
     return state
@@ -134,7 +134,7 @@ def test_the_charge_is_the_sum_of_the_output_over_time() -> None:
         slow_step(SETTINGS, MOTOR, state, replace(SAMPLE, output=output, period_s=period_s))
     scale, tau_s = SETTINGS.learning.output_scale, SETTINGS.learning.tau_lambda_s
     assert state.estimator.charge == pytest.approx((3.0 + 6.6) / scale / tau_s)
-    assert state.estimator.elapsed_s == 3.0
+    assert state.estimator.sample.time_s == 3.0
 
 
 def test_the_lags_of_the_response_monitor_count_in_slow_periods() -> None:

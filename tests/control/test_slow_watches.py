@@ -68,7 +68,7 @@ def test_a_rounding_error_is_known_in_the_scale_of_the_estimate() -> None:
     settings = replace(EXACT, learning=learning)
     state = at_rest(settings)
     slow_step(settings, MOTOR, state, replace(FIXED, rounding=0.02))
-    assert state.estimator.rounding == 0.005
+    assert state.estimator.sample.rounding == 0.005
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 4.0])

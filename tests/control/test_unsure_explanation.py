@@ -33,7 +33,7 @@ def compared(scores: dict[int, float], samples: int, variance: float = SURE) -> 
     rivals = riv.new_rivals(COUNT)
     rivals.samples, rivals.anchor.power = samples, POWER
     for kind, score in scores.items():
-        branch = riv.branch_of(rivals, kind)
+        branch = rivals.branches[kind]
         branch.theta[:], branch.score = NOMINAL, score
         branch.upper[:] = np.eye(COUNT).ravel().tolist()
         branch.diagonal[:] = [variance] * COUNT

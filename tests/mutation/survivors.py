@@ -132,10 +132,9 @@ CONTROL: dict[str, str] = {
     "jacobian = [1.0] * (len(values) * count)": _OVERWRITTEN,
     "control.certainty:deviations_of: deviations = [0.0] * len(values) -> "
     "deviations = [1.0] * len(values)": _OVERWRITTEN,
-    "control.rivals:_take_in: branch.score = -0.5 * (branch.logs + weight * math.log(mean / "
-    "weight)) - _rarity(rivals, kind) -> branch.score = -0.5 * (branch.logs + weight * "
-    "math.log(mean * weight)) - _rarity(rivals, kind)": "each explanation gets the same beside "
-    "it, and only their differences count",
+    "control.branch:likelihood: return -0.5 * (branch.logs + weight * math.log(mean / weight)) -> "
+    "return -0.5 * (branch.logs + weight * math.log(mean * weight))": "each branch gets the same "
+    "in addition, and only their differences count",
     "control.fast_half:limit_power: if state.ceiling_V < stage.boost_reference_max_V: -> "
     "if state.ceiling_V <= stage.boost_reference_max_V:": "a ceiling above the highest V_c "
     "lowers none",
@@ -162,8 +161,8 @@ CONTROL: dict[str, str] = {
     "control.noise_limit:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
     "a, b = (list(denominator), [0.0] * (degree + 2))": _NOT_READ,
     "control.noise_limit:_reduce: last = [0.0] * (k + 1) -> last = [0.0] * (k + 2)": _NOT_READ,
-    "control.rivals:_likeliest: if branch_of(rivals, kind).score > branch_of(rivals, best).score: "
-    "-> if branch_of(rivals, kind).score >= branch_of(rivals, best).score:": "of explanations that "
+    "control.rivals:_likeliest: if branch.score > rivals.branches[best].score: "
+    "-> if branch.score >= rivals.branches[best].score:": "of explanations that "
     "are equal to the last digit, either may lead",
     "control.supervisor:_over_own_errors: if not power > _RESIDUAL_FLOOR: -> "
     "if not power >= _RESIDUAL_FLOOR:": "a power of just the floor gives 1 either way",

@@ -85,6 +85,7 @@ LEARNING = _control({
     "rls": "test_rls test_hypotheses test_beside",
     "ud_factors": "test_rls test_hypotheses test_beside",
     "regression": "test_estimator test_hypotheses test_charge",
+    "branch": "test_hypotheses test_rivals",
     "hypotheses": "test_hypotheses",
     "rivals": "test_rivals test_unsure_explanation",
     "challenger": "test_rivals",

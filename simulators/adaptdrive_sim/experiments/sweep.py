@@ -176,9 +176,9 @@ def _follow_filtered(
     state = est.new_estimator(learning, load, load.paper_taps)
     found = []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
-        reg.fill_filtered_regressor(state.regressor, learning, load, filtered, applied)
+        reg.fill_filtered_regressor(state.sample.regressor, learning, load, filtered, applied)
         est.learn(state, learning, load, target, usable=True)
-        numerator, denominator = reg.filtered_model(state.theta, learning, load)
+        numerator, denominator = reg.filtered_model(state.estimate.theta, learning, load)
         found.append(_physical(load, numerator, denominator))
     return np.array(found)
 
@@ -198,9 +198,9 @@ def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> 
     past_inputs = [float(heard.load_input[0])] * load.paper_taps
     found = []
     for target, applied in zip(outputs, heard.held_input, strict=True):
-        fill_direct_regressor(state.regressor, learning, load, past_outputs, past_inputs)
+        fill_direct_regressor(state.sample.regressor, learning, load, past_outputs, past_inputs)
         est.learn(state, learning, load, target, usable=True)
-        a, b = direct_model(state.theta, learning, load)
+        a, b = direct_model(state.estimate.theta, learning, load)
         found.append(_physical(load, *continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)
         shift_in(past_inputs, applied)

@@ -20,23 +20,24 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control.design import asked_loop, discrete_model
-from adaptdrive.control.evidence import WINDOW
+from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
 from adaptdrive.control.load import Load
 from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.vectors import Vector, all_finite, is_stable, total
 
-MARGIN_RADIUS = 0.995
-"""Largest pole of the loop with a possible load: a time constant of 200 slow periods."""
-
-STABLE_RADIUS = 0.9999
-"""Largest pole of a possible load that is stable: 10,000 slow periods."""
+STABLE_RADIUS = 1.0 - math.sqrt(NOISE_FLOOR)
+"""Largest pole of a possible load that is stable: in one of 10,000 slow periods it loses less than
+the least noise."""
 
 _SMALLEST_SHARE = 0.05
 """Least share of a parameter that is tried: physical parameters are positive."""
 
 _LONGEST = 10 * WINDOW
 """Samples of a response that are compared at most: twice the delay of four poles at 0.96."""
+
+MARGIN_RADIUS = 1.0 - 1.0 / _LONGEST
+"""Largest pole of the loop with a possible load: as slow as the longest response."""
 
 
 def possible_models(

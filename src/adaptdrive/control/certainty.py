@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.branch import Branch
 from adaptdrive.control.evidence import PRIOR_SHARE
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import filtered_model
@@ -15,25 +16,20 @@ _TINY = 1e-12
 """Divisor that counts as 0: 4,500 rounding errors of 1."""
 
 
-def is_sure(
-    theta: Vector, upper: Vector, diagonal: Vector, power: float, learning: Learning, load: Load
-) -> bool:
+def is_sure(branch: Branch, power: float, learning: Learning, load: Load) -> bool:
     """Return whether every physical parameter is known within half of its value.
 
     Args:
-        theta: θ.
-        upper: U.
-        diagonal: D.
+        branch: θ and P.
         power: σ², scaled.
         learning: Scales.
         load: Names and meaning of the parameters.
     """
-    numerator, denominator = filtered_model(theta, learning, load)
+    numerator, denominator = filtered_model(branch.theta, learning, load)
     if not abs(denominator[load.order]) > _TINY:
         return False
     values = load.physical(numerator, denominator)
-    noise = math.sqrt(power)
-    deviations = deviations_of(theta, upper, diagonal, noise, learning, load, values)
+    deviations = deviations_of(branch, math.sqrt(power), learning, load, values)
     for i in range(len(values)):
         if not deviations[i] <= PRIOR_SHARE * abs(values[i]):
             return False
@@ -41,57 +37,40 @@ def is_sure(
 
 
 def deviations_of(
-    theta: Vector,
-    upper: Vector,
-    diagonal: Vector,
-    noise: float,
-    learning: Learning,
-    load: Load,
-    values: Vector,
+    branch: Branch, noise: float, learning: Learning, load: Load, values: Vector
 ) -> Vector:
     """Standard deviations of the physical parameters at any θ and P, to first order.
 
     Args:
-        theta: θ.
-        upper: U.
-        diagonal: D.
+        branch: θ and P.
         noise: σ of the innovations, scaled.
         learning: Scales.
         load: Names and meaning of the parameters.
         values: The parameters at θ.
     """
-    count, rows = len(theta), _jacobian(theta, learning, load, values)
+    count, rows = len(branch.theta), _jacobian(branch.theta, learning, load, values)
     deviations = [math.nan] * len(values)
     if not math.isfinite(rows[0]):
         return deviations
     for i in range(len(values)):
         row = rows[i * count : (i + 1) * count]
-        deviations[i] = ud.standard_deviation(row, upper, diagonal, noise)
+        deviations[i] = ud.standard_deviation(row, branch.upper, branch.diagonal, noise)
     return deviations
 
 
-def root_of(
-    theta: Vector,
-    upper: Vector,
-    diagonal: Vector,
-    noise: float,
-    learning: Learning,
-    load: Load,
-    values: Vector,
-) -> Vector:
+def root_of(branch: Branch, noise: float, learning: Learning, load: Load, values: Vector) -> Vector:
     """L, lower triangular, flat, of the covariance L Lᵀ of the physical parameters.
 
     Args:
-        theta: θ.
-        upper: U.
-        diagonal: D.
+        branch: θ and P.
         noise: σ of the innovations, scaled.
         learning: Scales.
         load: Names and meaning of the parameters.
         values: The parameters at θ.
     """
-    size, count = len(values), len(theta)
-    rows, known = _jacobian(theta, learning, load, values), ud.covariance(upper, diagonal)
+    size, count = len(values), len(branch.theta)
+    rows = _jacobian(branch.theta, learning, load, values)
+    known = ud.covariance(branch.upper, branch.diagonal)
     root = [0.0] * (size * size)
     for i in range(size):
         for j in range(i + 1):

@@ -17,10 +17,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.evidence import EARLIEST
+from adaptdrive.control.evidence import EARLIEST, WINDOW
 
-TAPER_GAIN = 0.05
-"""κ: a twentieth of the way per slow period."""
+TAPER_GAIN = 1.0 / WINDOW
+"""κ: the taper follows a mean over a window, a twentieth of the way per slow period."""
 
 _NEAR_LIMIT = 0.99
 """Share of the largest voltage that counts as reached: the taper never reaches all of it."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from adaptdrive.control import rls
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.branch import predict
 from adaptdrive.control.continuous import continuous_model
 from adaptdrive.control.estimator import EstimatorState, take_in
 from adaptdrive.control.load import Load
@@ -47,31 +48,24 @@ class DirectMethod:
         self, state: SlowState, learning: Learning, load: Load, sample: SlowSample
     ) -> None:
         """Overwrite r by the past outputs and inputs."""
-        regressor = state.estimator.regressor
+        regressor = state.estimator.sample.regressor
         fill_direct_regressor(regressor, learning, load, state.outputs, state.inputs)
 
     def target(self, learning: Learning, sample: SlowSample) -> float:
         """Return y[k]."""
         return sample.output
 
-    def take_in(
-        self,
-        state: EstimatorState,
-        learning: Learning,
-        load: Load,
-        target: float,
-        innovation: float,
-    ) -> None:
+    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
         """Update θ and P; an abrupt change opens P where `alert` is set."""
         if learning.alert:
-            _open_up(state, learning, innovation)
-        take_in(state, learning, target, innovation, directional=False)
+            _open_up(state, learning)
+        take_in(state, learning, directional=False)
 
     def model(
         self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
     ) -> tuple[Vector, Vector, int]:
         """Return A and B as estimated, and the verdict on A; the gains need no more."""
-        a, b = direct_model(state.estimator.theta, settings.learning, load)
+        a, b = direct_model(state.estimator.estimate.theta, settings.learning, load)
         _show(load, state, a, b, period_s)
         return a, b, sup.judge_load(a)
 
@@ -89,7 +83,7 @@ class DirectMethod:
         """Return the constant input with the effect of the estimated bias; NaN without one."""
         if not learning.bias:
             return math.nan
-        theta = state.theta
+        theta = state.estimate.theta
         last = len(theta) - 1
         gain = total(theta[load.order : last])
         return theta[last] / gain * learning.input_scale if gain else math.nan
@@ -133,13 +127,15 @@ def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
     return len(parameters) - load.order - (1 if learning.bias else 0)
 
 
-def _open_up(state: EstimatorState, learning: Learning, innovation: float) -> None:
+def _open_up(state: EstimatorState, learning: Learning) -> None:
     """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
-    squared = rls.normalised(state.excitation, innovation, learning.forgetting)
+    own = state.estimate
+    squared = rls.normalised(own.excitation, own.innovation, learning.forgetting)
     if not is_surprising(state.surprise, squared):
         return
-    ud.open_up(state.upper, state.diagonal, learning.initial_covariance)
-    state.excitation = ud.excitation(state.upper, state.diagonal, state.regressor)
+    ud.open_up(own.upper, own.diagonal, learning.initial_covariance)
+    predict(own, state.sample)
+    state.excitation = own.excitation
     state.residual_power = state.surprise.power * state.residual_weight
 
 

@@ -20,16 +20,12 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control import challenger as chal
+from adaptdrive.control.branch import copy_estimate
 from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.evidence import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.hypotheses import load_direction
-from adaptdrive.control.in_force import (
-    correlation_factor,
-    covariance_in_force,
-    residual_noise,
-    theta_in_force,
-)
+from adaptdrive.control.in_force import correlation_factor, in_force, residual_noise
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fitted_order
 from adaptdrive.control.rls import predict
@@ -52,8 +48,8 @@ def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
     state.unseen_periods += 1
     noise = math.sqrt(state.surprise.power)
     for i in range(fitted_order(learning, load)):
-        direction = load_direction(state.theta, i, learning, load)
-        if abs(predict(direction, state.regressor)) > _SHOWN * noise:
+        direction = load_direction(state.estimate.theta, i, learning, load)
+        if abs(predict(direction, state.sample.regressor)) > _SHOWN * noise:
             state.unseen_periods = 0
 
 
@@ -69,7 +65,7 @@ def is_contested(state: EstimatorState) -> bool:
     challenger = state.challenger
     if challenger.samples == 0:
         return False
-    return challenger.judged < EARLIEST or chal.lead(challenger) > 0.0
+    return challenger.judged < EARLIEST or chal.lead(challenger, state.estimate) > 0.0
 
 
 def doubted_deviations(
@@ -78,21 +74,22 @@ def doubted_deviations(
     """Return the standard deviations to be shown: wider while the load may be another.
 
     Args:
-        state: θ and P.
+        state: θ and P; its opened estimate is overwritten.
         learning: Scales.
         load: Names and meaning of the parameters.
         values: The parameters at θ.
     """
-    theta, noise = theta_in_force(state), residual_noise(state)
-    known_upper, known_diagonal = covariance_in_force(state)
-    upper, diagonal = list(known_upper), list(known_diagonal)
-    noise = math.sqrt(noise * noise + NOISE_FLOOR + MEMORY * state.rounding * state.rounding)
+    opened, noise = state.opened, residual_noise(state)
+    copy_estimate(opened, in_force(state))
+    noise = math.sqrt(
+        noise * noise + NOISE_FLOOR + MEMORY * state.sample.rounding * state.sample.rounding
+    )
     noise *= correlation_factor(state)
     if learning.alert and noise > 0.0 and is_doubtful(state):
         spread = UNKNOWN / noise
         for i in range(fitted_order(learning, load)):
-            direction = load_direction(theta, i, learning, load)
-            widen(upper, diagonal, direction, spread * spread)
-    own = deviations_of(theta, upper, diagonal, noise, learning, load, values)
+            direction = load_direction(opened.theta, i, learning, load)
+            widen(opened.upper, opened.diagonal, direction, spread * spread)
+    own = deviations_of(opened, noise, learning, load, values)
     share = math.sqrt(state.rivals.moved)
     return [math.hypot(own[i], share * values[i]) for i in range(len(values))]

@@ -10,10 +10,9 @@ they are forgotten beside it.
 from __future__ import annotations
 
 from adaptdrive.control import rls
-from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.branch import Branch, Sample, widen_last
 from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector
 
 OFFSET_WALK = 1.0 / WINDOW
 """Random walk of an offset that drifts, in σ for each slow period: it is a mean over a window."""
@@ -28,34 +27,23 @@ def walking_count(learning: Learning) -> int:
     return 1 if learning.drifts else 0
 
 
-def learn_sample(
-    theta: Vector,
-    upper: Vector,
-    diagonal: Vector,
-    regressor: Vector,
-    target: float,
-    learning: Learning,
-    gate: float,
-) -> None:
+def learn_sample(branch: Branch, sample: Sample, learning: Learning, gate: float) -> None:
     """Take in one sample, with directional forgetting of what does not walk.
 
     The walk of a charge is in `estimator.let_emf_wander`.
 
     Args:
-        theta: θ, overwritten.
-        upper: U of P = U D Uᵀ, overwritten.
-        diagonal: D, overwritten.
-        regressor: r.
-        target: What r predicts, scaled.
+        branch: θ and P, overwritten.
+        sample: r and what it predicts.
         learning: Forgetting, and what walks.
         gate: Gate below which a sample moves only what walks.
     """
-    forgetting, walks = learning.forgetting, walking_count(learning)
+    theta, upper, diagonal = branch.theta, branch.upper, branch.diagonal
+    regressor, target, rho = sample.regressor, sample.target, learning.forgetting
+    walks = walking_count(learning)
     if walks == 0:
-        rls.update_along(theta, upper, diagonal, regressor, target, forgetting)
+        rls.update_along(theta, upper, diagonal, regressor, target, rho)
         return
-    rls.update_beside(theta, upper, diagonal, regressor, target, forgetting, gate, walks)
+    rls.update_beside(theta, upper, diagonal, regressor, target, rho, gate, walks)
     if not learning.charge:
-        direction = [0.0] * len(theta)
-        direction[len(theta) - 1] = 1.0
-        ud.widen(upper, diagonal, direction, OFFSET_WALK * OFFSET_WALK)
+        widen_last(branch, OFFSET_WALK * OFFSET_WALK)

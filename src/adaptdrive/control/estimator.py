@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
 from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.branch import Branch, Sample, new_branch, predict
 from adaptdrive.control.challenger import Challenger
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
-from adaptdrive.control.hypotheses import DISTURBANCE_SHARE, copy_estimate, new_branch
+from adaptdrive.control.hypotheses import DISTURBANCE_SHARE
 from adaptdrive.control.integrated import Integrated, restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
@@ -40,10 +41,9 @@ class EstimatorState:
     """State of the estimator.
 
     Attributes:
-        theta: θ in scaled units.
-        upper: U of P = U D Uᵀ.
-        diagonal: D.
-        regressor: r of the last sample, scaled.
+        estimate: θ and P, of a bias that rests.
+        opened: The estimate in force, with what the load may have become.
+        sample: The last sample.
         residual_power: Forgetting sum of squared normalised innovations.
         residual_weight: Forgetting count of them.
         residual_lag: Forgetting sum of the products of each and the one before.
@@ -52,23 +52,19 @@ class EstimatorState:
         excitation: rᵀPr of the last sample.
         periods: Slow periods since start.
         idle_periods: Slow periods since the last sample that taught something.
-        elapsed_s: Time since start.
         charge: Integral of the output since start over τ_λ, scaled.
-        origin_s: Since when the functions of the initial state are counted.
         surprise: Detector of abrupt changes.
         alarm_period: Slow period of the last alarm.
         lost_periods: Slow periods in a row in which no load can have such an estimate.
         unseen_periods: Slow periods since a sample that would have shown another load.
-        rounding: Standard deviation of the rounding error of a sample, scaled.
         rivals: Explanations of an alarm.
         challenger: A second estimate, learnt anew since an alarm.
         integrated: A second estimate, whose bias walks.
     """
 
-    theta: Vector
-    upper: Vector
-    diagonal: Vector
-    regressor: Vector
+    estimate: Branch
+    opened: Branch
+    sample: Sample
     surprise: Surprise
     rivals: riv.Rivals
     challenger: Challenger
@@ -81,33 +77,28 @@ class EstimatorState:
     excitation: float = 0.0
     periods: int = 0
     idle_periods: int = 0
-    elapsed_s: float = 0.0
     charge: float = 0.0
-    origin_s: float = 0.0
     alarm_period: int = -WINDOW
     lost_periods: int = 0
     unseen_periods: int = 0
-    rounding: float = 0.0
 
 
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
     """Return an estimator without data, which starts from zero or from the nominal model."""
     count = learning.method.parameter_count(learning, load, taps)
     state = EstimatorState(
-        [0.0] * count,
-        [0.0] * (count * count),
-        [0.0] * count,
-        [0.0] * count,
+        new_branch(count),
+        new_branch(count),
+        Sample([0.0] * count),
         Surprise(),
         riv.new_rivals(count),
         Challenger(new_branch(count)),
         Integrated(new_branch(count)),
     )
-    rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
-    _expect_offset(state, learning)
+    _open(state.estimate, learning)
     learning.method.begin(state, learning, load)
     if learning.start_at_nominal:
-        copy_into(state.theta, nominal_theta(learning, load, taps))
+        copy_into(state.estimate.theta, nominal_theta(learning, load, taps))
     return state
 
 
@@ -119,16 +110,19 @@ def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:
     return theta
 
 
-def _expect_offset(state: EstimatorState, learning: Learning) -> None:
-    """Expect an offset of the size of a disturbance, where it rests and the nominal gain is known.
+def _open(estimate: Branch, learning: Learning) -> None:
+    """Know nothing, and expect an offset of the size of a disturbance.
+
+    The latter only where it rests and the nominal gain is known.
 
     Without this the first step of torque, which comes before the load is known, is learnt as
     dynamics with an offset that nothing can cause.
     """
+    diagonal = estimate.diagonal
+    rls.reset(estimate.theta, estimate.upper, diagonal, learning.initial_covariance)
     if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
         expected = DISTURBANCE_SHARE * DISTURBANCE_SHARE / NOISE_FLOOR
-        last = len(state.theta) - 1
-        state.diagonal[last] = min(state.diagonal[last], expected)
+        diagonal[len(diagonal) - 1] = min(diagonal[len(diagonal) - 1], expected)
 
 
 def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
@@ -137,17 +131,15 @@ def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
     It learnt a disturbance as dynamics before σ² was known, and what surprises it is explained by
     other disturbances ever since.
     """
-    theta = learning.method.theta_of(learning, load, list(load.numerator), list(load.denominator))
-    rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
-    _expect_offset(state, learning)
-    copy_into(state.theta, theta)
-    state.origin_s = state.elapsed_s
+    own, numerator, denominator = state.estimate, list(load.numerator), list(load.denominator)
+    _open(own, learning)
+    copy_into(own.theta, learning.method.theta_of(learning, load, numerator, denominator))
+    own.origin_s = state.sample.time_s
     state.surprise.sum = 0.0
     state.rivals.samples = 0
     state.challenger.samples = 0
     restart(state.integrated)
-    hold_estimate(state)
-    riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s)
+    riv.drop_anchor(state.rivals, own, state.sample)
 
 
 def start_from(state: EstimatorState, learning: Learning, load: Load, values: Vector) -> None:
@@ -164,9 +156,8 @@ def start_from(state: EstimatorState, learning: Learning, load: Load, values: Ve
     """
     numerator, denominator = load.realise(values)
     theta = learning.method.theta_of(learning, load, numerator, denominator)
-    copy_into(state.theta, theta)
-    for i in range(len(theta)):
-        state.diagonal[i] = _PRIOR_VARIANCE
+    copy_into(state.estimate.theta, theta)
+    copy_into(state.estimate.diagonal, [_PRIOR_VARIANCE] * len(theta))
 
 
 def learn(
@@ -181,61 +172,44 @@ def learn(
         output: What r predicts, as `Method.target` returns it.
         usable: False for a sample that must not teach: its innovation is still computed.
     """
-    target = output / learning.output_scale
+    own, sample = state.estimate, state.sample
+    sample.target = output / learning.output_scale
     state.periods += 1
-    state.excitation = ud.excitation(state.upper, state.diagonal, state.regressor)
-    innovation = target - rls.predict(state.theta, state.regressor)
-    state.innovation = innovation * learning.output_scale
-    usual = abs(innovation) < _LARGEST and _is_credible(state.regressor)
-    if not (usual and math.isfinite(state.excitation)):
+    predict(own, sample)
+    state.excitation = own.excitation
+    state.innovation = own.innovation * learning.output_scale
+    usual = abs(own.innovation) < _LARGEST and all(abs(one) < _LARGEST for one in sample.regressor)
+    if not (usual and math.isfinite(own.excitation)):
         return
     state.idle_periods += 1
     riv.forget_changes(state.rivals)
     if not usable:
         return
-    watch_noise(state.surprise, innovation)
-    if state.periods <= learning.settle_periods:
-        return
-    learning.method.take_in(state, learning, load, target, innovation)
+    watch_noise(state.surprise, own.innovation)
+    if state.periods > learning.settle_periods:
+        learning.method.take_in(state, learning, load)
 
 
-def _is_credible(regressor: Vector) -> bool:
-    """Return whether a sensor can have seen a sample: each entry is a number of a usual size."""
-    for i in range(len(regressor)):
-        if not abs(regressor[i]) < _LARGEST:
-            return False
-    return True
-
-
-def take_in(
-    state: EstimatorState,
-    learning: Learning,
-    target: float,
-    innovation: float,
-    *,
-    directional: bool,
-) -> None:
+def take_in(state: EstimatorState, learning: Learning, *, directional: bool) -> None:
     """Update θ and P, if the sample can teach anything.
 
     Args:
-        state: Overwritten.
+        state: Its estimate has predicted the sample; overwritten.
         learning: Forgetting and gates.
-        target: What r predicts, scaled.
-        innovation: ε, scaled.
         directional: Whether to forget only along r (`learn_sample`).
     """
-    if not state.excitation > learning.gate * (1.0 - learning.forgetting):
+    own, sample, rho = state.estimate, state.sample, learning.forgetting
+    if not own.excitation > learning.gate * (1.0 - rho):
         return
     state.idle_periods = 0
-    theta, upper, diagonal, regressor = state.theta, state.upper, state.diagonal, state.regressor
+    theta, upper, diagonal = own.theta, own.upper, own.diagonal
     if directional:
-        learn_sample(theta, upper, diagonal, regressor, target, learning, learning.gate)
+        learn_sample(own, sample, learning, learning.gate)
     else:
-        rls.update(theta, upper, diagonal, regressor, target, learning.forgetting)
+        rls.update(theta, upper, diagonal, sample.regressor, sample.target, rho)
     if learning.covariance_max > 0.0:
-        information = (1.0 - learning.forgetting) / learning.covariance_max
-        ud.bound(state.upper, state.diagonal, information)
-    remember_residual(state, learning, state.excitation, innovation)
+        ud.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
+    remember_residual(state, own, rho)
 
 
 def let_emf_wander(state: EstimatorState, learning: Learning) -> None:
@@ -256,24 +230,16 @@ def let_emf_wander(state: EstimatorState, learning: Learning) -> None:
 
 def _wander(state: EstimatorState, rise: float, bias: float) -> None:
     """Widen P along a change of the rise with the charge and of the bias."""
-    size = len(state.theta)
-    direction = [0.0] * size
-    direction[size - 2], direction[size - 1] = rise, bias
-    ud.widen(state.upper, state.diagonal, direction, 1.0)
+    direction = [0.0] * len(state.estimate.theta)
+    direction[len(direction) - 2], direction[len(direction) - 1] = rise, bias
+    ud.widen(state.estimate.upper, state.estimate.diagonal, direction, 1.0)
 
 
-def remember_residual(
-    state: EstimatorState, learning: Learning, excitation: float, innovation: float
-) -> None:
-    """Add an innovation to the forgetting sums from which σ follows."""
-    power = rls.normalised(excitation, innovation, learning.forgetting)
-    state.residual_power = learning.forgetting * state.residual_power + power
-    state.residual_weight = learning.forgetting * state.residual_weight + 1.0
-    own = math.copysign(math.sqrt(max(0.0, power)), innovation)
-    state.residual_lag = learning.forgetting * state.residual_lag + own * state.residual_last
+def remember_residual(state: EstimatorState, branch: Branch, forgetting: float) -> None:
+    """Add the innovation of a branch to the forgetting sums from which σ follows."""
+    power = rls.normalised(branch.excitation, branch.innovation, forgetting)
+    state.residual_power = forgetting * state.residual_power + power
+    state.residual_weight = forgetting * state.residual_weight + 1.0
+    own = math.copysign(math.sqrt(max(0.0, power)), branch.innovation)
+    state.residual_lag = forgetting * state.residual_lag + own * state.residual_last
     state.residual_last = own
-
-
-def hold_estimate(state: EstimatorState) -> None:
-    """Let the explanations of the next alarm start from the estimate of now."""
-    copy_estimate(state.rivals.now, state)

@@ -12,8 +12,9 @@ FEWEST = 5
 EARLIEST = 2 * FEWEST
 """Samples before a decision: twice as many as there are parameters."""
 
-WINDOW = 20
-"""Samples after which the most likely explanation stays, and over which errors are a mean."""
+WINDOW = 2 * EARLIEST
+"""Samples after which the most likely explanation stays, and over which errors are a mean: twice
+those of the earliest decision."""
 
 MEMORY = 60.0
 """Samples that an estimate remembers: 1/(1 - ρ) is 67 with the forgetting factor by default."""
@@ -33,5 +34,9 @@ PRIOR_SHARE = 0.5
 NOISE_FLOOR = 1.0e-8
 """Least variance: a ten-thousandth of the scale, squared, for rounding and model error."""
 
-UNKNOWN = 1.0
-"""Deviation of a scaled parameter that may be any: two more disks move α of a motor by 0.7."""
+UNKNOWN = 2.0 * PRIOR_SHARE
+"""Deviation of a scaled parameter that may be any: two more disks move α of a motor by 0.7, and
+two deviations of what is known before samples are all of it."""
+
+PRIOR_SAMPLES = 4.0
+"""Weight of σ0²: as little as leaves the likelihood finite variance."""

@@ -8,44 +8,42 @@ from __future__ import annotations
 
 from adaptdrive.control import challenger as chal
 from adaptdrive.control import rivals as riv
-from adaptdrive.control.estimator import (
-    EstimatorState,
-    hold_estimate,
-    remember_residual,
-    take_in,
-)
-from adaptdrive.control.evidence import FEWEST, WINDOW
-from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING, copy_estimate
+from adaptdrive.control.branch import Branch, copy_estimate, posterior_power
+from adaptdrive.control.estimator import EstimatorState, remember_residual, take_in
+from adaptdrive.control.evidence import FEWEST, PRIOR_SAMPLES, WINDOW
+from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state, input_offset
 from adaptdrive.control.rls import normalised
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import is_surprising
 
-_LOUDER = 4.0
-"""Largest rise of σ² after an alarm that nothing explains, or that follows upon another."""
+_LOUDER = PRIOR_SAMPLES
+"""Largest rise of σ² after an alarm that nothing explains, or that follows upon another: what was
+known of it weighs as so many samples, of which one may have had all the noise."""
 
 
-def learn_and_explain(
-    state: EstimatorState, learning: Learning, load: Load, target: float, innovation: float
-) -> None:
+def learn_and_explain(state: EstimatorState, learning: Learning, load: Load) -> None:
     """Learn a sample; one that completes the evidence for a change starts explanations of it."""
     if state.rivals.samples > 0:
-        alarm = _explain(state, learning, load, target)
+        alarm = _explain(state, learning, load)
     else:
-        squared = normalised(state.excitation, innovation, learning.forgetting)
-        alarm = is_surprising(state.surprise, squared)
+        alarm = is_surprising(state.surprise, _squared(state.estimate, learning))
         if not alarm:
-            take_in(state, learning, target, innovation, directional=True)
-            hold_estimate(state)
+            take_in(state, learning, directional=True)
     if alarm:
-        _split(state, learning, load, target)
+        _split(state, learning, load)
     else:
-        _mark(state, target)
-        _challenge(state, learning, load, target)
+        _mark(state)
+        _challenge(state, learning, load)
 
 
-def _explain(state: EstimatorState, learning: Learning, load: Load, target: float) -> bool:
+def _squared(branch: Branch, learning: Learning) -> float:
+    """Return ε² ρ/(ρ + rᵀPr) of the last prediction of a branch."""
+    return normalised(branch.excitation, branch.innovation, learning.forgetting)
+
+
+def _explain(state: EstimatorState, learning: Learning, load: Load) -> bool:
     """Compare the explanations of an alarm on one more sample; the likeliest is the estimate.
 
     The detector goes on: what surprises an explanation that is clearly ahead, or "nothing", is the
@@ -56,9 +54,8 @@ def _explain(state: EstimatorState, learning: Learning, load: Load, target: floa
         True when the next one has been noticed.
     """
     rivals = state.rivals
-    riv.follow(rivals, learning, load, state.regressor, target, state.elapsed_s)
-    best = riv.branch_of(rivals, rivals.kind)
-    squared = normalised(best.excitation, best.innovation, learning.forgetting)
+    riv.follow(rivals, learning, load, state.sample)
+    squared = _squared(riv.likeliest(rivals), learning)
     alarm = is_surprising(state.surprise, squared) and rivals.samples > FEWEST
     alarm = alarm and (rivals.kind == NOTHING or riv.is_clear(rivals))
     alarm = alarm and not riv.is_expected(rivals, learning)
@@ -69,7 +66,7 @@ def _explain(state: EstimatorState, learning: Learning, load: Load, target: floa
     return alarm
 
 
-def _split(state: EstimatorState, learning: Learning, load: Load, target: float) -> None:
+def _split(state: EstimatorState, learning: Learning, load: Load) -> None:
     """Start the explanations of an alarm.
 
     One alarm after the other, each before the last can be explained, is noise of its own.
@@ -80,26 +77,24 @@ def _split(state: EstimatorState, learning: Learning, load: Load, target: float)
     if state.rivals.samples == 0:
         state.rivals.offset = _offset_share(state, learning, load)
     riv.settle(state.rivals)
-    riv.keep_sample(state.rivals, state.regressor, target, state.elapsed_s, riv.ROOM)
-    begun = _challenge_anew(state, learning, load, target)
+    riv.keep_sample(state.rivals, state.sample, riv.ROOM)
+    begun = _challenge_anew(state, learning, load)
     riv.split(state.rivals, learning, load, state.surprise.power)
     _publish(state, learning)
     if not begun:
-        _challenge(state, learning, load, target)
+        _challenge(state, learning, load)
 
 
-def _mark(state: EstimatorState, target: float) -> None:
+def _mark(state: EstimatorState) -> None:
     """Remember from where the next change is to be explained: from the last calm sample."""
-    rivals, time_s = state.rivals, state.elapsed_s
     suspect = state.surprise.sum > 0.0
-    if suspect and riv.keep_sample(rivals, state.regressor, target, time_s, riv.ROOM - 1):
-        return
-    riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s)
+    if not (suspect and riv.keep_sample(state.rivals, state.sample, riv.ROOM - 1)):
+        riv.drop_anchor(state.rivals, state.estimate, state.sample)
 
 
 def _offset_share(state: EstimatorState, learning: Learning, load: Load) -> float:
     """Return the offset of the input over its scale; NaN without a bias."""
-    return input_offset(state.theta, learning, load, state.charge) / learning.input_scale
+    return input_offset(state.estimate.theta, learning, load, state.charge) / learning.input_scale
 
 
 def _settle(state: EstimatorState, learning: Learning, load: Load) -> None:
@@ -107,10 +102,10 @@ def _settle(state: EstimatorState, learning: Learning, load: Load) -> None:
     rivals = state.rivals
     if rivals.kind == DISTURBANCE:
         riv.note_disturbance(rivals, _offset_share(state, learning, load))
-    power = riv.posterior_power(rivals)
+    power = riv.explained_power(rivals)
     if rivals.kind >= LOAD:
         state.surprise.power = power
-        chal.recount(state.challenger)
+        chal.recount(state.challenger, state.estimate)
     elif rivals.kind == NOTHING:
         state.surprise.power = min(power, _LOUDER * state.surprise.power)
     state.residual_power = state.surprise.power * state.residual_weight
@@ -119,45 +114,40 @@ def _settle(state: EstimatorState, learning: Learning, load: Load) -> None:
 
 def _publish(state: EstimatorState, learning: Learning) -> None:
     """Make the likeliest explanation the estimate."""
-    best = riv.branch_of(state.rivals, state.rivals.kind)
-    copy_estimate(state, best)
+    best = riv.likeliest(state.rivals)
+    copy_estimate(state.estimate, best)
     state.excitation = best.excitation
     state.innovation = best.innovation * learning.output_scale
     state.idle_periods = 0
-    copy_estimate(state.rivals.now, best)
-    remember_residual(state, learning, best.excitation, best.innovation)
+    remember_residual(state, best, learning.forgetting)
 
 
-def _challenge_anew(state: EstimatorState, learning: Learning, load: Load, target: float) -> bool:
+def _challenge_anew(state: EstimatorState, learning: Learning, load: Load) -> bool:
     """Start a challenger at an alarm, unless there is one that expected what surprised."""
-    challenger, rivals = state.challenger, state.rivals
-    regressor, time_s = state.regressor, state.elapsed_s
-    if not chal.is_surprised(challenger, learning, load, regressor, target, time_s):
+    if not chal.is_surprised(state.challenger, learning, load, state.sample):
         return False
-    riv.prepare(rivals, state.surprise.power)
-    chal.begin(challenger, rivals, learning, load)
+    riv.prepare(state.rivals, state.surprise.power)
+    chal.begin(state.challenger, state.estimate, state.rivals, learning, load)
     return True
 
 
-def _challenge(state: EstimatorState, learning: Learning, load: Load, target: float) -> None:
+def _challenge(state: EstimatorState, learning: Learning, load: Load) -> None:
     """Let the challenger predict the sample too; a challenger that has won is the estimate."""
-    challenger = state.challenger
+    challenger, rivals, sample, own = state.challenger, state.rivals, state.sample, state.estimate
     if challenger.samples == 0:
         return
-    innovation = state.innovation / learning.output_scale
-    regressor, time_s = state.regressor, state.elapsed_s
-    chal.follow(challenger, learning, load, regressor, target, time_s, state.excitation, innovation)
-    fill_initial_state(regressor, learning, load, time_s - state.origin_s)
-    learning_load = state.rivals.samples > 0 and state.rivals.kind >= LOAD
-    if not learning_load and chal.has_won(challenger, state.rivals.loads, learning, load):
+    chal.follow(challenger, learning, load, sample, own)
+    fill_initial_state(sample.regressor, learning, load, sample.time_s - own.origin_s)
+    learning_load = rivals.samples > 0 and rivals.kind >= LOAD
+    if not learning_load and chal.has_won(challenger, own, rivals.loads, learning, load):
         _take_over(state)
 
 
 def _take_over(state: EstimatorState) -> None:
     """Make the challenger the estimate; the comparison that is under way ends."""
     challenger, rivals = state.challenger, state.rivals
-    copy_estimate(state, challenger.branch)
-    power = chal.posterior_power(challenger)
+    copy_estimate(state.estimate, challenger.branch)
+    power = posterior_power(challenger.branch, challenger.power, challenger.judged)
     state.surprise.power = power
     state.surprise.sum = 0.0
     state.surprise.alarms += 1
@@ -166,5 +156,4 @@ def _take_over(state: EstimatorState) -> None:
     rivals.loads += 1.0
     rivals.samples = 0
     challenger.samples = 0
-    hold_estimate(state)
-    riv.drop_anchor(rivals, state.regressor, state.elapsed_s)
+    riv.drop_anchor(rivals, state.estimate, state.sample)

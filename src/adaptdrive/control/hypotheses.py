@@ -17,21 +17,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
-from adaptdrive.control import rls
 from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.branch import Branch
 from adaptdrive.control.evidence import PRIOR_SHARE
 from adaptdrive.control.load import Load
-from adaptdrive.control.regression import (
-    charge_index,
-    dc_gain,
-    fill_initial_state,
-    fitted_order,
-    initial_state_count,
-)
+from adaptdrive.control.regression import charge_index, dc_gain, fitted_order, initial_state_count
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector, copy_into
+from adaptdrive.control.vectors import Vector
 
 NOTHING = 0
 DISTURBANCE = 1
@@ -44,42 +37,6 @@ DISTURBANCE_SHARE = 0.1
 
 _TINY = 1e-12
 """Divisor that counts as 0: 4,500 rounding errors of 1."""
-
-
-class Learner(Protocol):
-    """State that learns: θ, P = U D Uᵀ, and the age of the functions of the initial state."""
-
-    theta: Vector
-    upper: Vector
-    diagonal: Vector
-    origin_s: float
-
-
-@dataclass(slots=True)
-class Branch:
-    """One explanation: an estimate of its own, and how well it has predicted.
-
-    Attributes:
-        theta: θ.
-        upper: U of P = U D Uᵀ.
-        diagonal: D.
-        origin_s: Since when the functions of the initial state are counted.
-        squares: Sum of ε² ρ / (ρ + rᵀPr).
-        logs: Sum of ln(1 + rᵀPr / ρ).
-        score: Logarithm of its likelihood, up to a constant.
-        innovation: ε of the last sample, scaled.
-        excitation: rᵀPr of the last sample.
-    """
-
-    theta: Vector
-    upper: Vector
-    diagonal: Vector
-    origin_s: float = 0.0
-    squares: float = 0.0
-    logs: float = 0.0
-    score: float = 0.0
-    innovation: float = 0.0
-    excitation: float = 0.0
 
 
 @dataclass(slots=True)
@@ -99,48 +56,6 @@ class Anchor:
     time_s: float = 0.0
     power: float = 0.0
     gap_s: float = 0.0
-
-
-def new_branch(count: int) -> Branch:
-    """Return an explanation for θ of a length."""
-    return Branch([0.0] * count, [0.0] * (count * count), [0.0] * count)
-
-
-def predict_sample(
-    branch: Branch, learning: Learning, load: Load, regressor: Vector, target: float, time_s: float
-) -> None:
-    """Predict a sample by an explanation, before it is learnt.
-
-    Args:
-        branch: Innovation and excitation are overwritten.
-        learning: τ_λ.
-        load: Order.
-        regressor: r; the functions of the initial state in it are overwritten.
-        target: What r predicts, scaled.
-        time_s: When it was taken.
-    """
-    fill_initial_state(regressor, learning, load, time_s - branch.origin_s)
-    branch.excitation = ud.excitation(branch.upper, branch.diagonal, regressor)
-    branch.innovation = target - rls.predict(branch.theta, regressor)
-
-
-def copy_estimate(target: Learner, source: Learner) -> None:
-    """Overwrite θ, P and origin."""
-    copy_into(target.theta, source.theta)
-    copy_into(target.upper, source.upper)
-    copy_into(target.diagonal, source.diagonal)
-    target.origin_s = source.origin_s
-
-
-def squared_error(branch: Branch, forgetting: float) -> float:
-    """Return ε² ρ/(ρ + rᵀPr) of the last prediction, the quotient first as in old sessions."""
-    return branch.innovation * branch.innovation * (forgetting / (forgetting + branch.excitation))
-
-
-def count_prediction(branch: Branch, forgetting: float) -> None:
-    """Add the last prediction to the sums by which explanations are compared."""
-    branch.squares += squared_error(branch, forgetting)
-    branch.logs += math.log(1.0 + branch.excitation / forgetting)
 
 
 def restart_past(branch: Branch, learning: Learning, load: Load, time_s: float) -> None:

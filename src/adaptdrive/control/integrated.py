@@ -23,22 +23,28 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
-from adaptdrive.control import ud_factors as ud
-from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR, WINDOW
-from adaptdrive.control.hypotheses import Branch, predict_sample, squared_error
+from adaptdrive.control.branch import (
+    Branch,
+    Sample,
+    copy_estimate,
+    predict_sample,
+    squared_error,
+    widen_last,
+)
+from adaptdrive.control.evidence import CLEAR, FEWEST, MEMORY, NOISE_FLOOR, WINDOW
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import DRIFT, THRESHOLD, move_median
-from adaptdrive.control.vectors import Vector
 
 _WALK = 30.0
 """Random walk of the bias in σ for each slow period: the last sample says nearly all of it."""
 
-_RATE = 0.2
+_RATE = 1.0 / FEWEST
 """Rate of the medians, a factor of 2 in 4 samples: a start with another load is soon forgotten."""
 
-_LEAD = 20.0
-"""Λ from which it is in force: a swing has 90 to 110, noise of 5 % after a change up to 40."""
+_LEAD = 2.0 * CLEAR
+"""Λ from which it is in force, twice what decides between estimates whose noise is known: a swing
+has 90 to 110, noise of 5 % after a change up to 40."""
 
 
 @dataclass(slots=True)
@@ -79,45 +85,41 @@ def restart(integrated: Integrated) -> None:
 
 
 def follow(
-    integrated: Integrated,
-    learning: Learning,
-    load: Load,
-    regressor: Vector,
-    target: float,
-    time_s: float,
-    squared: float,
-    excitation: float,
-    rounding: float,
+    integrated: Integrated, learning: Learning, load: Load, sample: Sample, estimate: Branch
 ) -> None:
     """Let the second estimate predict and learn a sample, and compare.
 
     Args:
-        integrated: Overwritten.
+        integrated: Overwritten; it begins where the other estimate is.
         learning: Forgetting and gate.
         load: Order.
-        regressor: r; the functions of the initial state in it are overwritten.
-        target: What r predicts, scaled.
-        time_s: When it was taken.
-        squared: ε² ρ/(ρ + rᵀPr) of the estimate whose bias rests.
-        excitation: rᵀPr of that estimate.
-        rounding: Standard deviation of the rounding error of a sample, scaled.
+        sample: The functions of the initial state in it are overwritten.
+        estimate: The estimate whose bias rests, which has predicted the sample.
     """
-    branch = integrated.branch
-    predict_sample(branch, learning, load, regressor, target, time_s)
-    own = squared_error(branch, learning.forgetting)
-    least = max(NOISE_FLOOR, rounding * rounding)  # below it better predictions show nothing
+    if not applies(learning):
+        return
+    branch, rho = integrated.branch, learning.forgetting
+    if integrated.samples == 0:
+        copy_estimate(branch, estimate)
+        restart(integrated)
+    squared = rls.normalised(estimate.excitation, estimate.innovation, rho)
+    predict_sample(branch, learning, load, sample)
+    own = squared_error(branch, rho)
+    least = max(NOISE_FLOOR, sample.rounding**2)  # below it better predictions show nothing
     integrated.samples += 1
     if integrated.samples > WINDOW:
-        rho = learning.forgetting
-        gain = _loss(squared, excitation / rho, integrated.other, least)
+        gain = _loss(squared, estimate.excitation / rho, integrated.other, least)
         gain -= _loss(own, branch.excitation / rho, integrated.power, least)
         integrated.lead += gain - integrated.lead / MEMORY
     _follow_noise(integrated, own, squared)
     if own > (DRIFT + THRESHOLD) * integrated.power:
-        _let_bias_walk(branch, branch.innovation * branch.innovation / integrated.power)
-    _learn(integrated, learning, regressor, target)
-    integrated.residual_power = learning.forgetting * integrated.residual_power + own
-    integrated.residual_weight = learning.forgetting * integrated.residual_weight + 1.0
+        widen_last(branch, branch.innovation * branch.innovation / integrated.power)
+    theta, regressor, target = branch.theta, sample.regressor, sample.target
+    upper, diagonal = branch.upper, branch.diagonal
+    rls.update_beside(theta, upper, diagonal, regressor, target, rho, learning.gate, 1)
+    widen_last(branch, _WALK * _WALK)
+    integrated.residual_power = rho * integrated.residual_power + own
+    integrated.residual_weight = rho * integrated.residual_weight + 1.0
 
 
 def _follow_noise(integrated: Integrated, own: float, squared: float) -> None:
@@ -135,16 +137,3 @@ def _loss(squared: float, excitation: float, power: float, least: float) -> floa
     spread = 1.0 + excitation
     variance = max(least, power * spread)
     return 0.5 * (math.log(variance) + min(squared * spread / variance, DRIFT + THRESHOLD))
-
-
-def _learn(integrated: Integrated, learning: Learning, regressor: Vector, target: float) -> None:
-    branch, rho = integrated.branch, learning.forgetting
-    theta, upper, diagonal = branch.theta, branch.upper, branch.diagonal
-    rls.update_beside(theta, upper, diagonal, regressor, target, rho, learning.gate, 1)
-    _let_bias_walk(branch, _WALK * _WALK)
-
-
-def _let_bias_walk(branch: Branch, variance: float) -> None:
-    direction = [0.0] * len(branch.theta)
-    direction[len(direction) - 1] = 1.0
-    ud.widen(branch.upper, branch.diagonal, direction, variance)

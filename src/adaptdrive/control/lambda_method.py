@@ -9,26 +9,16 @@ from dataclasses import dataclass
 
 from adaptdrive.control import regression as reg
 from adaptdrive.control.doubt import doubted_deviations, note_age
-from adaptdrive.control.estimator import (
-    EstimatorState,
-    let_emf_wander,
-    take_in,
-)
+from adaptdrive.control.estimator import EstimatorState, let_emf_wander, take_in
+from adaptdrive.control.evidence import NOISE_FLOOR
 from adaptdrive.control.explanation import learn_and_explain
-from adaptdrive.control.in_force import (
-    let_both_predict,
-    parameter_root,
-    show,
-    theta_in_force,
-)
+from adaptdrive.control.in_force import in_force, parameter_root, show
+from adaptdrive.control.integrated import follow
 from adaptdrive.control.load import Load
 from adaptdrive.control.redesign import judge_physical
 from adaptdrive.control.settings import ControllerSettings, Learning
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector
-
-_KNOWN = 1.0e-9
-"""Variance of an initial state that need not be estimated, over p0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,17 +46,18 @@ class LambdaMethod:
             return
         first = reg.fitted_order(learning, load) + len(load.input_powers)
         for i in range(reg.initial_state_count(learning, load)):
-            state.diagonal[first + i] = _KNOWN * learning.initial_covariance
+            state.estimate.diagonal[first + i] = NOISE_FLOOR * learning.initial_covariance
 
     def fill_regressor(
         self, state: SlowState, learning: Learning, load: Load, sample: SlowSample
     ) -> None:
         """Overwrite r, and r with every power of λ lowered by one for the explanations."""
         estimator, y, u = state.estimator, sample.output_filtered, sample.input_filtered
-        elapsed_s = estimator.elapsed_s - estimator.origin_s
-        reg.fill_filtered_regressor(estimator.regressor, learning, load, y, u)
-        reg.fill_initial_state(estimator.regressor, learning, load, elapsed_s)
-        reg.fill_charge(estimator.regressor, learning, estimator.charge)
+        regressor = estimator.sample.regressor
+        elapsed_s = estimator.sample.time_s - estimator.estimate.origin_s
+        reg.fill_filtered_regressor(regressor, learning, load, y, u)
+        reg.fill_initial_state(regressor, learning, load, elapsed_s)
+        reg.fill_charge(regressor, learning, estimator.charge)
         let_emf_wander(estimator, learning)
         lowered, output = estimator.rivals.lowered, sample.output
         reg.fill_lowered_regressor(lowered, learning, load, output, y, u)
@@ -76,28 +67,23 @@ class LambdaMethod:
         """Return y[k]."""
         return sample.output
 
-    def take_in(
-        self,
-        state: EstimatorState,
-        learning: Learning,
-        load: Load,
-        target: float,
-        innovation: float,
-    ) -> None:
+    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
         """Update θ and P; an abrupt change is explained where `alert` is set."""
-        if learning.alert:
-            let_both_predict(state, learning, load, target, innovation)
-            learn_and_explain(state, learning, load, target, innovation)
-            note_age(state, learning, load)
-            show(state, learning)
-        else:
-            take_in(state, learning, target, innovation, directional=False)
+        own, sample = state.estimate, state.sample
+        if not learning.alert:
+            take_in(state, learning, directional=False)
+            return
+        follow(state.integrated, learning, load, sample, own)
+        reg.fill_initial_state(sample.regressor, learning, load, sample.time_s - own.origin_s)
+        learn_and_explain(state, learning, load)
+        note_age(state, learning, load)
+        show(state, learning)
 
     def model(
         self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
     ) -> tuple[Vector, Vector, int]:
         """Return A and B of the estimated model in s, and the verdict on its parameters."""
-        learning, theta = settings.learning, theta_in_force(state.estimator)
+        learning, theta = settings.learning, in_force(state.estimator).theta
         numerator, denominator = reg.filtered_model(theta, learning, load)
         return judge_physical(settings, load, state, numerator, denominator, period_s)
 
@@ -113,4 +99,4 @@ class LambdaMethod:
 
     def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
         """Return the constant input with the effect of bias and charge; NaN without a bias."""
-        return reg.input_offset(theta_in_force(state), learning, load, state.charge)
+        return reg.input_offset(in_force(state).theta, learning, load, state.charge)

@@ -46,15 +46,8 @@ class Method(Protocol):
     def target(self, learning: Learning, sample: SlowSample) -> float:
         """Return the value that r predicts, in the unit of the output."""
 
-    def take_in(
-        self,
-        state: EstimatorState,
-        learning: Learning,
-        load: Load,
-        target: float,
-        innovation: float,
-    ) -> None:
-        """Update θ and P by one sample; target and innovation are scaled."""
+    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+        """Update θ and P by the last sample, which the estimate has predicted."""
 
     def model(
         self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float

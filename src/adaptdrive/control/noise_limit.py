@@ -11,7 +11,7 @@ first, up to 0.8; where that does not suffice, the asked poles p become slower, 
 quarter. A zero that is cancelled stays where it is.
 
 Slower poles are quieter down to about the load's own; gains that keep a load slower than it is rise
-again. Where no slowness on the way meets the limit, the quietest of a few takes its place.
+again. Where no slowness on the way meets the limit, the quietest that was tried takes its place.
 
 The norm is the sum of the squared impulse response (K. J. Åström, Introduction to Stochastic
 Control Theory, 1970, section 5.2): with a, b of degree n, the recursion
@@ -26,11 +26,12 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control.design import kept_factor
+from adaptdrive.control.evidence import FEWEST
 from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.vectors import Vector, multiply
 
-OBSERVER_POLE = 0.8
-"""Slowest observer pole: a disturbance is seen within about 5 slow periods."""
+OBSERVER_POLE = 1.0 - 1.0 / FEWEST
+"""Slowest observer pole: a disturbance is seen within the fewest samples that can show anything."""
 
 SLOWEST_SHARE = 0.25
 """Least 1 - p over that of the pole asked for: four times its time constant."""
@@ -38,11 +39,8 @@ SLOWEST_SHARE = 0.25
 _BOTH = 2.0
 """Slowness at which the observer poles and the asked poles are at their limits."""
 
-_FINE = 0.04
-"""Slowness that is close enough: the observer pole within 0.03."""
-
-_TRIED = 5
-"""Slownesses that are compared where none meets the limit: two steps for each kind of poles."""
+_HALVINGS = 6
+"""Halvings of the way to the slowest poles, until the observer pole is found within 0.03."""
 
 
 def quiet_loop(a: Vector, b: Vector, order: int, pole: float, noise: float, limit: float) -> Vector:
@@ -58,31 +56,21 @@ def quiet_loop(a: Vector, b: Vector, order: int, pole: float, noise: float, limi
     """
     kept = kept_factor(b, pole)
     free = len(a) + len(b) - 2 - 2 * order
-    slowness, low, high = 0.0, 0.0, _BOTH if limit > 0.0 else 0.0
-    while high - low > _FINE:
+    found = slowed_loop(kept, order, free, pole, 0.0)
+    least = noise_gain(a, b, found)
+    if noise * least <= limit or not limit > 0.0:
+        return found
+    low, high, slowness = 0.0, _BOTH, _BOTH
+    for _ in range(1 + _HALVINGS):
         loop = slowed_loop(kept, order, free, pole, slowness)
-        if noise * noise_gain(a, b, loop) <= limit:
-            high = slowness
-        else:
-            low = slowness
-        slowness = 0.5 * (low + high)
-    loop = slowed_loop(kept, order, free, pole, high)
-    if high < _BOTH or noise * noise_gain(a, b, loop) <= limit:
-        return loop
-    return _quietest_loop(a, b, kept, order, free, pole)
-
-
-def _quietest_loop(
-    a: Vector, b: Vector, kept: Vector, order: int, free: int, pole: float
-) -> Vector:
-    """Return the A_c that lets the least noise through: never more than the poles asked for do."""
-    quietest, least = slowed_loop(kept, order, free, pole, 0.0), math.inf
-    for i in range(_TRIED):
-        loop = slowed_loop(kept, order, free, pole, _BOTH * i / (_TRIED - 1))
         gain = noise_gain(a, b, loop)
-        if gain < least:
-            quietest, least = loop, gain
-    return quietest
+        if noise * gain <= limit:
+            found, least, high = loop, 0.0, slowness
+        else:
+            found, least = (loop, gain) if gain < least else (found, least)
+            low = slowness if slowness < high else low
+        slowness = 0.5 * (low + high)
+    return found
 
 
 def slowed_loop(kept: Vector, order: int, free: int, pole: float, slowness: float) -> Vector:

@@ -124,7 +124,7 @@ def _output_noise(
         return 0.0
     estimator = state.estimator
     seen = math.sqrt(max(least, estimator.surprise.noise))
-    return max(seen, estimator.rounding) * settings.learning.output_scale
+    return max(seen, estimator.sample.rounding) * settings.learning.output_scale
 
 
 def _input_noise(

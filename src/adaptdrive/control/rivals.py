@@ -2,14 +2,10 @@
 
 An alarm shows that something has changed, and not what. The estimate goes back to the last sample
 before the change, and four explanations take in the samples since then, each with an estimate of
-its own: nothing; a disturbance of the input; another load; both (`hypotheses`). With σ² known
-only as σ0² from ν0 samples their likelihoods are, up to a constant (Bayesian linear regression
-with an inverse-gamma prior of σ²; Gelman et al., Bayesian Data Analysis, chapter 14),
-
-    L = -1/2 Σ ln(1 + rᵀPr/ρ) - (ν0 + n)/2 ln(1 + (Σ ε² ρ/(ρ + rᵀPr) - n σ0²) / ((ν0 + n) σ0²))
-
-The first sum is the price of an explanation that fits anything. The likeliest is the estimate from
-the alarm on, and stays when it has won.
+its own: nothing; a disturbance of the input; another load; both (`hypotheses`). Their likelihoods
+L (`branch`) are compared, less a handicap for what is rare. The sum of logarithms in L is the price
+of an explanation that fits anything. The likeliest is the estimate from the alarm on, and stays
+when it has won.
 """
 
 from __future__ import annotations
@@ -17,6 +13,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from adaptdrive.control.branch import (
+    Branch,
+    Sample,
+    copy_estimate,
+    count_prediction,
+    likelihood,
+    new_branch,
+    posterior_power,
+    predict_sample,
+    squared_error,
+)
 from adaptdrive.control.certainty import is_sure
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, RARER, WINDOW
@@ -26,13 +33,7 @@ from adaptdrive.control.hypotheses import (
     LOAD,
     NOTHING,
     Anchor,
-    Branch,
-    copy_estimate,
-    count_prediction,
-    new_branch,
-    predict_sample,
     restart_past,
-    squared_error,
     widen,
 )
 from adaptdrive.control.load import Load
@@ -44,9 +45,6 @@ from adaptdrive.control.vectors import Vector, copy_into
 ROOM = EARLIEST + 1
 """Samples that can be kept: ten that may be the first after a change, and the one that shows it."""
 
-PRIOR_SAMPLES = 4.0
-"""Weight of σ0²: as little as leaves the likelihood finite variance."""
-
 _PROOF = 8.0
 """Lead over `nothing` that any other explanation needs: odds of 3,000 to 1."""
 
@@ -56,17 +54,11 @@ class Rivals:
     """The explanations, and the samples from which they can start.
 
     Attributes:
-        now: The estimate after the last sample.
         calm: The estimate at the anchor.
-        nothing: Explanation.
-        disturbance: Explanation.
-        load: Explanation.
-        both: Explanation.
+        branches: The explanations, by their kinds.
         anchor: The last sample before the change, while nothing changes the last one.
         lowered: r of the last sample with every power of λ lowered by one.
-        regressors: r of the samples since the anchor.
-        targets: What r predicts, likewise.
-        times_s: When they were taken.
+        kept: The samples since the anchor.
         waiting: How many they are.
         samples: Samples that the explanations have taken in; 0 when nothing is to be explained.
         kind: The likeliest explanation, of the last alarm when nothing is to be explained.
@@ -75,17 +67,11 @@ class Rivals:
         moved: Sum of the squares of its changes by disturbances that were found, forgotten alike.
     """
 
-    now: Branch
     calm: Branch
-    nothing: Branch
-    disturbance: Branch
-    load: Branch
-    both: Branch
+    branches: list[Branch]
     anchor: Anchor
     lowered: Vector
-    regressors: Vector
-    targets: Vector
-    times_s: Vector
+    kept: list[Sample]
     waiting: int = 0
     samples: int = 0
     kind: int = NOTHING
@@ -97,17 +83,11 @@ class Rivals:
 def new_rivals(count: int) -> Rivals:
     """Explanations for θ of a length."""
     return Rivals(
-        now=new_branch(count),
         calm=new_branch(count),
-        nothing=new_branch(count),
-        disturbance=new_branch(count),
-        load=new_branch(count),
-        both=new_branch(count),
+        branches=[new_branch(count) for _ in range(NOTHING, BOTH + 1)],
         anchor=Anchor([0.0] * count, [0.0] * count),
         lowered=[0.0] * count,
-        regressors=[0.0] * (ROOM * count),
-        targets=[0.0] * ROOM,
-        times_s=[0.0] * ROOM,
+        kept=[Sample([0.0] * count) for _ in range(ROOM)],
     )
 
 
@@ -129,24 +109,22 @@ def note_disturbance(rivals: Rivals, offset: float) -> None:
         rivals.moved += moved * moved
 
 
-def drop_anchor(rivals: Rivals, regressor: Vector, time_s: float) -> None:
+def drop_anchor(rivals: Rivals, estimate: Branch, sample: Sample) -> None:
     """Remember the estimate of now, after a sample that did not surprise."""
-    copy_estimate(rivals.calm, rivals.now)
-    copy_into(rivals.anchor.regressor, regressor)
+    copy_estimate(rivals.calm, estimate)
+    copy_into(rivals.anchor.regressor, sample.regressor)
     copy_into(rivals.anchor.lowered, rivals.lowered)
-    rivals.anchor.time_s = time_s
+    rivals.anchor.time_s = sample.time_s
     rivals.waiting = 0
 
 
-def keep_sample(rivals: Rivals, regressor: Vector, target: float, time_s: float, room: int) -> bool:
+def keep_sample(rivals: Rivals, sample: Sample, room: int) -> bool:
     """Keep a sample that may be the first after a change; False when so many are kept already."""
     if rivals.waiting >= room:
         return False
-    count = len(regressor)
-    for i in range(count):
-        rivals.regressors[rivals.waiting * count + i] = regressor[i]
-    rivals.targets[rivals.waiting] = target
-    rivals.times_s[rivals.waiting] = time_s
+    kept = rivals.kept[rivals.waiting]
+    copy_into(kept.regressor, sample.regressor)
+    kept.target, kept.time_s = sample.target, sample.time_s
     rivals.waiting += 1
     return True
 
@@ -159,7 +137,7 @@ def prepare(rivals: Rivals, power: float) -> None:
         power: σ0².
     """
     rivals.anchor.power = power
-    rivals.anchor.gap_s = rivals.times_s[0] - rivals.anchor.time_s
+    rivals.anchor.gap_s = rivals.kept[0].time_s - rivals.anchor.time_s
 
 
 def split(rivals: Rivals, learning: Learning, load: Load, power: float) -> None:
@@ -172,64 +150,37 @@ def split(rivals: Rivals, learning: Learning, load: Load, power: float) -> None:
         power: σ0².
     """
     prepare(rivals, power)
-    for kind in range(NOTHING, BOTH + 1):
-        _begin(rivals, branch_of(rivals, kind), kind, learning, load)
-    count = len(rivals.calm.theta)
-    regressor = [0.0] * count
+    for kind, branch in enumerate(rivals.branches):
+        copy_estimate(branch, rivals.calm)
+        branch.squares = branch.logs = branch.score = 0.0
+        if kind != NOTHING:
+            restart_past(branch, learning, load, rivals.anchor.time_s)
+            widen(branch, kind, learning, load, rivals.anchor)
     rivals.samples = 0
     for number in range(rivals.waiting):
-        for i in range(count):
-            regressor[i] = rivals.regressors[number * count + i]
-        follow(rivals, learning, load, regressor, rivals.targets[number], rivals.times_s[number])
+        follow(rivals, learning, load, rivals.kept[number])
     rivals.waiting = 0
 
 
-def _begin(rivals: Rivals, branch: Branch, kind: int, learning: Learning, load: Load) -> None:
-    copy_estimate(branch, rivals.calm)
-    branch.squares = branch.logs = branch.score = 0.0
-    if kind != NOTHING:
-        restart_past(branch, learning, load, rivals.anchor.time_s)
-        widen(branch, kind, learning, load, rivals.anchor)
-
-
-def follow(
-    rivals: Rivals, learning: Learning, load: Load, regressor: Vector, target: float, time_s: float
-) -> None:
+def follow(rivals: Rivals, learning: Learning, load: Load, sample: Sample) -> None:
     """Let every explanation take in a sample, and find the likeliest.
 
     Args:
         rivals: Overwritten.
         learning: Forgetting.
         load: Order.
-        regressor: r; the functions of the initial state in it are overwritten.
-        target: What r predicts, scaled.
-        time_s: When it was taken.
+        sample: The functions of the initial state in it are overwritten.
     """
     rivals.samples += 1
-    for kind in range(NOTHING, BOTH + 1):
-        branch = branch_of(rivals, kind)
-        _take_in(rivals, branch, kind, learning, load, regressor, target, time_s)
+    power, count = rivals.anchor.power, rivals.samples
+    for kind, branch in enumerate(rivals.branches):
+        predict_sample(branch, learning, load, sample)
+        count_prediction(branch, learning.forgetting)
+        branch.score = likelihood(branch, power, count) - _rarity(rivals, kind)
+        learn_sample(branch, sample, learning, 0.0)
     rivals.kind = _likeliest(rivals)
-    fill_initial_state(regressor, learning, load, time_s - branch_of(rivals, rivals.kind).origin_s)
-
-
-def _take_in(
-    rivals: Rivals,
-    branch: Branch,
-    kind: int,
-    learning: Learning,
-    load: Load,
-    regressor: Vector,
-    target: float,
-    time_s: float,
-) -> None:
-    forgetting, power = learning.forgetting, rivals.anchor.power
-    predict_sample(branch, learning, load, regressor, target, time_s)
-    count_prediction(branch, forgetting)
-    weight = PRIOR_SAMPLES + rivals.samples
-    mean = (PRIOR_SAMPLES * power + branch.squares) / power
-    branch.score = -0.5 * (branch.logs + weight * math.log(mean / weight)) - _rarity(rivals, kind)
-    learn_sample(branch.theta, branch.upper, branch.diagonal, regressor, target, learning, 0.0)
+    since_s = sample.time_s - likeliest(rivals).origin_s
+    fill_initial_state(sample.regressor, learning, load, since_s)
 
 
 def _rarity(rivals: Rivals, kind: int) -> float:
@@ -243,44 +194,33 @@ def _rarity(rivals: Rivals, kind: int) -> float:
     return RARER * (changes + rivals.loads)
 
 
-def branch_of(rivals: Rivals, kind: int) -> Branch:
-    """Return the explanation of a kind."""
-    if kind == DISTURBANCE:
-        return rivals.disturbance
-    if kind == LOAD:
-        return rivals.load
-    if kind == BOTH:
-        return rivals.both
-    return rivals.nothing
+def likeliest(rivals: Rivals) -> Branch:
+    """Return the explanation in `kind`."""
+    return rivals.branches[rivals.kind]
 
 
 def _likeliest(rivals: Rivals) -> int:
     best = NOTHING
-    for kind in (DISTURBANCE, LOAD, BOTH):
-        if branch_of(rivals, kind).score > branch_of(rivals, best).score:
+    for kind, branch in enumerate(rivals.branches):
+        if branch.score > rivals.branches[best].score:
             best = kind
     return best
 
 
 def is_clear(rivals: Rivals) -> bool:
     """Return whether the likeliest explanation has left the others behind."""
-    best = _likeliest(rivals)
-    rival = -math.inf
-    for kind in range(NOTHING, BOTH + 1):
+    best, rival = _likeliest(rivals), -math.inf
+    for kind, branch in enumerate(rivals.branches):
         if kind != best:
-            rival = max(rival, branch_of(rivals, kind).score)
-    return branch_of(rivals, best).score - rival > CLEAR
+            rival = max(rival, branch.score)
+    return rivals.branches[best].score - rival > CLEAR
 
 
 def is_expected(rivals: Rivals, learning: Learning) -> bool:
     """Return whether an explanation that has not been left behind expected the last sample."""
-    least = branch_of(rivals, _likeliest(rivals)).score - CLEAR
-    largest = DRIFT * rivals.anchor.power
-    for kind in range(NOTHING, BOTH + 1):
-        branch = branch_of(rivals, kind)
-        if branch.score >= least and squared_error(branch, learning.forgetting) <= largest:
-            return True
-    return False
+    least = rivals.branches[_likeliest(rivals)].score - CLEAR
+    largest, rho = DRIFT * rivals.anchor.power, learning.forgetting
+    return any(one.score >= least and squared_error(one, rho) <= largest for one in rivals.branches)
 
 
 def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
@@ -291,21 +231,17 @@ def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
     best = _likeliest(rivals)
     if rivals.samples < EARLIEST or (rivals.samples < WINDOW and not is_clear(rivals)):
         return False
-    if best >= LOAD and not is_possible(branch_of(rivals, best).theta, learning, load):
+    if best >= LOAD and not is_possible(rivals.branches[best].theta, learning, load):
         if rivals.samples < 2 * WINDOW:
             return False
         best = DISTURBANCE
-    if best >= LOAD and not is_clear(rivals) and not _is_sure(rivals, best, learning, load):
-        best = DISTURBANCE
-    if branch_of(rivals, best).score - rivals.nothing.score < _PROOF:
+    if best >= LOAD and not is_clear(rivals):
+        power = rivals.anchor.power
+        best = best if is_sure(rivals.branches[best], power, learning, load) else DISTURBANCE
+    if rivals.branches[best].score - rivals.branches[NOTHING].score < _PROOF:
         best = NOTHING
     rivals.kind = best
     return True
-
-
-def _is_sure(rivals: Rivals, kind: int, learning: Learning, load: Load) -> bool:
-    branch, power = branch_of(rivals, kind), rivals.anchor.power
-    return is_sure(branch.theta, branch.upper, branch.diagonal, power, learning, load)
 
 
 def settle(rivals: Rivals) -> None:
@@ -315,11 +251,10 @@ def settle(rivals: Rivals) -> None:
     rivals.samples = 0
 
 
-def posterior_power(rivals: Rivals) -> float:
+def explained_power(rivals: Rivals) -> float:
     """Return σ² as the explanation in `kind` leaves it."""
-    squares = branch_of(rivals, rivals.kind).squares
-    weight = PRIOR_SAMPLES + rivals.samples
-    return max(NOISE_FLOOR, (PRIOR_SAMPLES * rivals.anchor.power + squares) / weight)
+    power = posterior_power(likeliest(rivals), rivals.anchor.power, rivals.samples)
+    return max(NOISE_FLOOR, power)
 
 
 def is_possible(theta: Vector, learning: Learning, load: Load) -> bool:

@@ -40,8 +40,9 @@ _FOUND = math.ceil(math.log(sys.float_info.epsilon) / math.log(2.0 * TOLERANCE))
 """Differences that must agree: without steps each does by a chance of twice the tolerance, and all
 of them by less than the rounding of a double."""
 
-_MISS = 4
-"""Weight of a difference that does not agree: by chance one of 25 does."""
+_MISS = _FOUND // 3
+"""Weight of a difference that does not agree, which by chance only one of 25 does: three refute a
+step that has just been found."""
 
 _SURE = _FOUND + 2 * _MISS
 """Differences that are counted: a sample beside the steps makes two that do not agree, after which

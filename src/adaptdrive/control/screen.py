@@ -16,6 +16,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from adaptdrive.control.evidence import PRIOR_SAMPLES
+
 ALPHA = 0.1
 """Gain on the level: it follows a change within about 10 samples."""
 
@@ -26,8 +28,8 @@ Transactions on Automatic Control 7, 1962)."""
 GAMMA = 0.02
 """Rate of the mean deviation: a mean over about 50 ticks."""
 
-_GAMMA_MAX = 0.25
-"""Largest share of one sample in the mean deviation: fewer than four samples are no mean."""
+_GAMMA_MAX = 1.0 / PRIOR_SAMPLES
+"""Largest share of one sample in the mean deviation: fewer samples are no mean."""
 
 WIDE = 0.01
 """Deviation to start with, as a share of the output: wide enough for an honest first second."""

@@ -16,14 +16,11 @@ from adaptdrive.control.charging import begin_anew, taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
 from adaptdrive.control.cycling import watch_cycling
 from adaptdrive.control.design import compensator_gains, discrete_model, reference_lead
+from adaptdrive.control.evidence import NOISE_FLOOR
 from adaptdrive.control.load import Load
 from adaptdrive.control.probing import probe
 from adaptdrive.control.redesign import adapt
-from adaptdrive.control.reference_filter import (
-    condition_reference,
-    filter_reference,
-    reference_of,
-)
+from adaptdrive.control.reference_filter import condition_reference, filter_reference, reference_of
 from adaptdrive.control.rest import distance_from_rest, nominal_gain
 from adaptdrive.control.rls import predict
 from adaptdrive.control.settings import ControllerSettings, Jacket
@@ -31,8 +28,9 @@ from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import copy_into, shift_in, total
 from adaptdrive.control.watch import Fallback, latch_fallback, watch_loop, watch_response
 
-_RETUNE = 1e-4
-"""Relative drift of the slow period from which the fixed gains are made again."""
+_RETUNE = math.sqrt(NOISE_FLOOR)
+"""Relative drift of the slow period from which the fixed gains are made again: less moves the
+output by less than the least noise."""
 
 _HELD_SHARE = 0.1
 """Share of stand-in ticks above which a slow sample teaches nothing."""
@@ -102,17 +100,18 @@ def _take_sample(
     settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
 ) -> None:
     learning, estimator = settings.learning, state.estimator
-    estimator.elapsed_s += sample.period_s
+    estimator.sample.time_s += sample.period_s
     charged = sample.output / learning.output_scale * sample.period_s
     estimator.charge += charged / learning.tau_lambda_s
-    estimator.rounding = sample.rounding / learning.output_scale
+    estimator.sample.rounding = sample.rounding / learning.output_scale
     learning.method.fill_regressor(state, learning, load, sample)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
     usable = moved and sample.held_share <= _HELD_SHARE
     target = learning.method.target(learning, sample)
     est.learn(estimator, learning, load, target, usable)
     if learning.method.physical:
-        fixed = target / learning.output_scale - predict(state.nominal_theta, estimator.regressor)
+        learnt = estimator.sample
+        fixed = learnt.target - predict(state.nominal_theta, learnt.regressor)
         own = in_force.own_residual(estimator, learning)
         sup.compare_residuals(state.supervisor, own, fixed)
     shift_in(state.outputs, sample.output)

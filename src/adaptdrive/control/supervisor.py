@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from adaptdrive.control.assurance import MARGIN_RADIUS, STABLE_RADIUS
-from adaptdrive.control.evidence import WINDOW
+from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.vectors import Vector, all_finite, is_stable
 
@@ -27,8 +27,8 @@ _TINY = 1e-12
 _RESIDUAL_RATE = 1.0 / WINDOW
 """Rate of the mean residuals: a mean over about 20 slow periods."""
 
-_RESIDUAL_FLOOR = 1.0e-6
-"""A thousandth of the scale, squared: at rest, less is noise."""
+_RESIDUAL_FLOOR = 100.0 * NOISE_FLOOR
+"""Ten times the least deviation, squared, a thousandth of the scale: at rest, less is noise."""
 
 
 class Verdict(IntEnum):

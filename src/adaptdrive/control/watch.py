@@ -24,17 +24,18 @@ from enum import IntEnum
 from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.settings import Jacket
 
-GROWTH = 1.1
-"""Ratio of a growing peak to the one before: noise changes equal peaks by less than 10 %."""
+CLOSER = 0.9
+"""Ratio of a distance to the one before that shows a way: a lag of nine times `saturated_s` goes a
+tenth of it in that time."""
+
+GROWTH = 1.0 / CLOSER
+"""Ratio of a growing peak to the one before: noise changes equal peaks by less than a tenth."""
 
 SWINGS = 6
 """Growing peaks in a row: three full oscillations, which a step response does not make."""
 
 TIME_CONSTANTS = 10.0
 """Closed-loop time constants with a large error: four equal poles have let a step decay to 1 %."""
-
-CLOSER = 0.9
-"""A tenth of the way within `saturated_s`: a lag of nine times that time does it."""
 
 
 class Fallback(IntEnum):
