@@ -13,7 +13,7 @@ from adaptdrive.control import rls
 from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.branch import (
     Branch,
-    Sample,
+    Datum,
     count_prediction,
     new_branch,
     predict_sample,
@@ -39,7 +39,7 @@ from tests.control.systems import Array
 LEARNING = replace(SCALED_LEARNING, bias=True, alert=True, initial_state=True)
 STEP_S, TAU_S = 0.01, 10.0
 CHANGE = 6000
-"""Sample of the change."""
+"""Datum of the change."""
 
 
 def lagged(signal: Array) -> Array:
@@ -207,7 +207,7 @@ def test_a_prediction_is_judged_by_its_error_and_by_what_it_was_unsure_of() -> N
     filled = np.array([*r[:3], math.exp(-0.3), 0.3 * math.exp(-0.3), 1.0])
     error, excitation = 0.5 - filled @ one.theta, 0.25 * float(filled @ filled)
     for count in (1, 2):
-        predict_sample(one, LEARNING, MOTOR, Sample(r.tolist(), 0.5, 7.0))
+        predict_sample(one, LEARNING, MOTOR, Datum(r.tolist(), 0.5, 7.0))
         count_prediction(one, forgetting)
         weight = forgetting / (forgetting + excitation)
         assert one.squares == pytest.approx(count * error**2 * weight)

@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import in_force
-from adaptdrive.control.branch import Branch, Sample
+from adaptdrive.control.branch import Branch, Datum
 from adaptdrive.control.drift import OFFSET_WALK, learn_sample, walking_count
 from adaptdrive.control.integrated import follow
 from adaptdrive.control.ud_factors import covariance
@@ -110,7 +110,7 @@ def test_an_offset_that_drifts_is_less_certain_by_its_walk(drifts: bool) -> None
     """A sample of it alone leaves 1/(1/p + 1), and the walk adds its variance."""
     learning = replace(LEARNING, drifts=drifts, forgetting=1.0)
     branch = Branch([0.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.25, 0.5])
-    learn_sample(branch, Sample([0.0, 1.0], 0.3), learning, 0.0)
+    learn_sample(branch, Datum([0.0, 1.0], 0.3), learning, 0.0)
     variances = np.diag(np.array(covariance(branch.upper, branch.diagonal)).reshape(2, 2))
     walked = OFFSET_WALK**2 if drifts else 0.0
     assert variances == pytest.approx([0.25, 0.5 / 1.5 + walked])
@@ -133,6 +133,6 @@ def test_the_walk_of_an_emf_is_not_added_with_its_samples() -> None:
     learning = replace(LEARNING, charge=True, forgetting=1.0)
     upper = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     branch = Branch([0.0] * 3, upper, [0.25, 0.5, 0.5])
-    learn_sample(branch, Sample([0.0, 0.0, 1.0], 0.3), learning, 0.0)
+    learn_sample(branch, Datum([0.0, 0.0, 1.0], 0.3), learning, 0.0)
     variances = np.diag(np.array(covariance(branch.upper, branch.diagonal)).reshape(3, 3))
     assert variances == pytest.approx([0.25, 0.5, 0.5 / 1.5])

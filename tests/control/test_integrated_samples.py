@@ -1,4 +1,4 @@
-"""Sample by sample: how the estimate whose bias walks is compared, in dense matrices."""
+"""Datum by sample: how the estimate whose bias walks is compared, in dense matrices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
-from adaptdrive.control.branch import Branch, Sample, copy_estimate, new_branch
+from adaptdrive.control.branch import Branch, Datum, copy_estimate, new_branch
 from adaptdrive.control.integrated import Integrated, follow
 from adaptdrive.control.surprise import move_median
 from adaptdrive.control.ud_factors import covariance
@@ -95,7 +95,7 @@ def test_the_comparison_is_that_of_the_formulas(seed: int) -> None:
         own_excitation = float(regressor @ matrix @ regressor)
         own = float(target - regressor @ theta) ** 2 * RHO / (RHO + own_excitation)
         books.take(own, own_excitation, squared, excitation)
-        sample = Sample(regressor.tolist(), target, float(number), ROUNDING)
+        sample = Datum(regressor.tolist(), target, float(number), ROUNDING)
         follow(integrated, LEARNING, MOTOR, sample, other(integrated, squared, excitation))
         assert integrated.lead == pytest.approx(books.lead, rel=1e-6, abs=1e-6)
         assert integrated.in_force is books.in_force
@@ -111,7 +111,7 @@ def test_after_each_sample_the_bias_is_uncertain_by_thirty_sigma_more() -> None:
     integrated = started()
     regressor = [0.0] * (len(integrated.branch.theta) - 1) + [1.0]
     for number in range(5):
-        sample = Sample(regressor, 0.1, float(number), ROUNDING)
+        sample = Datum(regressor, 0.1, float(number), ROUNDING)
         follow(integrated, LEARNING, MOTOR, sample, other(integrated, 1e-4, 0.1))
         assert 900.0 <= dense(integrated)[1][-1, -1] <= 905.0
 
@@ -122,6 +122,6 @@ def test_a_jump_of_the_bias_is_followed_at_once() -> None:
     regressor = [0.0] * (count - 1) + [1.0]
     for number in range(60):
         target = 0.01 * (-1.0) ** number + (50.0 if number == 59 else 0.0)
-        sample = Sample(regressor, target, float(number), ROUNDING)
+        sample = Datum(regressor, target, float(number), ROUNDING)
         follow(integrated, LEARNING, MOTOR, sample, other(integrated, 1e-4, 0.1))
     assert dense(integrated)[0][-1] == pytest.approx(50.0, rel=1e-3)

@@ -15,7 +15,7 @@ from adaptdrive.control import challenger as chal
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
 from adaptdrive.control import ud_factors as ud
-from adaptdrive.control.branch import Branch, Sample, copy_estimate, new_branch, posterior_power
+from adaptdrive.control.branch import Branch, Datum, copy_estimate, new_branch, posterior_power
 from adaptdrive.control.hypotheses import (
     ANEW,
     BOTH,
@@ -69,12 +69,12 @@ def case(count: int = 5, seed: int = 1, noise: float = 0.004) -> Case:
     now.theta[:] = theta()
     now.origin_s = 2.0
     rivals.lowered[:] = regressor(random)
-    riv.drop_anchor(rivals, now, Sample(regressor(random), time_s=30.0))
+    riv.drop_anchor(rivals, now, Datum(regressor(random), time_s=30.0))
     found = Case(rivals, [], [], [])
     for number in range(count):
         r, time_s = regressor(random), 31.0 + number
         target = float(np.dot(r, theta(2.6)) + noise * random.normal())
-        assert riv.keep_sample(rivals, Sample(r, target, time_s), riv.ROOM)
+        assert riv.keep_sample(rivals, Datum(r, target, time_s), riv.ROOM)
         found.regressors.append(r)
         found.targets.append(target)
         found.times_s.append(time_s)
@@ -168,7 +168,7 @@ def test_the_sample_is_left_as_the_likeliest_explanation_sees_it() -> None:
     one = case()
     riv.split(one.rivals, LEARNING, MOTOR, POWER)
     r = list(one.regressors[0])
-    riv.follow(one.rivals, LEARNING, MOTOR, Sample(r, one.targets[0], 40.0))
+    riv.follow(one.rivals, LEARNING, MOTOR, Datum(r, one.targets[0], 40.0))
     origin_s = 2.0 if one.rivals.kind == NOTHING else 30.0
     assert r == pytest.approx(filled(r, 40.0 - origin_s))
     assert one.rivals.samples == 6
@@ -184,14 +184,14 @@ def test_an_anchor_is_the_last_calm_sample_and_the_gap_ends_at_the_next() -> Non
     riv.prepare(one.rivals, 7e-6)
     assert one.rivals.anchor.power == 7e-6
     assert one.rivals.anchor.gap_s == 1.0
-    riv.drop_anchor(one.rivals, one.rivals.calm, Sample(one.regressors[2], time_s=33.0))
+    riv.drop_anchor(one.rivals, one.rivals.calm, Datum(one.regressors[2], time_s=33.0))
     assert one.rivals.waiting == 0
     assert one.rivals.anchor.regressor == one.regressors[2]
 
 
 def test_no_more_samples_are_kept_than_there_is_room_for() -> None:
     rivals = riv.new_rivals(COUNT)
-    samples = [Sample([float(k)] * COUNT, 10.0 * k, 0.5 * k) for k in range(5)]
+    samples = [Datum([float(k)] * COUNT, 10.0 * k, 0.5 * k) for k in range(5)]
     kept = [riv.keep_sample(rivals, one, 3) for one in samples]
     assert kept == [True, True, True, False, False]
     assert rivals.kept[:3] == samples[:3]
@@ -390,7 +390,7 @@ def test_its_lead_is_the_ratio_of_both_likelihoods(seed: int) -> None:
         estimate.innovation = target - float(seen @ old.mean)
         new.take(filled(r, time_s - 30.0), target)
         old.take(seen, target)
-        chal.follow(challenger, LEARNING, MOTOR, Sample(r, target, time_s), estimate)
+        chal.follow(challenger, LEARNING, MOTOR, Datum(r, target, time_s), estimate)
         assert r == pytest.approx(filled(r, time_s - 30.0))
         assert challenger.samples in {0, 10 + number}
         if challenger.judged == new.samples:
@@ -405,7 +405,7 @@ def test_a_prediction_of_an_untrained_challenger_is_not_judged() -> None:
         challenger, estimate = begun(one)
         estimate.excitation, estimate.innovation = 0.1, 0.01
         ud.open_up(challenger.branch.upper, challenger.branch.diagonal, excitation / 3.0)
-        chal.follow(challenger, LEARNING, MOTOR, Sample(one.regressors[0], 0.9, 40.0), estimate)
+        chal.follow(challenger, LEARNING, MOTOR, Datum(one.regressors[0], 0.9, 40.0), estimate)
         assert challenger.judged == judged
 
 
@@ -439,7 +439,7 @@ def followed(lead: float, samples: int) -> int:
     ud.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-12)
     r = regressor(np.random.default_rng(1))
     target = float(np.dot(filled(r, 40.0), theta()))
-    chal.follow(challenger, LEARNING, MOTOR, Sample(r, target, 40.0), estimate)
+    chal.follow(challenger, LEARNING, MOTOR, Datum(r, target, 40.0), estimate)
     return challenger.samples
 
 
@@ -466,7 +466,7 @@ def test_a_sample_beyond_the_root_of_three_deviations_is_new_to_it(
     (challenger, _), r = led(0.0, 5), regressor(np.random.default_rng(2))
     ud.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-9)
     target = float(np.dot(filled(r, 40.0), theta())) + error * math.sqrt(POWER)
-    ask = (LEARNING, MOTOR, Sample(r, target, 40.0))
+    ask = (LEARNING, MOTOR, Datum(r, target, 40.0))
     assert chal.is_surprised(challenger, *ask) is surprised
     challenger.samples = 0
     assert chal.is_surprised(challenger, *ask) is True

@@ -11,7 +11,7 @@ import pytest
 from adaptdrive.control import challenger as chal
 from adaptdrive.control import regression as reg
 from adaptdrive.control import rivals as riv
-from adaptdrive.control.branch import Branch, Sample, predict
+from adaptdrive.control.branch import Branch, Datum, predict
 from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.explanation import learn_and_explain
@@ -174,7 +174,7 @@ def test_an_alarm_begins_a_challenger_that_has_learnt_the_waiting_samples_once()
     riv.drop_anchor(state.rivals, state.estimate, before)
     for second in (2.0, 1.0):
         time_s = state.sample.time_s - second
-        sample = Sample(state.sample.regressor, expected_sample(state), time_s)
+        sample = Datum(state.sample.regressor, expected_sample(state), time_s)
         riv.keep_sample(state.rivals, sample, riv.ROOM)
     state.surprise.sum = 1e3
     take(state)

@@ -24,7 +24,7 @@ from adaptdrive.control.vectors import Vector, copy_into
 
 
 @dataclass(slots=True)
-class Sample:
+class Datum:
     """One slow sample, as the estimator sees it.
 
     Attributes:
@@ -82,13 +82,13 @@ def copy_estimate(target: Branch, source: Branch) -> None:
     target.innovation, target.excitation = source.innovation, source.excitation
 
 
-def predict(branch: Branch, sample: Sample) -> None:
+def predict(branch: Branch, sample: Datum) -> None:
     """Predict a sample, before it is learnt: innovation and excitation are overwritten."""
     branch.excitation = ud.excitation(branch.upper, branch.diagonal, sample.regressor)
     branch.innovation = sample.target - rls.predict(branch.theta, sample.regressor)
 
 
-def predict_sample(branch: Branch, learning: Learning, load: Load, sample: Sample) -> None:
+def predict_sample(branch: Branch, learning: Learning, load: Load, sample: Datum) -> None:
     """Predict a sample whose functions of the initial state are counted from the branch's origin.
 
     Args:

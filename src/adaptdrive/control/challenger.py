@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control.branch import (
     Branch,
-    Sample,
+    Datum,
     copy_estimate,
     count_prediction,
     likelihood,
@@ -79,7 +79,7 @@ def begin(
         _learn(challenger, learning, rivals.kept[number])
 
 
-def is_surprised(challenger: Challenger, learning: Learning, load: Load, sample: Sample) -> bool:
+def is_surprised(challenger: Challenger, learning: Learning, load: Load, sample: Datum) -> bool:
     """Return whether a sample that gave an alarm is new to the challenger too, or there is none.
 
     Args:
@@ -102,7 +102,7 @@ def recount(challenger: Challenger, estimate: Branch) -> None:
 
 
 def follow(
-    challenger: Challenger, learning: Learning, load: Load, sample: Sample, estimate: Branch
+    challenger: Challenger, learning: Learning, load: Load, sample: Datum, estimate: Branch
 ) -> None:
     """Let both predict a sample, and learn it.
 
@@ -123,7 +123,7 @@ def follow(
         challenger.samples = 0
 
 
-def _learn(challenger: Challenger, learning: Learning, sample: Sample) -> None:
+def _learn(challenger: Challenger, learning: Learning, sample: Datum) -> None:
     challenger.samples += 1
     learn_sample(challenger.branch, sample, learning, 0.0)
 

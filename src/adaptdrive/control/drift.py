@@ -10,7 +10,7 @@ they are forgotten beside it.
 from __future__ import annotations
 
 from adaptdrive.control import rls
-from adaptdrive.control.branch import Branch, Sample, widen_last
+from adaptdrive.control.branch import Branch, Datum, widen_last
 from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.settings import Learning
 
@@ -27,7 +27,7 @@ def walking_count(learning: Learning) -> int:
     return 1 if learning.drifts else 0
 
 
-def learn_sample(branch: Branch, sample: Sample, learning: Learning, gate: float) -> None:
+def learn_sample(branch: Branch, sample: Datum, learning: Learning, gate: float) -> None:
     """Take in one sample, with directional forgetting of what does not walk.
 
     The walk of a charge is in `estimator.let_emf_wander`.

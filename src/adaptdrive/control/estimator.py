@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
 from adaptdrive.control import ud_factors as ud
-from adaptdrive.control.branch import Branch, Sample, new_branch, predict
+from adaptdrive.control.branch import Branch, Datum, new_branch, predict
 from adaptdrive.control.challenger import Challenger
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
@@ -64,7 +64,7 @@ class EstimatorState:
 
     estimate: Branch
     opened: Branch
-    sample: Sample
+    sample: Datum
     surprise: Surprise
     rivals: riv.Rivals
     challenger: Challenger
@@ -89,7 +89,7 @@ def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
     state = EstimatorState(
         new_branch(count),
         new_branch(count),
-        Sample([0.0] * count),
+        Datum([0.0] * count),
         Surprise(),
         riv.new_rivals(count),
         Challenger(new_branch(count)),

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from adaptdrive.control import rls
 from adaptdrive.control.branch import (
     Branch,
-    Sample,
+    Datum,
     copy_estimate,
     predict_sample,
     squared_error,
@@ -85,7 +85,7 @@ def restart(integrated: Integrated) -> None:
 
 
 def follow(
-    integrated: Integrated, learning: Learning, load: Load, sample: Sample, estimate: Branch
+    integrated: Integrated, learning: Learning, load: Load, sample: Datum, estimate: Branch
 ) -> None:
     """Let the second estimate predict and learn a sample, and compare.
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control.branch import (
     Branch,
-    Sample,
+    Datum,
     copy_estimate,
     count_prediction,
     likelihood,
@@ -71,7 +71,7 @@ class Rivals:
     branches: list[Branch]
     anchor: Anchor
     lowered: Vector
-    kept: list[Sample]
+    kept: list[Datum]
     waiting: int = 0
     samples: int = 0
     kind: int = NOTHING
@@ -87,7 +87,7 @@ def new_rivals(count: int) -> Rivals:
         branches=[new_branch(count) for _ in range(NOTHING, BOTH + 1)],
         anchor=Anchor([0.0] * count, [0.0] * count),
         lowered=[0.0] * count,
-        kept=[Sample([0.0] * count) for _ in range(ROOM)],
+        kept=[Datum([0.0] * count) for _ in range(ROOM)],
     )
 
 
@@ -109,7 +109,7 @@ def note_disturbance(rivals: Rivals, offset: float) -> None:
         rivals.moved += moved * moved
 
 
-def drop_anchor(rivals: Rivals, estimate: Branch, sample: Sample) -> None:
+def drop_anchor(rivals: Rivals, estimate: Branch, sample: Datum) -> None:
     """Remember the estimate of now, after a sample that did not surprise."""
     copy_estimate(rivals.calm, estimate)
     copy_into(rivals.anchor.regressor, sample.regressor)
@@ -118,7 +118,7 @@ def drop_anchor(rivals: Rivals, estimate: Branch, sample: Sample) -> None:
     rivals.waiting = 0
 
 
-def keep_sample(rivals: Rivals, sample: Sample, room: int) -> bool:
+def keep_sample(rivals: Rivals, sample: Datum, room: int) -> bool:
     """Keep a sample that may be the first after a change; False when so many are kept already."""
     if rivals.waiting >= room:
         return False
@@ -162,7 +162,7 @@ def split(rivals: Rivals, learning: Learning, load: Load, power: float) -> None:
     rivals.waiting = 0
 
 
-def follow(rivals: Rivals, learning: Learning, load: Load, sample: Sample) -> None:
+def follow(rivals: Rivals, learning: Learning, load: Load, sample: Datum) -> None:
     """Let every explanation take in a sample, and find the likeliest.
 
     Args:
