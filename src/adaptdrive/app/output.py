@@ -30,7 +30,7 @@ _LOST = "log lines lost: the reader of this log had stopped reading"
 
 
 class QueuedStream(io.TextIOBase):
-    """Writes whole lines to the file of another stream, from a thread of its own."""
+    """Writes whole lines to the file of another stream, from a separate thread."""
 
     def __init__(self, target: TextIO, start_thread: Callable[[], None] = lambda: None) -> None:
         """Start the thread.

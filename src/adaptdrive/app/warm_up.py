@@ -66,7 +66,7 @@ class Rehearsal:
 
         Args:
             configuration: The drive.
-            port: A port of its own, which is not open: it encodes, and nothing reaches a wire.
+            port: A separate port, which is not open: it encodes, and nothing reaches a wire.
         """
         self._configuration = configuration
         self._settings, self._nobody = daemon_settings(configuration), _Nobody()

@@ -59,7 +59,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
         patience: Shortest wait in seconds for the load to respond; by the kind of load when left
             out.
         into: Folder for commission.png; it is made where it is missing.
-        write: Write the settings to the configuration; the old file is kept beside it.
+        write: Write the settings to the configuration; the old file is kept next to it.
         apply: Write the settings, have the daemon take them, and go on in mode adaptive.
         yes: Begin without a question.
         contact: Broker.

@@ -46,7 +46,7 @@ class LoadExperiment:
             output: Output.
 
         Raises:
-            CommissionError: The experiment cannot go on; V_c must go to the safe state.
+            CommissionError: The experiment cannot continue; V_c must go to the safe state.
         """
         self._course.append(time_s, boost_voltage_V, output)
         if not self.done and next(self._steps, None) is None:

@@ -29,7 +29,7 @@ async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) 
         picture: Takes what is shown.
 
     Raises:
-        AdaptdriveError: The experiment cannot go on, or was ended.
+        AdaptdriveError: The experiment cannot continue, or was ended.
     """
     try:
         with ended_once():

@@ -32,7 +32,7 @@ class LoadTraits:
         patience_s: Time for which commissioning waits until the output rests.
         lag_periods: Slow periods in the sum of the time constants that commissioning proposes.
         lag_periods_min: Least sum, in slow periods, with which the estimates serve.
-        lag_periods_max: Largest sum, likewise.
+        lag_periods_max: Largest sum, as above.
         paper_forgetting: ρ of the paper, or of the `exact` design where the paper has no such load.
         paper_method: Estimator of the paper's experiment; None where it has none.
     """
@@ -60,7 +60,7 @@ class LoadSection(Section):
         "error of the model with it; `check` shows the range",
     )
     pole_max: Fraction = Field(
-        default=0.98, description="slowest pole an operator may ask for, likewise"
+        default=0.98, description="slowest pole an operator may ask for, as above"
     )
     design: Literal["exact", "paper"] = Field(
         default="exact",

@@ -177,7 +177,7 @@ class Recording(Section):
         default=3600.0,
         ge=1.0,
         le=86_400.0,
-        description="time after which a session goes on in new files",
+        description="time after which a session continues in new files",
     )
     keep_days: PositiveFloat | None = Field(
         default=None, description="remove sessions that began longer ago; none when left out"

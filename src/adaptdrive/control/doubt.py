@@ -4,7 +4,7 @@ P shows how well the samples have determined a load that stays as it is. That lo
 since: at rest any dynamics predict the same output, an alarm takes samples to be explained, and
 what explains it best for the moment may be wrong. While that is so, the standard deviations shown
 are those of P opened up for another load (`hypotheses`): the load is known as it was, and the
-loop goes on with the gains that it has.
+loop keeps the gains that it has.
 
 P takes the innovations for independent. Under a disturbance that moves each resembles the one
 before, and the deviations shown are wider by what that costs.

@@ -1,10 +1,10 @@
-"""Learning beside what moves by itself: the EMF of a battery, the inflow temperature of a bath.
+"""Learning with an offset that moves: the EMF of a battery, the inflow temperature of a bath.
 
 Least squares take every parameter as constant, but for the forgetting. A bias that moves is no
 constant: between two samples it follows a random walk, which widens P (Ljung, System
 Identification, section 11.2), and that is all that is forgotten of it. With the walk a sample is
 uncertain by its bias most of all, so that forgetting along P r would hardly reach the dynamics:
-they are forgotten beside it.
+they are forgotten separately.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ CLEAR = 10.0
 """Lead that decides between two estimates: odds of e^10, 22,000 to 1."""
 
 RARER = 9.0
-"""Handicap of a load, of a disturbance beside it, of each load found lately: odds of 8,000 to 1."""
+"""Handicap of a load, of a disturbance with it, of each load found lately: odds of 8,000 to 1."""
 
 PRIOR_SHARE = 0.5
 """Relative deviation of gain and α before samples; nothing is known that is not below this."""

@@ -46,7 +46,7 @@ def _squared(branch: Branch, learning: Learning) -> float:
 def _explain(state: EstimatorState, learning: Learning, load: Load) -> bool:
     """Compare the explanations of an alarm on one more sample; the likeliest is the estimate.
 
-    The detector goes on: what surprises an explanation that is clearly ahead, or "nothing", is the
+    The detector stays on: what surprises an explanation that is clearly ahead, or "nothing", is the
     next change, unless another explanation in the running expected it: the change that is being
     explained shows in it then.
 
@@ -69,7 +69,7 @@ def _explain(state: EstimatorState, learning: Learning, load: Load) -> bool:
 def _split(state: EstimatorState, learning: Learning, load: Load) -> None:
     """Start the explanations of an alarm.
 
-    One alarm after the other, each before the last can be explained, is noise of its own.
+    One alarm after the other, each before the last can be explained, is noise.
     """
     if state.periods - state.alarm_period < WINDOW:
         state.surprise.power *= _LOUDER

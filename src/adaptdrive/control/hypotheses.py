@@ -165,7 +165,7 @@ def load_direction(theta: Vector, index: int, learning: Learning, load: Load) ->
 
 
 def _carry_offset(direction: Vector, theta: Vector, divisor: float, learning: Learning) -> None:
-    """Let what acts beside the input move with the gain: bias and charge, over a divisor."""
+    """Let what acts with the input move with the gain: bias and charge, over a divisor."""
     size = len(theta)
     if learning.bias:
         direction[size - 1] = theta[size - 1] / divisor

@@ -1,6 +1,6 @@
 """A second estimate for a disturbance that never rests: the bias of its model is a random walk.
 
-Least squares take what acts beside the input as a constant that jumps now and then. A torque that
+Least squares take what acts with the input as a constant that jumps now and then. A torque that
 swings is neither: its residuals are coloured, and dynamics that fit them come out. With
 
     y = rᵀθ + e       bias[k + 1] = bias[k] + w       σ_w = 30 σ_e

@@ -1,6 +1,6 @@
 """Interface of an estimation method: what is learnt, from which signals, and what follows from it.
 
-`methods` lists the methods by the names of the configuration. A method has no state of its own:
+`methods` lists the methods by the names of the configuration. A method has no state:
 θ and P are in `EstimatorState`, so that the same object serves every controller.
 """
 

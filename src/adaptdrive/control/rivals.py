@@ -1,8 +1,8 @@
 """Rival explanations of an alarm, on the samples since the change.
 
 An alarm shows that something has changed, and not what. The estimate goes back to the last sample
-before the change, and four explanations take in the samples since then, each with an estimate of
-its own: nothing; a disturbance of the input; another load; both (`hypotheses`). Their likelihoods
+before the change, and four explanations take in the samples since then, each with its
+estimate: nothing; a disturbance of the input; another load; both (`hypotheses`). Their likelihoods
 L (`branch`) are compared, less a handicap for what is rare. The sum of logarithms in L is the price
 of an explanation that fits anything. The likeliest is the estimate from the alarm on, and stays
 when it has won.

@@ -7,7 +7,7 @@ difference d > 0 of two successive samples is compared with the multiples of a c
 
 A candidate counts once enough differences agreed. One with which several do not agree is replaced
 by what remained of the last, as in Euclid's algorithm; below the finest step that matters the
-search begins again. A candidate outlives single samples beside the steps. Samples that are not
+search begins again. A candidate outlives single samples off the steps. Samples that are not
 rounded, or to steps far below the noise that is always counted with, give no step.
 
 Rounding errs by q/√12 while the output stands still. Noise of a deviation σ before it spreads the
@@ -45,7 +45,7 @@ _MISS = _FOUND // 3
 step that has just been found."""
 
 _SURE = _FOUND + 2 * _MISS
-"""Differences that are counted: a sample beside the steps makes two that do not agree, after which
+"""Differences that are counted: a sample off the steps makes two that do not agree, after which
 the step is still found."""
 
 _LARGEST_MULTIPLE = 1.0e6

@@ -6,7 +6,7 @@ absolute deviation s of the samples from their prediction:
     e = y - (ŷ + v)          e_c = e clipped to ± c s
     ŷ <- ŷ + v + α e_c       v <- v + β e_c       s <- s + γ n (min(|e|, 2 c s) - s)
 
-The sample that goes on is ŷ + v + e_c; n is the number of ticks since the last one. A spike counts
+The sample passed on is ŷ + v + e_c; n is the number of ticks since the last one. A spike counts
 as c deviations and no more; a lasting change widens s with every sample, so that the screen opens
 within a fraction of a second, however seldom a drive is polled. For Gaussian noise s is 0.8 σ.
 (Huber, Ann. Math. Statist. 35, 1964, doi:10.1214/aoms/1177703732.)

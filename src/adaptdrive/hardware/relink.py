@@ -16,7 +16,7 @@ class Relink:
 
     The drive may have stopped by its own time-out meanwhile, or have started anew. A command that
     has the bridge on waits for the reading. If that has the bridge off and the last one before the
-    loss had it on, the drive is not driven on; one that was about to start may go on with it.
+    loss had it on, the drive is not driven on; one that was about to start may continue.
     """
 
     def __init__(self) -> None:

@@ -94,7 +94,7 @@ class Payload:
         return expires
 
     def asked(self, verb: str) -> str | None:
-        """Return the content of a command beside its verb, as JSON; None where it is malformed."""
+        """Return the content of a command without its verb, as JSON; None where it is malformed."""
         try:
             request, _ = self.request(verb)
         except RefusedError:

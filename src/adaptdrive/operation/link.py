@@ -81,7 +81,7 @@ class BrokerLink:
             name = self._name.present
             try:
                 await _contained(self._serve_once(serve))
-            except* Exception as problems:  # noqa: BLE001 - control goes on without a broker
+            except* Exception as problems:  # noqa: BLE001 - control continues without a broker
                 self._report(_first(problems))
             lived_s = 0.0 if self._since_s is None else self._monotonic() - self._since_s
             if self._name.present != name:  # the broker is there, and a stop must be heard
@@ -247,7 +247,7 @@ async def _say_goodbye(client: Client) -> None:
 
 
 async def _contained(work: Coroutine[Any, Any, None]) -> None:
-    """Await work in a task of its own, so that a cancellation is never lost.
+    """Await work in a separate task, so that a cancellation is never lost.
 
     A task group that fails while it is being cancelled reports the failure only.
     """

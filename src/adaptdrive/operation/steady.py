@@ -190,7 +190,7 @@ class SteadyClient(Client):
     async def release(self) -> None:
         """Close the socket of a client that was never connected, or whose broker hangs.
 
-        aiomqtt leaves such a socket, its reader and a task of its own behind until the
+        aiomqtt leaves such a socket, its reader and a task behind until the
         keep-alive ends; the client under it can close them at once.
         """
         self._client.reinitialise()

@@ -164,7 +164,7 @@ class BridgeWatch:
             self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
 
     def _note_silence(self, reading: Reading, now_s: float) -> None:
-        """Keep the longest time without a reading, or without a report of the bridge, likewise.
+        """Keep the longest time without a reading, or without a report of the bridge.
 
         A reading ends it whose values were asked for before: a poll may take as long.
         """
@@ -176,5 +176,5 @@ class BridgeWatch:
 
 
 def _heard_s(reading: Reading) -> float:
-    """Return when the report of the bridge came: with the reading if it has no time of its own."""
+    """Return when the report of the bridge came: with the reading if it has no separate time."""
     return reading.arrival_s if reading.bridge_s is None else reading.bridge_s

@@ -125,7 +125,7 @@ class InterlockBoard:
         )
 
     def _implausible(self, reading: Reading, *, running: bool) -> str | None:
-        """Return why the output cannot be that of the load, although its sensor goes on."""
+        """Return why the output cannot be that of the load, although its sensor still sends."""
         cause: str | None = None
         for watch in self._watches:
             if running:

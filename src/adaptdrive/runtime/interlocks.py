@@ -25,11 +25,11 @@ class Limits:
         boost_voltage_max_V: Over-voltage.
         output_max: Highest output.
         output_unit: Unit of the output, for the text of the trip.
-        output_name: Name of the output, likewise.
+        output_name: Name of the output, as above.
         output_min: Lowest output.
         absent: Quantities that nobody measures.
         voltage_name: Name of what the drive gives, for the text of the trip.
-        voltage_unit: Unit of that, likewise.
+        voltage_unit: Unit of that, as above.
     """
 
     boost_voltage_max_V: float

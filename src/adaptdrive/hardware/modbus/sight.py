@@ -8,7 +8,7 @@ from collections.abc import Callable
 from adaptdrive.config.timing import Timing
 
 _LOOK_TIMEOUTS = 0.5
-"""Age of a report at which a write still follows it, in time-outs beside those of the exchanges."""
+"""Age of a report at which a write still follows, in time-outs besides those of the exchanges."""
 
 
 class Sight:

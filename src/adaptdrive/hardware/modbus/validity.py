@@ -19,7 +19,7 @@ class CommandValidity:
     Attributes:
         silent: Whether the drive did not answer the last poll.
         powered: Whether its last reading has the bridge on, or it is assumed to be on.
-        may_be_on: The same, of the last report on this link or before; it may stand beside refused
+        may_be_on: The same, of the last report on this link or before; it may come with refused
             values.
     """
 
@@ -111,7 +111,7 @@ class CommandValidity:
         One that has it on counts as a report: a drive that is off in the next reading has stopped.
 
         Args:
-            powered: The bridge beside the refused values, None where it must not be used.
+            powered: The bridge reported with the refused values, None where it must not be used.
             acknowledged_on: Whether the last command that it acknowledged had the bridge on.
             given_on: Whether it may be on by command.
             reported_s: When the report was asked for, monotonic clock.
