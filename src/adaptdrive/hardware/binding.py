@@ -58,6 +58,15 @@ def is_word(quantity: str) -> bool:
     return quantity.partition(".")[0] in WORDS
 
 
+def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
+    """Return the names of the values among sources that are no quantity and no word."""
+    return tuple(
+        one.quantity
+        for one in sources
+        if one.quantity not in MEASURED and not is_word(one.quantity)
+    )
+
+
 def fault_words(sources: Iterable[Source[Any]], signals: Signals) -> dict[str, FaultWord]:
     """Return the fault words among sources, by quantity."""
     found = {}

@@ -8,11 +8,13 @@ because the next tick brings a fresher command.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 from adaptdrive.control.signals import Command
+from adaptdrive.hardware.fault_latch import FaultLatch
 
 FAREWELLS = 3
 """Safe commands at the end: two of them may be lost."""
@@ -95,6 +97,77 @@ class Reading:
     def bridge_reported_s(self) -> float:
         """Arrival of the report of the bridge, monotonic clock."""
         return self.oldest_s if self.bridge_s is None else self.bridge_s
+
+
+def composed(  # noqa: PLR0913 - what a reading is made of
+    values: Mapping[str, float],
+    others: Iterable[str],
+    faults: FaultLatch,
+    *,
+    arrival_s: float,
+    oldest_s: float,
+    bridge: bool,
+    slack_s: float = 0.0,
+    bridge_s: float | None = None,
+) -> Reading:
+    """Return the reading of a set of values; a quantity that is not among them is NaN.
+
+    Args:
+        values: By quantity.
+        others: Names of those that are no quantity.
+        faults: Faults of the drive since the reading before.
+        arrival_s: As in `Reading`, like all that follow.
+        oldest_s: Arrival of the oldest value.
+        bridge: Whether the bridge is on.
+        slack_s: Additional age of the oldest value.
+        bridge_s: Arrival of the report of the bridge.
+    """
+    counter, fault = values.get("counter"), faults.word
+    return Reading(
+        arrival_s,
+        oldest_s,
+        None if counter is None else int(counter),
+        values.get("boost_voltage_V", math.nan),
+        values.get("line_voltage_V", math.nan),
+        values.get("load_power_W", math.nan),
+        values.get("output", math.nan),
+        fault,
+        bridge,
+        {name: values[name] for name in others},
+        slack_s,
+        faults.name if fault else "",
+        bridge_s,
+    )
+
+
+def confirming(  # noqa: PLR0913 - what is newer than the reading
+    last: Reading,
+    faults: FaultLatch,
+    *,
+    arrival_s: float,
+    bridge: bool,
+    bridge_s: float | None,
+    counter: int | None = None,
+) -> Reading:
+    """Return a reading whose values are those before, with the bridge and the faults of now.
+
+    Args:
+        last: The reading before.
+        faults: Faults of the drive since then.
+        arrival_s: As in `Reading`, like all that follow.
+        bridge: Whether the bridge is on.
+        bridge_s: Arrival of the report of the bridge.
+        counter: The half-cycle counter, None where it has not come.
+    """
+    return replace(
+        last,
+        arrival_s=arrival_s,
+        counter=counter,
+        fault=faults.word,
+        fault_name=faults.name,
+        bridge=bridge,
+        bridge_s=bridge_s,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,9 +40,9 @@ def library_map(entries: tuple[Entry, ...]) -> PdoMap:
 
 
 def raw_values(one: Entry) -> st.SearchStrategy[Any]:
-    if one.real:
-        return st.floats(allow_nan=False, allow_infinity=False, width=32)
     low, high = one.limits
+    if one.real:
+        return st.floats(width=32).filter(lambda value: low <= value <= high)
     return st.integers(int(low), int(high))
 
 

@@ -19,7 +19,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.modbus.capacity import Exchange, exchange_bytes
 from adaptdrive.hardware.modbus.link import ModbusConnection
-from adaptdrive.hardware.modbus.mapping import Poll, map_drive
+from adaptdrive.hardware.modbus.mapping import Poll, map_drive, value_in, written
 from adaptdrive.hardware.modbus.replies import function_of
 from tests.config.modbus_documents import parse
 
@@ -88,10 +88,10 @@ async def polled(bus: ModbusTcp, poll: Poll) -> dict[str, float | None]:
     try:
         for block, sources in poll.reads:
             words = await link.exchange(Exchange(read=block), [])
-            found |= {one.quantity: one.value(block, words) for one in sources}
+            found |= {one.quantity: value_in(one, block, words) for one in sources}
         for block, sinks in poll.writes:
             words = [
-                word for sink in sinks for word in sink.words(Command(0.0, 2.5, bridge=True), 0)
+                word for sink in sinks for word in written(sink, Command(0.0, 2.5, bridge=True), 0)
             ]
             await link.exchange(Exchange(write=block), words)
     finally:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
+from adaptdrive.hardware.binding import other_names
 from adaptdrive.hardware.canopen.mapping import StatusPdo
-from adaptdrive.hardware.fault_latch import FAULT
-from adaptdrive.hardware.port import Reading
+from adaptdrive.hardware.fault_latch import FaultLatch
+from adaptdrive.hardware.port import Reading, composed
 
 
 class Assembly:
@@ -26,6 +26,7 @@ class Assembly:
         self._sampled_s: float | None = None
         self.repeated = ""
         self._statuses = {status.codec.name: status for status in statuses}
+        self._others = other_names(one for status in statuses for one in status.sources)
 
     @property
     def waits(self) -> bool:
@@ -70,37 +71,22 @@ class Assembly:
         self._heard[name] = values
         return len(self._heard) == self._count
 
-    def reading(
-        self, arrival_s: float, *, bridge: bool, fault: int, fault_name: str = ""
-    ) -> Reading:
+    def reading(self, arrival_s: float, faults: FaultLatch, *, bridge: bool) -> Reading:
         """The reading of a complete collection, which ends with it.
 
         Args:
             arrival_s: Arrival of the PDO that completed it.
+            faults: Faults seen since the last reading that was handed out.
             bridge: Whether the drive's power stage may be on.
-            fault: Faults seen since the last reading that was handed out.
-            fault_name: Their names.
         """
         found = {
             source.quantity: self._heard[name][source.item.label] * source.scale + source.offset
             for name, status in self._statuses.items()
             for source in status.sources
-            if not source.quantity.startswith(FAULT)
         }
         sampled_s = arrival_s if self._sampled_s is None else self._sampled_s
         self.forget()
         self.repeated = ""
-        counter = found.pop("counter", None)
-        return Reading(
-            arrival_s=arrival_s,
-            oldest_s=sampled_s,
-            counter=None if counter is None else int(counter),
-            boost_voltage_V=found.pop("boost_voltage_V", math.nan),
-            line_voltage_V=found.pop("line_voltage_V", math.nan),
-            load_power_W=found.pop("load_power_W", math.nan),
-            output=found.pop("output", math.nan),
-            fault=fault,
-            fault_name=fault_name,
-            bridge=bridge,
-            other=found,
+        return composed(
+            found, self._others, faults, arrival_s=arrival_s, oldest_s=sampled_s, bridge=bridge
         )

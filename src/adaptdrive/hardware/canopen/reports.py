@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
 
 from adaptdrive.hardware.canopen.assembly import Assembly
 from adaptdrive.hardware.canopen.dictionary import label
@@ -13,7 +12,7 @@ from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveContro
 from adaptdrive.hardware.canopen.unseen import UnseenStop
 from adaptdrive.hardware.fault_latch import FaultLatch, FaultWord
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.port import Reading
+from adaptdrive.hardware.port import Reading, confirming
 
 _STATUSWORD = label(STATUSWORD)
 
@@ -125,20 +124,16 @@ class Reports:
 
     def _compose(self, arrival_s: float, *, at_rest: bool) -> Reading | None:
         """Return the reading of the PDOs after a SYNC, None for refused ones of a driven drive."""
-        bridge, fault = self._control.state in POWERED, self.faults.word
+        bridge = self._control.state in POWERED
         if not self.assembly.missing:
             self._refused = 0
-            return self.assembly.reading(
-                arrival_s, bridge=bridge, fault=fault, fault_name=self.faults.name
-            )
+            return self.assembly.reading(arrival_s, self.faults, bridge=bridge)
         if self._handed_out is None or not at_rest:
             return None
-        return replace(
+        return confirming(
             self._handed_out,
+            self.faults,
             arrival_s=arrival_s,
-            counter=None,
-            fault=fault,
-            fault_name=self.faults.name,
             bridge=bridge,
             bridge_s=self._stated_s,
         )

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import math
-import operator
 from collections import Counter
 from collections.abc import Callable
 
@@ -14,13 +12,14 @@ import can
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
+from adaptdrive.hardware.binding import other_names
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveState, state_of
 from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
-from adaptdrive.hardware.fault_latch import FAULT
+from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.reader import read_frames
-from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+from adaptdrive.hardware.port import Listener, PortStatistics, Reading, composed
 
 _PAUSE_S = 0.2
 """Pause between two readings: five lines a second are as many as can be read."""
@@ -39,7 +38,7 @@ class CanOpenWatch:
         self, config: CanOpenBus, mapping: CanOpenMapping, clock: Callable[[], float]
     ) -> None:
         self._config = config
-        self._sources = mapping.sources
+        self._mapping = mapping
         self._clock = clock
         self._counts: Counter[str] = Counter()
         self._link: SdoLink | None = None
@@ -150,25 +149,22 @@ class CanOpenWatch:
     def _read(self, server: Server) -> tuple[dict[str, float], DriveState]:
         """Every quantity, and the drive's state."""
         values = {}
-        for source in self._sources:
+        for source in self._mapping.sources:
             raw = server.value(source.item)
             values[source.quantity] = raw * source.scale + source.offset
         return values, state_of(server.number(STATUSWORD))
 
     def _reading(self, values: dict[str, float], state: DriveState, start_s: float) -> Reading:
-        counter = values.pop("counter", None)
-        words = [values.pop(name) for name in list(values) if name.startswith(FAULT)]
-        return Reading(
+        faults = FaultLatch(self._mapping.faults)
+        for name in self._mapping.faults:
+            faults.see(values.get(name), name)
+        return composed(
+            values,
+            other_names(self._mapping.sources),
+            faults,
             arrival_s=self._clock(),
             oldest_s=start_s,
-            counter=None if counter is None else int(counter),
-            boost_voltage_V=values.pop("boost_voltage_V", math.nan),
-            line_voltage_V=values.pop("line_voltage_V", math.nan),
-            load_power_W=values.pop("load_power_W", math.nan),
-            output=values.pop("output", math.nan),
-            fault=functools.reduce(operator.or_, map(int, words), 0),
             bridge=state in POWERED,
-            other=values,
         )
 
     def _put(self, can_id: int, data: bytes) -> None:

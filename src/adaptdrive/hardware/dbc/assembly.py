@@ -4,23 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from adaptdrive.config.references import MEASURED, WORDS
 from adaptdrive.hardware.dbc.mapping import CanMapping, CanSource, StatusFrame
 from adaptdrive.hardware.fault_latch import FaultLatch
-from adaptdrive.hardware.port import Reading
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """One value of a message: its signal, its quantity, and what makes the one of the other."""
-
-    signal: str
-    quantity: str
-    scale: float
-    offset: float
-    slack_s: float
+from adaptdrive.hardware.port import Reading, composed, confirming
 
 
 class StatusAssembly:
@@ -36,9 +24,7 @@ class StatusAssembly:
         self._statuses = mapping.statuses
         self._bridge_on = mapping.bridge_on
         self._sources = [source for status in mapping.statuses for source in status.sources]
-        self._parts = {status.codec.name: _parts(status) for status in mapping.statuses}
-        named = (*MEASURED, *WORDS, *mapping.faults)
-        self._others = [one.quantity for one in self._sources if one.quantity not in named]
+        self._others = mapping.others
         self._faults = tuple(mapping.faults)
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
@@ -92,7 +78,7 @@ class StatusAssembly:
             alive: Whether its alive counter has advanced as it must: else no value becomes newer.
         """
         values, dues = self._values, self._dues
-        for part in self._parts[status.codec.name]:
+        for part in status.sources:
             value = found.get(part.signal)
             if value is not None:
                 values[part.quantity] = value * part.scale + part.offset
@@ -124,7 +110,7 @@ class StatusAssembly:
             stopped: Whether the safe command is in force.
         """
         if stopped and not alive:
-            off = {one.signal.name for one in status.sources if one.quantity == "bridge"}
+            off = {one.signal for one in status.sources if one.quantity == "bridge"}
             words = {
                 name: value
                 for name, value in words.items()
@@ -180,22 +166,16 @@ class StatusAssembly:
     def _whole(
         self, arrival_s: float, oldest_s: float, slack_s: float, *, bridge_sent: bool
     ) -> Reading:
-        values, faults = self._values, self.faults
-        counter, bridge = values.get("counter"), values.get("bridge")
-        return Reading(
+        bridge = self._values.get("bridge")
+        return composed(
+            self._values,
+            self._others,
+            self.faults,
             arrival_s=arrival_s,
             oldest_s=oldest_s,
-            slack_s=slack_s,
-            counter=None if counter is None else int(counter),
-            boost_voltage_V=values.get("boost_voltage_V", math.nan),
-            line_voltage_V=values.get("line_voltage_V", math.nan),
-            load_power_W=values.get("load_power_W", math.nan),
-            output=values.get("output", math.nan),
-            fault=faults.word,
-            fault_name=faults.name if faults.word else "",
             bridge=bridge_sent if bridge is None else bridge == self._bridge_on,
+            slack_s=slack_s,
             bridge_s=self._heard_s("bridge"),
-            other={name: values[name] for name in self._others},
         )
 
     def _stop(self, arrival_s: float) -> Reading | None:
@@ -204,14 +184,13 @@ class StatusAssembly:
         if last is None or bridge_s is None or bridge_s == -math.inf:
             return None
         counted = (self._heard_s("counter") or -math.inf) > -math.inf
-        return replace(
+        return confirming(
             last,
+            self.faults,
             arrival_s=arrival_s,
-            counter=int(self._values["counter"]) if counted else None,
-            fault=self.faults.word,
-            fault_name=self.faults.name if self.faults.word else "",
             bridge=self.powered,
             bridge_s=bridge_s,
+            counter=int(self._values["counter"]) if counted else None,
         )
 
     def oldest(self) -> tuple[StatusFrame, CanSource, float, float]:
@@ -232,11 +211,3 @@ class StatusAssembly:
         """Arrival of a quantity's newest value, None where the drive does not give it."""
         due = self._dues.get(quantity)
         return None if due is None else due[0] - due[1]
-
-
-def _parts(status: StatusFrame) -> list[_Part]:
-    """Return what is taken from a message."""
-    return [
-        _Part(one.signal.name, one.quantity, one.scale, one.offset, one.slack_s)
-        for one in status.sources
-    ]

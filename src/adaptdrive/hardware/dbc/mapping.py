@@ -16,7 +16,7 @@ from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.binding import Source, entries, fault_words, is_word
+from adaptdrive.hardware.binding import Source, entries, fault_words, is_word, other_names
 from adaptdrive.hardware.dbc.command_frame import CommandFrame
 from adaptdrive.hardware.dbc.database import (
     Located,
@@ -41,7 +41,7 @@ class CanSource:
 
     Attributes:
         quantity: Field of `Reading`; or one of its other values.
-        signal: Signal of the DBC.
+        signal: Name of the signal of the DBC.
         scale: SI units per unit of the signal.
         offset: SI value of a zero signal.
         slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
@@ -53,7 +53,7 @@ class CanSource:
     """
 
     quantity: str
-    signal: Signal
+    signal: str
     scale: float
     offset: float
     slack_s: float
@@ -81,6 +81,7 @@ class CanMapping:
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
         bridge_on: Value of the signal while the bridge is on.
         faults: Fault words of the drive.
+        others: Names of its values that are no quantity.
         cautions: What can be used, and is probably not meant.
         timing: Times of the drive.
     """
@@ -91,6 +92,7 @@ class CanMapping:
     counter_modulus: int | None
     bridge_on: float
     faults: Mapping[str, FaultWord]
+    others: tuple[str, ...]
     timing: Timing
     cautions: tuple[Flaw, ...]
 
@@ -149,6 +151,7 @@ def map_drive(
         counter_modulus=None if counter is None else counter_modulus(counter.field),
         bridge_on=1.0 if bridge is None or bridge.on is None else bridge.on,
         faults=fault_words(bound.values(), signals),
+        others=other_names(bound.values()),
         timing=timing,
         cautions=tuple(catalogue.cautions),
     )
@@ -173,7 +176,7 @@ def _source(
         _note_old(catalogue, cycle.message, place, timing.stale_s + slack_s)
     return CanSource(
         quantity=source.quantity,
-        signal=signal,
+        signal=signal.name,
         scale=source.scale,
         offset=source.offset,
         slack_s=slack_s,
@@ -235,9 +238,9 @@ def _status(
     codec = MessageCodec(
         message,
         bus.integrity.get(name),
-        wanted=dict.fromkeys(source.signal.name for source in sources),
-        measured={source.signal.name for source in sources if not is_word(source.quantity)},
-        states={source.signal.name for source in sources if source.quantity == "bridge"},
+        wanted=dict.fromkeys(source.signal for source in sources),
+        measured={source.signal for source in sources if not is_word(source.quantity)},
+        states={source.signal for source in sources if source.quantity == "bridge"},
         cycle_s=cycle_time_s(message),
     )
     return StatusFrame(codec, sources)

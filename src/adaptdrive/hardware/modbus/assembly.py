@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 
+from adaptdrive.hardware.binding import BRIDGE, Source
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, RegisterSource
-from adaptdrive.hardware.port import Reading
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Named, Poll, explain, value_in, word_in
+from adaptdrive.hardware.port import Reading, composed, confirming
 
 
 class PollAssembly:
@@ -46,7 +45,7 @@ class PollAssembly:
         self._values.clear()
         self._refused.clear()
 
-    def take(self, block: Block, sources: Sequence[RegisterSource], words: list[int]) -> None:
+    def take(self, block: Block, sources: Sequence[Source[Named]], words: list[int]) -> None:
         """Take one block.
 
         Args:
@@ -56,13 +55,13 @@ class PollAssembly:
         """
         self.raw[block] = words
         for source in sources:
-            value = source.value(block, words)
+            value = value_in(source, block, words)
             if source.quantity in self._poll.faults:
                 self.faults.see(value, source.quantity)
             if value is not None:
                 self._values[source.quantity] = value
             else:
-                self._refused.append(source.explain(block, words))
+                self._refused.append(explain(source, block, words))
 
     def reading(
         self, arrival_s: float, start_s: float, *, bridge_sent: bool, stopped: bool
@@ -87,20 +86,14 @@ class PollAssembly:
         return reading
 
     def _whole(self, arrival_s: float, start_s: float, *, bridge_sent: bool) -> Reading:
-        values = self._values
-        counter, bridge = values.get("counter"), values.get("bridge")
-        return Reading(
+        bridge = self._values.get(BRIDGE)
+        return composed(
+            self._values,
+            self._poll.other,
+            self.faults,
             arrival_s=arrival_s,
             oldest_s=start_s,
-            counter=None if counter is None else int(counter),
-            boost_voltage_V=values.get("boost_voltage_V", math.nan),
-            line_voltage_V=values.get("line_voltage_V", math.nan),
-            load_power_W=values.get("load_power_W", math.nan),
-            output=values.get("output", math.nan),
-            fault=self.faults.word,
-            fault_name=self.faults.name,
             bridge=bridge_sent if bridge is None else bridge != 0,
-            other={name: values[name] for name in self._poll.other},
         )
 
     def _stop(self, arrival_s: float, start_s: float) -> Reading | None:
@@ -108,22 +101,14 @@ class PollAssembly:
         last, powered = self._handed_out, self.powered_beside_refused
         if last is None or powered is None:
             return None
-        return replace(
-            last,
-            arrival_s=arrival_s,
-            counter=None,
-            fault=self.faults.word,
-            fault_name=self.faults.name,
-            bridge=powered,
-            bridge_s=start_s,
-        )
+        return confirming(last, self.faults, arrival_s=arrival_s, bridge=powered, bridge_s=start_s)
 
     @property
     def powered_beside_refused(self) -> bool | None:
         """The bridge of a poll with refused values, None where it must not be used."""
         for block, sources in self._poll.reads:
             for source in sources:
-                if source.quantity == "bridge":
-                    word = source.word(block, self.raw[block])
+                if source.quantity == BRIDGE:
+                    word = word_in(source, block, self.raw[block])
                     return None if word is None else word != 0
         return None

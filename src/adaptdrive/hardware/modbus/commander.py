@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.binding import BRIDGE, Sink
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, RegisterSink
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Named, Poll, written
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
 from adaptdrive.hardware.modbus.validity import CommandValidity
@@ -99,7 +100,7 @@ class Commander:
         """
         for _, sinks in self._poll.writes:
             for sink in sinks:
-                sink.words(command, 0)
+                written(sink, command, 0)
         if command != SAFE_COMMAND:
             self._stopped_s = math.inf
         elif self._stopped_s == math.inf:
@@ -345,7 +346,7 @@ class Commander:
         """
         self._alive += not self._disobeyed
         return [
-            [word for sink in sinks for word in sink.words(command, self._alive)]
+            [word for sink in sinks for word in written(sink, command, self._alive)]
             for _, sinks in self._poll.writes
         ]
 
@@ -367,5 +368,5 @@ class Commander:
             self.safe_s = self._clock()
 
 
-def _has_bridge(sinks: Iterable[RegisterSink]) -> bool:
-    return any(sink.name == "bridge" for sink in sinks)
+def _has_bridge(sinks: Iterable[Sink[Named]]) -> bool:
+    return any(sink.name == BRIDGE for sink in sinks)

@@ -23,6 +23,7 @@ from adaptdrive.hardware.binding import (
     Use,
     entries,
     fault_words,
+    other_names,
 )
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
@@ -82,98 +83,67 @@ class RegisterCatalogue(Catalogue[Named]):
         return float(item.register.on), float(item.register.off)
 
 
-@dataclass(frozen=True, slots=True)
-class RegisterSource:
-    """Source of a quantity.
+def value_in(source: Source[Named], block: Block, words: list[int]) -> float | None:
+    """Return a quantity from the registers of its block, None when it must not be used."""
+    taken = _words(source, block, words)
+    value = decode(source.item.register, source.field, taken)
+    if value is None:
+        return None
+    if source.on is not None:
+        value = float(value == source.on)
+    if not value and _is_blank(source, taken):
+        return None
+    return value * source.scale + source.offset
 
-    Attributes:
-        quantity: Field of `Reading`, or the drive's heartbeat.
-        register: Register of the map.
-        field: How it is coded.
-        scale: SI units per unit of the register.
-        offset: SI value of a zero register.
-        on: Count of a switch that means on, None where any but 0 does.
+
+def word_in(source: Source[Named], block: Block, words: list[int]) -> float | None:
+    """Return a word beside values that are refused: all its bits set are no word there."""
+    taken = _words(source, block, words)
+    blank = all(word == _ALL_ONES for word in taken)
+    if blank or decode_value(source.item.register, taken, measured=True) is None:
+        return None
+    return value_in(source, block, words)
+
+
+def explain(source: Source[Named], block: Block, words: list[int]) -> str:
+    """Return why a quantity must not be used: its name, its place and what is there."""
+    register, taken = source.item.register, _words(source, block, words)
+    place = f"{source.quantity}: {Block(register.table, register.address, register.words)}"
+    if _is_blank(source, taken):
+        return f"{place} holds {' '.join(f'{word:04x}' for word in taken)}, its word for no value"
+    return f"{place} {refusal(register, source.field, taken)}"
+
+
+def _is_blank(source: Source[Named], taken: list[int]) -> bool:
+    """Return whether a bridge holds its count for no value, which may read as off.
+
+    All bits are set, as by a gateway for a module that it does not reach, where the map gives
+    no other count. Of a bit all bits of its word count, as 0x8000 is a word of which one is set.
     """
-
-    quantity: str
-    register: Register
-    field: Field
-    scale: float = 1.0
-    offset: float = 0.0
-    on: float | None = None
-
-    def value(self, block: Block, words: list[int]) -> float | None:
-        """The quantity from the registers of its block, None when it must not be used."""
-        taken = self._words(block, words)
-        value = decode(self.register, self.field, taken)
-        if value is None:
-            return None
-        if self.on is not None:
-            value = float(value == self.on)
-        if not value and self._is_blank(taken):
-            return None
-        return value * self.scale + self.offset
-
-    def word(self, block: Block, words: list[int]) -> float | None:
-        """The word beside values that are refused: all its bits set are no word there."""
-        taken = self._words(block, words)
-        blank = all(word == _ALL_ONES for word in taken)
-        if blank or decode_value(self.register, taken, measured=True) is None:
-            return None
-        return self.value(block, words)
-
-    def explain(self, block: Block, words: list[int]) -> str:
-        """Return why the quantity must not be used: its name, its place and what is there."""
-        register, taken = self.register, self._words(block, words)
-        place = f"{self.quantity}: {Block(register.table, register.address, register.words)}"
-        if self._is_blank(taken):
-            return (
-                f"{place} holds {' '.join(f'{word:04x}' for word in taken)}, its word for no value"
-            )
-        return f"{place} {refusal(register, self.field, taken)}"
-
-    def _is_blank(self, taken: list[int]) -> bool:
-        """Return whether a bridge holds its count for no value, which may read as off.
-
-        All bits are set, as by a gateway for a module that it does not reach, where the map gives
-        no other count. Of a bit all bits of its word count, as 0x8000 is a word of which one is
-        set.
-        """
-        if self.quantity != BRIDGE:
-            return False
-        if self.register.not_available is None and all(word == _ALL_ONES for word in taken):
-            return True
-        whole = self.register.bits is None
-        return whole and decode_value(self.register, taken, measured=True) is None
-
-    def _words(self, block: Block, words: list[int]) -> list[int]:
-        start = self.register.address - block.address
-        return words[start : start + self.register.words]
+    register = source.item.register
+    if source.quantity != BRIDGE:
+        return False
+    if register.not_available is None and all(word == _ALL_ONES for word in taken):
+        return True
+    return register.bits is None and decode_value(register, taken, measured=True) is None
 
 
-@dataclass(frozen=True, slots=True)
-class RegisterSink:
-    """Destination of a part of the command, or of the daemon's heartbeat.
+def _words(source: Source[Named], block: Block, words: list[int]) -> list[int]:
+    register = source.item.register
+    start = register.address - block.address
+    return words[start : start + register.words]
 
-    Attributes:
-        name: Field of `Command`, name of a constant, or `HEARTBEAT`.
-        register: Register of the map.
-        sink: What of the command goes there, None for the heartbeat.
+
+def written(sink: Sink[Named], command: Command, heartbeat: int) -> list[int]:
+    """Return the registers of a part of a command, or of the daemon's heartbeat.
+
+    Raises:
+        ValueError: They cannot hold it.
     """
-
-    name: str
-    register: Register
-    sink: Sink[Named] | None = None
-
-    def words(self, command: Command, heartbeat: int) -> list[int]:
-        """The registers of its part of the command.
-
-        Raises:
-            ValueError: They cannot hold it.
-        """
-        if self.sink is None:
-            return encode_count(self.register, heartbeat % heartbeat_modulus(self.register))
-        return encode_count(self.register, self.sink.field.raw(self.sink.value(command)))
+    register = sink.item.register
+    if sink.name == HEARTBEAT:
+        return encode_count(register, heartbeat % heartbeat_modulus(register))
+    return encode_count(register, sink.field.raw(sink.value(command)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,8 +158,8 @@ class Poll:
         faults: Fault words of the drive.
     """
 
-    reads: tuple[tuple[Block, tuple[RegisterSource, ...]], ...]
-    writes: tuple[tuple[Block, tuple[RegisterSink, ...]], ...]
+    reads: tuple[tuple[Block, tuple[Source[Named], ...]], ...]
+    writes: tuple[tuple[Block, tuple[Sink[Named], ...]], ...]
     combined: bool
     other: tuple[str, ...] = ()
     faults: Mapping[str, FaultWord] = field(default_factory=dict)
@@ -205,7 +175,7 @@ class Poll:
         return next((read[0] for read in self.reads if _has_bridge(read)), None)
 
     @property
-    def bridge_last(self) -> tuple[tuple[Block, tuple[RegisterSource, ...]], ...]:
+    def bridge_last(self) -> tuple[tuple[Block, tuple[Source[Named], ...]], ...]:
         """The reads, that of the bridge last: a command that follows knows the newest report."""
         return tuple(sorted(self.reads, key=_has_bridge))
 
@@ -218,7 +188,7 @@ class Poll:
             yield Exchange(write=block)
 
 
-def _has_bridge(block: tuple[Block, tuple[RegisterSource, ...]]) -> bool:
+def _has_bridge(block: tuple[Block, tuple[Source[Named], ...]]) -> bool:
     return any(source.quantity == BRIDGE for source in block[1])
 
 
@@ -243,26 +213,24 @@ def map_drive(
     """
     catalogue = RegisterCatalogue(bus.registers)
     bound = catalogue.sources(entries(signals), demands)
-    sources = [*map(source_of, bound)]
-    sinks = [
-        RegisterSink(one.name, one.item.register, one)
-        for one in catalogue.sinks(signals.command, demands)
-    ]
+    sources, sinks = [*bound], catalogue.sinks(signals.command, demands)
     if bus.heartbeat.drive is not None:
         beat = Named(bus.heartbeat.drive, bus.registers[bus.heartbeat.drive])
-        sources.append(RegisterSource(HEARTBEAT, beat.register, catalogue.field(beat, "word")))
+        field = catalogue.field(beat, "word")
+        sources.append(Source(HEARTBEAT, beat, field, 1.0, 0.0, None, "bus.heartbeat.drive"))
     if bus.heartbeat.daemon is not None:
-        sinks.append(RegisterSink(HEARTBEAT, bus.registers[bus.heartbeat.daemon]))
-    reads = plan_blocks((one.register for one in sources), bus.max_gap, bus.max_block)
+        beat = Named(bus.heartbeat.daemon, bus.registers[bus.heartbeat.daemon])
+        sinks.append(Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
+    reads = plan_blocks((one.item.register for one in sources), bus.max_gap, bus.max_block)
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
     longest = 1 if bus.write == "single" else _MAX_WRITE
-    writes = plan_blocks((one.register for one in sinks), 0, longest, write=True)
+    writes = plan_blocks((one.item.register for one in sinks), 0, longest, write=True)
     poll = Poll(
-        reads=tuple((block, tuple(_inside(block, sources))) for block in reads),
-        writes=tuple((block, tuple(_within(block, sinks))) for block in writes),
+        reads=tuple((block, inside(block, sources)) for block in reads),
+        writes=tuple((block, _within(block, sinks)) for block in writes),
         combined=bus.read_write,
-        other=tuple(signals.other),
+        other=other_names(bound),
         faults=fault_words(bound, signals),
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
@@ -277,22 +245,15 @@ def heartbeat_modulus(register: Register) -> int:
     return 1 << (16 * register.words - register.type.startswith("int"))
 
 
-def source_of(source: Source[Named]) -> RegisterSource:
-    """Return how a quantity is taken from its register."""
-    register = source.item.register
-    return RegisterSource(
-        source.quantity, register, source.field, source.scale, source.offset, source.on
-    )
+def inside(block: Block, sources: Iterable[Source[Named]]) -> tuple[Source[Named], ...]:
+    """Return what is taken from a block."""
+    return tuple(one for one in sources if block.holds(one.item.register))
 
 
-def _inside(block: Block, sources: Iterable[RegisterSource]) -> Iterator[RegisterSource]:
-    return (one for one in sources if block.holds(one.register))
-
-
-def _within(block: Block, sinks: Iterable[RegisterSink]) -> Iterator[RegisterSink]:
-    """In the order of the addresses: a write has no gaps."""
-    inside = (one for one in sinks if block.holds(one.register))
-    return iter(sorted(inside, key=lambda one: one.register.address))
+def _within(block: Block, sinks: Iterable[Sink[Named]]) -> tuple[Sink[Named], ...]:
+    """Return what goes into a block, in the order of the addresses: a write has no gaps."""
+    held = (one for one in sinks if block.holds(one.item.register))
+    return tuple(sorted(held, key=lambda one: one.item.register.address))
 
 
 def _combined_flaws(

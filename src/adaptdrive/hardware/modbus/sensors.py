@@ -25,7 +25,7 @@ from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
-from adaptdrive.hardware.modbus.mapping import Named, RegisterCatalogue, source_of
+from adaptdrive.hardware.modbus.mapping import Named, RegisterCatalogue, inside, value_in
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
@@ -198,7 +198,7 @@ class ModbusSensorPort:
         """The values of a block that may be used, by name."""
         read = block.exchange.read
         assert read is not None  # noqa: S101 - sensors are read, never written
-        values = {one.quantity: one.value(read, words) for one in block.sources}
+        values = {one.quantity: value_in(one, read, words) for one in block.sources}
         good = {name: value for name, value in values.items() if value is not None}
         self._counts["out_of_range"] += len(values) - len(good)
         return good
@@ -223,7 +223,7 @@ def _blocks(
         return bus.registers[source.item.name].device_id or bus.device_id
 
     for device_id, found in groupby(sorted(sources, key=device), key=device):
-        taken = [*map(source_of, found)]
-        for block in plan_blocks((one.register for one in taken), bus.max_gap, bus.max_block):
-            inside = tuple(one for one in taken if block.holds(one.register))
-            yield SensorBlock(Exchange(read=block, device_id=device_id), inside)
+        taken = [*found]
+        registers = (one.item.register for one in taken)
+        for block in plan_blocks(registers, bus.max_gap, bus.max_block):
+            yield SensorBlock(Exchange(read=block, device_id=device_id), inside(block, taken))

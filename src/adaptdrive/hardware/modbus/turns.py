@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from adaptdrive.hardware.binding import Source
 from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.mapping import RegisterSource
+from adaptdrive.hardware.modbus.mapping import Named
 
 SELDOM_CYCLES = 10
 """Cycles between two requests to silent blocks that do not fit: one in ten may be late."""
@@ -22,7 +23,7 @@ class SensorBlock:
     """Registers that are asked for at once, and what is taken from them."""
 
     exchange: Exchange
-    sources: tuple[RegisterSource, ...]
+    sources: tuple[Source[Named], ...]
 
 
 @dataclass(slots=True, eq=False)
