@@ -321,7 +321,7 @@ async def test_a_fault_behind_a_piled_up_reading_is_kept(
         time.sleep(0.01)  # noqa: ASYNC251 - the loop must not look
         await heard_by(port, 3)
         assert [reading.fault for reading in ear.readings] == [0]
-        assert port.complaint == "drive fault: word 0x4 (Boost overvoltage)"
+        assert port.complaint == "drive fault: Boost overvoltage (word 0x4)"
 
 
 async def test_what_waits_is_handed_out_when_it_is_asked_for(
@@ -1174,7 +1174,7 @@ async def test_a_fault_is_kept_when_the_clocking_frame_is_lost(
         for lost in range(10):
             drive.send_status(Fault=1 << (lost % 7))
             await until(lambda: port.complaint is not None)
-            assert f"drive fault: word {1 << (lost % 7):#x}" in str(port.complaint)
+            assert f"word {1 << (lost % 7):#x}" in str(port.complaint)
             drive.send_status(Fault=0)
             drive.send_load()
             await ear.hears(lost + 2)
@@ -1209,7 +1209,7 @@ async def test_of_two_fault_codes_between_two_readings_the_first_is_told(
         drive.send_status(Fault=1)
         drive.send_status(Fault=2)
         await heard_by(port, 4)
-        assert port.complaint == "drive fault: word 0x1 (Overcurrent)"
+        assert port.complaint == "drive fault: Overcurrent (word 0x1)"
         for count in (2, 3):
             drive.send_load()
             await ear.hears(count)
@@ -1229,7 +1229,7 @@ async def test_the_words_beside_a_value_that_is_not_available_are_used(
         clock.now_s += 0.01
         spoilt = drive.frame("DriveStatus", **{**STATUS, "Fault": 2, "BridgeOn": 0})
         drive.put("DriveStatus", with_crc(b"\xff\xff" + spoilt[2:]))
-        await until(lambda: "drive fault: word 0x2" in str(port.complaint))
+        await until(lambda: "word 0x2" in str(port.complaint))
         drive.send_load()
         await ear.hears(2)
     good, reading = ear.readings

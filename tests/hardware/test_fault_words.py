@@ -25,7 +25,7 @@ def test_the_trip_names_signal_and_bit() -> None:
     latch = FaultLatch(WORDS)
     assert latch.complaint is None
     latch.see(float(0x100), "fault.0")
-    assert latch.complaint == "drive fault: word 0x100 (Post_Lo bit 8 hw_overcurrent)"
+    assert latch.complaint == "drive fault: Post_Lo bit 8 hw_overcurrent (word 0x100)"
     latch.see(float(0xF2), "fault.1")
     latch.see(5.0, "fault.2")
     latch.see(3.0, "fault.2")

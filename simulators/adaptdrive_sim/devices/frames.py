@@ -155,7 +155,8 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
     database = description.database
     catalogue = SignalCatalogue(description, fd=bus.fd, integrity=bus.integrity)
     sinks = _find_sinks(catalogue, configuration)
-    orders = find_orders(catalogue, configuration.signals, demands_of(configuration))
+    sent = catalogue.sinks(configuration.signals.command, demands_of(configuration))
+    orders = find_orders(catalogue, sent)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
     if catalogue.flaws:

@@ -64,8 +64,9 @@ class RegisterImage:
             if value is None:
                 return None
             if isinstance(given, SignalSource):
-                value = value * given.scale + given.offset
-            found[name] = value == register.on if name == "bridge" else value
+                found[name] = value * given.scale + given.offset
+            else:
+                found[name] = value == _switching(given.on, register.on, register)
         return Command(**found)  # type: ignore[arg-type]
 
     def heartbeat(self, tables: Mapping[str, Table]) -> tuple[int, ...] | None:
@@ -105,15 +106,16 @@ def not_available(register: Register) -> float:
 
 def _place(words: dict[tuple[str, int], int], register: Register, content: Sequence[int]) -> None:
     """Put registers down; bits that share a register are joined."""
-    if register.bit is None:
-        for number, word in enumerate(content):
-            words[register.table, register.address + number] = word
-        return
-    word_number = register.bit // 16
-    if register.word_order == "big":
-        word_number = register.words - 1 - word_number
-    key = (register.table, register.address + word_number)
-    words[key] = words.get(key, 0) | (bool(any(content)) << register.bit % 16)
+    for number, word in enumerate(content, register.address):
+        beside = 0 if register.bits is None else words.get((register.table, number), 0)
+        words[register.table, number] = word | beside
+
+
+def _switching(given: int | str | None, usual: int, register: Register) -> int:
+    """Return the count of a switch, which a configuration may name."""
+    if given is None:
+        return usual
+    return register.names[given] if isinstance(given, str) else given
 
 
 def bounded(register: Register, value: float) -> float:

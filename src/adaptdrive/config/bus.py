@@ -85,6 +85,18 @@ class FrameIntegrity(Section):
 class BusSection(Section):
     """Properties that every kind of `[bus]` states of the drive behind it."""
 
+    setup: dict[str, int | FiniteFloat | str] = Field(
+        default={},
+        description="values that a drive needs before it takes commands (an unlock word, remote "
+        "mode, a mode of operation), by the name of their signal, register or object, in the order "
+        "of writing; numbers or names of values. Written when the bus is opened and when the drive "
+        "returns, where it does not hold them yet, and read back; on CAN, which has no replies, "
+        "sent once",
+    )
+    setup_unread: list[str] = Field(
+        default=[], description="names in `setup` that do not read as they were written"
+    )
+
     @property
     def ticks_per_reading(self) -> int:
         """Half cycles from one reading of the drive to the next."""
@@ -246,8 +258,8 @@ class SwitchSource(SignalSource):
 
     on: int | str | None = Field(
         default=None,
-        description="value that means on, on CAN as a number or a name of the value table; 1 when "
-        "left out, on Modbus any but 0",
+        description="value that means on, as a number or a name of the value table; 1 when left "
+        "out, on Modbus any but 0",
     )
 
 
@@ -286,7 +298,7 @@ class CommandSignal(SignalSource):
 
 
 class CommandSwitch(Section):
-    """One commanded switch: a signal, and the values that switch; on CAN, names too."""
+    """One commanded switch: a signal, and the values that switch, or their names."""
 
     signal: str = Field(
         min_length=1, description="`Message.Signal` on CAN, the register's name on Modbus"

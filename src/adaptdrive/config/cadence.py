@@ -15,6 +15,8 @@ from adaptdrive.config.services import InterlocksSection
 from adaptdrive.config.timing import LATE_READINGS
 from adaptdrive.errors import Flaw
 
+DAY_S = 86400.0
+
 
 class Sections(Protocol):
     """The sections that the pace of a drive is compared with."""
@@ -60,6 +62,29 @@ def poll_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
         )
     elif configuration.signals.command.current_scale_S is not None:
         yield Flaw("signals.command.current_scale_S", "a drive that is polled takes V_c only")
+    yield from _write_flaws(bus, configuration)
+
+
+def _write_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
+    """Yield why a command that is not written with each poll would not do."""
+    timeout_s, interval_s = bus.command_timeout_s, bus.command_interval_s
+    if interval_s and bus.read_write:
+        yield Flaw("bus.command_interval_s", "bus.read_write writes with each poll: leave it out")
+    if timeout_s is not None and LATE_READINGS * interval_s > timeout_s:
+        longest = f"{timeout_s / LATE_READINGS:.4g} s, that the drive sees a command in time"
+        yield Flaw("bus.command_interval_s", f"{interval_s:g} must be at most {longest}")
+    for name, register in bus.registers.items():
+        place, limit = f"bus.registers.{name}.write_limit", register.write_limit
+        if limit is None:
+            continue
+        if bus.read_write:
+            yield Flaw(place, "bus.read_write writes with each poll: leave it out")
+        if timeout_s is not None:
+            yield Flaw(place, "bus.command_timeout_s is the time-out of a drive that needs writes")
+        period_s, least_s = configuration.load.period_s, DAY_S / limit
+        if period_s < least_s:
+            longer = f"let load.period_s be {least_s:.4g} s or longer"
+            yield Flaw(place, f"{limit} writes a day are one in {least_s:.4g} s: {longer}")
 
 
 def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from adaptdrive.config.bus import BusSection, CanLink, Signals
-from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat
+from adaptdrive.config.section import FilePath, PositiveFloat
 from adaptdrive.errors import Flaw
 
 _LATE_HEARTBEATS = 2.0
@@ -46,10 +46,6 @@ class CanOpenBus(CanLink, BusSection):
     )
     sdo_timeout_s: PositiveFloat = Field(
         default=0.3, ge=0.01, le=10.0, description="longest time from an SDO request to its reply"
-    )
-    setup: dict[str, int | FiniteFloat] = Field(
-        default={},
-        description="objects and the values written to them before the drive is made operational",
     )
 
     @property

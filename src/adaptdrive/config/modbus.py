@@ -53,7 +53,18 @@ class Register(Section):
     mask: int | None = Field(
         default=None,
         ge=1,
-        description="take these bits alone, such as 0x0F00: a number from 0 on",
+        description="take these bits alone, such as 0x0F00: a number from 0 on. Of a register that "
+        "is written, all fields are written together, and bits of no field as 0",
+    )
+    names: dict[str, int] = Field(
+        default={}, description="names of its counts, such as { Stop = 0, Run = 1 }"
+    )
+    write_limit: int | None = Field(
+        default=None,
+        ge=24,
+        description="writes a day that the register endures: it is written on change only, not "
+        "before its share of a day has passed since the write before, and for each switch of the "
+        "bridge",
     )
     on: int = Field(default=1, description="count that is written to switch on")
     off: int = Field(default=0, description="count that is written to switch off")
@@ -178,6 +189,13 @@ class ModbusBus(CommandWatch, ModbusLink, BusSection):
     write: Literal["multiple", "single"] = Field(
         default="multiple",
         description="write registers together (function 16) or each alone (function 6)",
+    )
+    command_interval_s: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=3600.0,
+        description="longest time from one write of a command that does not change to the next; "
+        "0: with each poll",
     )
     read_write: bool = Field(
         default=False, description="write and read in one exchange (function 23)"

@@ -36,13 +36,11 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     for place, name in _written(bus, signals):
         yield from _known(bus, place, name)
         target = bus.registers.get(name)
-        if target is not None and (
-            target.table in {"input", "discrete"} or target.bits is not None
-        ):
-            problem = "it must be a whole holding register or a coil"
-            yield Flaw(place, f"{name!r} cannot be written: {problem}")
+        whole = target is None or target.bits is None or not place.startswith("bus.")
+        if target is not None and (target.table in {"input", "discrete"} or not whole):
+            kind = "whole holding register" if target.bits else "holding register"
+            yield Flaw(place, f"{name!r} cannot be written: it must be a {kind} or a coil")
     yield from _beat_flaws(bus)
-    yield from _switch_flaws(signals)
     yield from _overlap_flaws(bus, signals)
 
 
@@ -70,7 +68,8 @@ def _heartbeat(bus: ModbusBus, side: str) -> list[tuple[str, str]]:
 
 
 def _written(bus: ModbusBus, signals: Signals) -> list[tuple[str, str]]:
-    return [*commanded_names(signals), *_heartbeat(bus, "daemon")]
+    setup = [(f"bus.setup.{name}", name) for name in bus.setup]
+    return [*commanded_names(signals), *_heartbeat(bus, "daemon"), *setup]
 
 
 def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:
@@ -192,13 +191,6 @@ def _beat_flaws(bus: ModbusBus) -> Iterator[Flaw]:
             yield Flaw(place, f"register {name!r} must be an integer with scale 1")
 
 
-def _switch_flaws(signals: Signals) -> Iterator[Flaw]:
-    """On Modbus the section of a register names what switches it."""
-    switch = signals.command.bridge
-    if switch is not None and (switch.on, switch.off) != (None, None):
-        yield Flaw("signals.command.bridge", "on Modbus `on` and `off` stand with the register")
-
-
 def _overlap_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     written = [
         (place, name, bus.registers[name])
@@ -216,5 +208,7 @@ def _overlap_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
 
 
 def _overlap(one: Register, other: Register) -> bool:
-    same = one.table == other.table
-    return same and one.address < other.end and other.address < one.end
+    if one.table != other.table or one.end <= other.address or other.end <= one.address:
+        return False
+    fields = one.bits is not None and other.bits is not None and one.address == other.address
+    return not (fields and one.type == other.type and not (one.bits or 0) & (other.bits or 0))

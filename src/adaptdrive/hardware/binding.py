@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar
 
@@ -24,7 +24,7 @@ from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FAULT, FaultWord
 from adaptdrive.hardware.field import Field
 
-Use = Literal["measured", "word", "state", "command", "constant"]
+Use = Literal["measured", "word", "state", "command", "constant", "setup"]
 """Role of a value that is received or sent; a state is the report of the bridge."""
 
 BRIDGE = "bridge"
@@ -212,12 +212,18 @@ class Catalogue(ABC, Generic[Item]):
                 command.boost_reference_V,
             ),
         )
-        found = [*self._constants(command)]
+        found = self.settings(command.constants, f"{_COMMAND}.constants")
         for name, entry in values:
             item = None if entry is None else self.find(entry.signal, f"{_COMMAND}.{name}")
             if entry is not None and item is not None:
                 found.append(self._value(name, entry, item, demands))
         return [*found, *self._switches(command.bridge)]
+
+    def settings(
+        self, given: Mapping[str, float | str], place: str, use: Use = "constant"
+    ) -> list[Sink[Item]]:
+        """Find the destinations of values that stay the same; what does not fit is collected."""
+        return list(self._constants(given, place, use))
 
     def resolve(self, field: Field, given: float | str, place: str) -> float | None:
         """Return a value, or the one that a name of the field's value table stands for.
@@ -289,21 +295,23 @@ class Catalogue(ABC, Generic[Item]):
             for raw, name in sorted(field.names.items())
             if raw not in {0, 1} and field.value(raw) is not None
         ]
-        if entry.on is None and others:
+        if entry.on is None and given is not None and others:
             word = f"1 ({field.names[1]})" if 1 in field.names else "1"
             off = f"{', '.join(others)} that the bridge is off, which confirms a stop"
             problem = f"is left out: {word} alone means on, and {off}; name the state of on"
             self.cautions.append(Flaw(place, problem))
         return on
 
-    def _constants(self, command: CommandSignals) -> Iterator[Sink[Item]]:
-        for reference, given in command.constants.items():
-            place = f"{_COMMAND}.constants.{reference}"
+    def _constants(
+        self, constants: Mapping[str, float | str], section: str, use: Use
+    ) -> Iterator[Sink[Item]]:
+        for reference, given in constants.items():
+            place = f"{section}.{reference}"
             item = self.find(reference, place)
             if item is None:
                 continue
-            self.note(place, self.refusal(item, "constant"))
-            field = self.field(item, "constant")
+            self.note(place, self.refusal(item, use))
+            field = self.field(item, use)
             value = self.resolve(field, given, place)
             if value is not None and self._is_sent(field, (value,), place):
                 yield Sink(reference, item, field, value, 0.0)

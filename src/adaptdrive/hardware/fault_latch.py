@@ -111,4 +111,5 @@ def describe_fault(word: int, name: str) -> str:
         word: The drive's fault word.
         name: Its name, empty for none.
     """
-    return f"drive fault: word {word:#x}" + (f" ({name})" if name else "")
+    coded = f"word {word:#x}"
+    return f"drive fault: {name} ({coded})" if name else f"drive fault: {coded}"

@@ -109,7 +109,7 @@ TRIPS = (
     Trip(
         r"^drive fault: ",
         "drive fault: word 0x3",
-        "the drive reports a fault; the names of the fault bits follow if the DBC has them",
+        "the drive reports a fault; its name stands before the word if the description has one",
         "look the fault up in the drive's manual and clear it in the drive",
     ),
     Trip(

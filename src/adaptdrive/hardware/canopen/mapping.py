@@ -93,7 +93,7 @@ class CanOpenMapping:
         statuses: How to read what it sends.
         orders: How to write what it takes.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
-        setup: Entries that the configuration writes, and their bytes.
+        setup: Entries that the configuration writes, their bytes, whether they read as written.
         present: Optional entries that the drive has.
         identity: Identity object that the drive must have to be the one of the EDS.
         cautions: What can be used, and is probably not meant.
@@ -106,7 +106,7 @@ class CanOpenMapping:
     statuses: tuple[StatusPdo, ...]
     orders: tuple[CommandPdo, ...]
     counter_modulus: int | None
-    setup: tuple[tuple[Entry, bytes], ...]
+    setup: tuple[tuple[Entry, bytes, bool], ...]
     present: frozenset[Address]
     identity: tuple[tuple[Address, int], ...]
     cautions: tuple[Flaw, ...]
@@ -241,9 +241,9 @@ class _Plan:
         counters = (one for one in self._sources if one.quantity == "counter")
         return next((int(one.field.high) + 1 for one in counters), None)
 
-    def _setup(self) -> tuple[tuple[Entry, bytes], ...]:
+    def _setup(self) -> tuple[tuple[Entry, bytes, bool], ...]:
         found = []
-        for reference, value in self._bus.setup.items():
+        for reference, given in self._bus.setup.items():
             place = f"bus.setup.{reference}"
             entry = self._catalogue.find(reference, place)
             if entry is None:
@@ -253,8 +253,12 @@ class _Plan:
                 continue
             if not entry.writable:
                 self._catalogue.note(place, f"{entry.name!r} cannot be written")
+            field, value = self._catalogue.field(entry, "setup"), given
+            if isinstance(value, str):
+                value = self._catalogue.resolve(field, value, place) or 0.0
+            reads = entry.readable and reference not in self._bus.setup_unread
             try:
-                found.append((entry, entry.encode(value)))
+                found.append((entry, entry.encode(value), reads))
             except ValueError as problem:
                 self._catalogue.note(place, str(problem))
         return tuple(found)

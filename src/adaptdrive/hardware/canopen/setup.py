@@ -68,8 +68,9 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
         _describe(server, pdo, _EACH_SYNC)
     for pdo in mapping.receives:
         _describe(server, pdo, _ON_ARRIVAL)
-    for entry, data in mapping.setup:
-        server.write(entry.address, data)
+    for entry, data, reads in mapping.setup:
+        write = server.write_surely if reads else server.write
+        write(entry.address, data)
 
 
 def watch_writes(bus: CanOpenBus, mapping: CanOpenMapping) -> Iterator[Write]:

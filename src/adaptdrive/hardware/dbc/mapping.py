@@ -77,6 +77,7 @@ class CanMapping:
     Attributes:
         statuses: Messages with measurements.
         orders: Frames of the command, in the order of sending.
+        setup: Frames that are sent once, when the bus is opened.
         clock: Message whose arrival is the fast tick.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
         bridge_on: Value of the signal while the bridge is on.
@@ -88,6 +89,7 @@ class CanMapping:
 
     statuses: tuple[StatusFrame, ...]
     orders: tuple[CommandFrame, ...]
+    setup: tuple[CommandFrame, ...]
     clock: str
     counter_modulus: int | None
     bridge_on: float
@@ -131,15 +133,19 @@ def map_drive(
         sources.setdefault(one.item.message.name, []).append(
             _source(catalogue, bus, timing, clock, one)
         )
-    orders = find_orders(catalogue, signals, demands)
+    orders = find_orders(catalogue, catalogue.sinks(signals.command, demands))
+    setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
     if clock is not None and clock.name not in sources:
         catalogue.note("bus.clock", f"no entry of [signals] is taken from message {clock.name!r}")
     for name in sources:
         catalogue.check_cycle(name)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
-    for message in sources.keys() & orders.keys():
+    for message in sources.keys() & {**orders, **setup}:
         catalogue.note("signals.command", f"message {message!r} carries measurements too")
+    for message in setup.keys() & orders.keys():
+        problem = f"message {message!r} carries the command: name a constant of it"
+        catalogue.note("bus.setup", problem)
     catalogue.check_ids(sources, orders, "signals")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
@@ -147,6 +153,7 @@ def map_drive(
     return CanMapping(
         statuses=tuple(_status(catalogue, bus, *item) for item in sources.items()),
         orders=tuple(build_orders(catalogue, bus.integrity, orders)),
+        setup=tuple(build_orders(catalogue, bus.integrity, setup)),
         clock=bus.clock,
         counter_modulus=None if counter is None else counter_modulus(counter.field),
         bridge_on=1.0 if bridge is None or bridge.on is None else bridge.on,

@@ -6,12 +6,13 @@ carry travels in each of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from adaptdrive.config.bus import FrameIntegrity, Signals
+from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.hardware.binding import Sink
 from adaptdrive.hardware.dbc.command_frame import CommandFrame, Part
-from adaptdrive.hardware.dbc.database import SignalCatalogue
+from adaptdrive.hardware.dbc.database import Located, SignalCatalogue
 from adaptdrive.hardware.dbc.pages import (
     Page,
     absent_pages,
@@ -19,7 +20,6 @@ from adaptdrive.hardware.dbc.pages import (
     page_of,
     sent_pages,
 )
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.layout import bit_mask, initial_value
 
@@ -36,12 +36,12 @@ _Drafts = dict[str, dict[Page, _Draft]]
 
 
 def find_orders(
-    catalogue: SignalCatalogue, signals: Signals, demands: Demands = NO_DEMANDS
+    catalogue: SignalCatalogue, sinks: Iterable[Sink[Located]], section: str = "signals.command"
 ) -> _Drafts:
     """Return the content of each page of each message; errors go to the catalogue."""
     drafts: _Drafts = {}
-    for sink in catalogue.sinks(signals.command, demands):
-        (message, signal), place = sink.item, f"signals.command.{sink.name}"
+    for sink in sinks:
+        (message, signal), place = sink.item, f"{section}.{sink.name}"
         page = page_of(catalogue, message, signal, place)
         draft = drafts.setdefault(message.name, {}).setdefault(page, _Draft())
         if not sink.factor:

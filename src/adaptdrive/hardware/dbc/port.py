@@ -335,6 +335,8 @@ class CanPort:
         self._relink.open(bridge=self._bridge_sent)
         self._bridge_sent = False
         self._assembly.forget()
+        for order in () if self._hears_all else self._mapping.setup:
+            self._connection.send(self._frame(order, SAFE_COMMAND))
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
 
 

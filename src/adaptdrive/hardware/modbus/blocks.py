@@ -60,7 +60,7 @@ def plan_blocks(
         longest = 1 if single else max_count
         if last is not None and _reaches(last, register, max_gap, longest):
             end = max(last.end, register.end)
-            blocks[-1] = Block(last.table, last.address, end - last.address)
+            blocks[-1] = Block(last.table, last.address, end - last.address, last.single)
         else:
             blocks.append(Block(register.table, register.address, register.words, single))
     return tuple(blocks)

@@ -51,7 +51,7 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
         blanks=words if bits else frozenset(),
         unknown=frozenset() if bits else words,
         unit=register.unit,
-        names={},
+        names={count: name for name, count in register.names.items()},
     )
 
 
@@ -82,7 +82,12 @@ def decode(register: Register, field: Field, words: Sequence[int]) -> float | No
 
 def _masked(raw: int, mask: int) -> int:
     """Return the number that some bits of a word are."""
-    return (raw & mask) // (mask & -mask)
+    return (raw & mask) // _lowest(mask)
+
+
+def _lowest(mask: int | None) -> int:
+    """Return the lowest bit of a mask, 1 without one."""
+    return 1 if mask is None else mask & -mask
 
 
 def refusal(register: Register, field: Field, words: Sequence[int]) -> str:
@@ -120,7 +125,7 @@ def encode_count(register: Register, count: float) -> list[int]:
         ValueError: The registers cannot hold it.
     """
     try:
-        exact = count if register.real else round(count)
+        exact = count if register.real else round(count) * _lowest(register.bits)
         packed = struct.pack(_FORMATS[register.type], exact)
     except (struct.error, OverflowError, ValueError) as problem:
         raise ValueError(f"{register.type} cannot hold {count!r}") from problem

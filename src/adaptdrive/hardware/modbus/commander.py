@@ -11,7 +11,8 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.binding import BRIDGE, Sink
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Named, Poll, written
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Named, Poll, block_words
+from adaptdrive.hardware.modbus.pace import WritePace
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
 from adaptdrive.hardware.modbus.validity import CommandValidity
@@ -44,6 +45,7 @@ class Commander:
             timing: Times of the drive.
         """
         self._poll = poll
+        self._pace = WritePace(poll, clock)
         self._counts = counts
         self._clock = clock
         self._command: Command | None = None
@@ -98,9 +100,8 @@ class Commander:
         Raises:
             ValueError: A value is not finite, or its register cannot hold it.
         """
-        for _, sinks in self._poll.writes:
-            for sink in sinks:
-                written(sink, command, 0)
+        for block, sinks in self._poll.writes:
+            block_words(block, sinks, command, 0)
         if command != SAFE_COMMAND:
             self._stopped_s = math.inf
         elif self._stopped_s == math.inf:
@@ -113,6 +114,7 @@ class Commander:
         """Forget what was acknowledged on the link before."""
         self.safe_s = math.inf
         self._untaken.forget()
+        self._pace.forget()
         self._validity.begin(given_on=self._given_on)
         self._safe = self.bridge = self._tried_bridge = False
         self._begun_s = self._clock()
@@ -231,17 +233,21 @@ class Commander:
         parts = [*zip(self._poll.writes, self._words(command), strict=True)]
         if not command.bridge:
             parts.sort(key=lambda part: not _has_bridge(part[0][1]))
+        must_stop = command == SAFE_COMMAND and (self.urgent or self._validity.may_be_on)
         self._doubt(command)
-        taken = True
+        taken, sent = True, False
         for (block, sinks), registers in parts:
             if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
                 continue
+            if not (must_stop or self._pace.is_due(block, registers)):
+                continue
+            sent = True
             if taken or (command == SAFE_COMMAND and link.lost is None):
                 exchange = Exchange(write=block)
                 taken &= await self._wrote(link, exchange, registers, command, at_once=at_once)
         if taken:
             self.refused_write = ""
-            self._confirm(command, link.asked_s)
+            self._confirm(command, link.asked_s, sent=sent)
 
     async def leave_safe(self, link: ModbusConnection) -> None:
         """Write the safe command as the last one, unless it is in force or none was ever given."""
@@ -308,6 +314,8 @@ class Commander:
             self.refused_write = f"command: {failure.problem}"
             self._untaken.note(exchange, failure, silent=self._validity.silent)
             return False
+        if exchange.write is not None:
+            self._pace.note(exchange.write, registers)
         return True
 
     def _count_withheld(self) -> None:
@@ -346,8 +354,7 @@ class Commander:
         """
         self._alive += not self._disobeyed
         return [
-            [word for sink in sinks for word in written(sink, command, self._alive)]
-            for _, sinks in self._poll.writes
+            block_words(block, sinks, command, self._alive) for block, sinks in self._poll.writes
         ]
 
     def _doubt(self, command: Command) -> None:
@@ -358,8 +365,8 @@ class Commander:
         if command != SAFE_COMMAND:
             self.safe_s = math.inf
 
-    def _confirm(self, command: Command, asked_s: float) -> None:
-        self._counts["sent"] += 1
+    def _confirm(self, command: Command, asked_s: float, *, sent: bool = True) -> None:
+        self._counts["sent"] += sent
         self._written, self.bridge = command, command.bridge
         self._sight.feed(asked_s)
         self._safe = command == SAFE_COMMAND

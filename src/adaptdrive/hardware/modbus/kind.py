@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 
@@ -29,11 +30,13 @@ def _build(
     clock: Callable[[], float],
     source: Path | str,
     *,
-    passive: bool,  # noqa: ARG001 - reading is all that a master on Modbus does until it commands
+    passive: bool,
 ) -> Port:
     bus, signals = _bus(configuration), configuration.signals
     timing, demands = configuration.timing, demands_of(configuration)
     poll = map_drive(bus, signals, timing.half_cycle_s, source, demands)
+    if passive:  # without a command, nothing else is written
+        poll = replace(poll, setup=())
     return ModbusPort(bus, poll, timing, clock)
 
 

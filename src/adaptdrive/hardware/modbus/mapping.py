@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusBus, Register
@@ -43,6 +43,9 @@ _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
 
 _ALL_ONES = 0xFFFF
+
+
+Bound = TypeVar("Bound", Source["Named"], Sink["Named"])
 
 
 class Named(NamedTuple):
@@ -134,6 +137,22 @@ def _words(source: Source[Named], block: Block, words: list[int]) -> list[int]:
     return words[start : start + register.words]
 
 
+def block_words(
+    block: Block, sinks: Iterable[Sink[Named]], command: Command, heartbeat: int
+) -> list[int]:
+    """Return the registers of a block; fields of one register are put together.
+
+    Raises:
+        ValueError: They cannot hold their part of the command.
+    """
+    words = [0] * block.count
+    for sink in sinks:
+        first = sink.item.register.address - block.address
+        for number, word in enumerate(written(sink, command, heartbeat), first):
+            words[number] |= word
+    return words
+
+
 def written(sink: Sink[Named], command: Command, heartbeat: int) -> list[int]:
     """Return the registers of a part of a command, or of the daemon's heartbeat.
 
@@ -154,6 +173,8 @@ class Poll:
         reads: Blocks to read, and what is taken from each.
         writes: Blocks to write, and what goes into each.
         combined: Whether the only write travels with the first read.
+        interval_s: Longest time between two writes of the same registers, 0 for each poll.
+        setup: What is written before the drive is commanded, whether it reads as written.
         other: Names of more values of the drive.
         faults: Fault words of the drive.
     """
@@ -161,6 +182,8 @@ class Poll:
     reads: tuple[tuple[Block, tuple[Source[Named], ...]], ...]
     writes: tuple[tuple[Block, tuple[Sink[Named], ...]], ...]
     combined: bool
+    interval_s: float = 0.0
+    setup: tuple[tuple[Block, Sink[Named], bool], ...] = ()
     other: tuple[str, ...] = ()
     faults: Mapping[str, FaultWord] = field(default_factory=dict)
 
@@ -214,6 +237,7 @@ def map_drive(
     catalogue = RegisterCatalogue(bus.registers)
     bound = catalogue.sources(entries(signals), demands)
     sources, sinks = [*bound], catalogue.sinks(signals.command, demands)
+    setup = catalogue.settings(bus.setup, "bus.setup", "setup")
     if bus.heartbeat.drive is not None:
         beat = Named(bus.heartbeat.drive, bus.registers[bus.heartbeat.drive])
         field = catalogue.field(beat, "word")
@@ -225,11 +249,27 @@ def map_drive(
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
     longest = 1 if bus.write == "single" else _MAX_WRITE
-    writes = plan_blocks((one.item.register for one in sinks), 0, longest, write=True)
+    written_to = [one.item.register for one in sinks]
+    writes = tuple(
+        block
+        for limited in (False, True)
+        for block in plan_blocks(
+            (one for one in written_to if (one.write_limit is not None) is limited),
+            0,
+            longest,
+            write=True,
+        )
+    )
     poll = Poll(
         reads=tuple((block, inside(block, sources)) for block in reads),
-        writes=tuple((block, _within(block, sinks)) for block in writes),
+        writes=tuple((block, inside(block, sinks)) for block in writes),
         combined=bus.read_write,
+        interval_s=bus.command_interval_s,
+        setup=tuple(
+            (block, one, one.name not in bus.setup_unread)
+            for one in setup
+            for block in plan_blocks([one.item.register], 0, longest, write=True)
+        ),
         other=other_names(bound),
         faults=fault_words(bound, signals),
     )
@@ -245,15 +285,9 @@ def heartbeat_modulus(register: Register) -> int:
     return 1 << (16 * register.words - register.type.startswith("int"))
 
 
-def inside(block: Block, sources: Iterable[Source[Named]]) -> tuple[Source[Named], ...]:
-    """Return what is taken from a block."""
-    return tuple(one for one in sources if block.holds(one.item.register))
-
-
-def _within(block: Block, sinks: Iterable[Sink[Named]]) -> tuple[Sink[Named], ...]:
-    """Return what goes into a block, in the order of the addresses: a write has no gaps."""
-    held = (one for one in sinks if block.holds(one.item.register))
-    return tuple(sorted(held, key=lambda one: one.item.register.address))
+def inside(block: Block, bound: Iterable[Bound]) -> tuple[Bound, ...]:
+    """Return what is taken from a block, or goes into it."""
+    return tuple(one for one in bound if block.holds(one.item.register))
 
 
 def _combined_flaws(

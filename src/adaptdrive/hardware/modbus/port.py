@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
 from adaptdrive.config.timing import Timing
-from adaptdrive.control.signals import Command
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.modbus.assembly import PollAssembly
@@ -25,7 +25,7 @@ from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
 from adaptdrive.hardware.modbus.heartbeat import STANDS_STILL, DriveHeartbeat
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
-from adaptdrive.hardware.modbus.mapping import Poll
+from adaptdrive.hardware.modbus.mapping import Poll, written
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.sight import Sight, look_limit_s
@@ -218,6 +218,7 @@ class ModbusPort:
         self._commander.begin()
         next_s, hurried = self._clock(), False
         try:
+            await self._set_up(link)
             while link.lost is None and not self._closing:
                 self._commander.note_step()
                 start_s = self._clock()
@@ -238,6 +239,26 @@ class ModbusPort:
             self._link = None
             link.close()
         return link.lost or "closed"
+
+    async def _set_up(self, link: ModbusConnection) -> None:
+        """Write what the drive needs before it is commanded; a link without that is lost."""
+        for block, sink, reads in self._poll.setup:
+            if self._commander.urgent:
+                await self._commander.write(link)
+            self._commander.note_step()
+            words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
+            try:
+                if reads and await link.exchange(Exchange(read=block), []) == words:
+                    continue
+                await link.exchange(Exchange(write=block), words)
+                held = await link.exchange(Exchange(read=block), []) if reads else words
+            except ExchangeError as failure:
+                link.lost = link.lost or f"set-up of {name!r}: {failure.problem}"
+                return
+            if held != words:
+                found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
+                link.lost = f"set-up of {name!r}: {block} holds {found} after {wanted} was written"
+                return
 
     def _next(self, last_s: float) -> float:
         """The next point of the grid, or the last one that was missed: that poll begins at once."""

@@ -1,0 +1,211 @@
+"""What a drive needs before it is commanded, fields of a register, and registers that wear out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+
+import pytest
+
+from adaptdrive.config.modbus import ModbusTcp
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.modbus.blocks import Block
+from adaptdrive.hardware.modbus.mapping import Poll, block_words, map_drive
+from adaptdrive.hardware.modbus.pace import WritePace
+from adaptdrive.hardware.modbus.port import ModbusPort
+from tests.config.modbus_documents import flaws, parse
+from tests.devices.modbus_node import ILLEGAL_VALUE, ModbusNode, RefusalError
+from tests.hardware.modbus.bench import Ear, build, until
+
+RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)
+UNLOCK, MODE, WANTED, CONTROL = 20, 21, 0, 1
+SETUP = {
+    "bus__registers__unlock": "{ address = 20, table = 'holding' }",
+    "bus__registers__mode": (
+        "{ address = 21, table = 'holding', names = { Local = 0, Remote = 2 } }"
+    ),
+    "bus__setup__unlock": "0x2A5A",
+    "bus__setup__mode": "'Remote'",
+    "bus__setup_unread": "['unlock']",
+}
+FIELDS = {
+    "bus__registers__control": "{ address = 1, table = 'holding', mask = 0x0007, on = 3 }",
+    "bus__registers__local": "{ address = 1, table = 'holding', bit = 9 }",
+    "signals__command__constants__local": "1",
+}
+DAY_S = 86400.0
+
+
+def plan(**changes: str | None) -> Poll:
+    configuration = parse(**changes)
+    assert isinstance(configuration.bus, ModbusTcp)
+    return map_drive(configuration.bus, configuration.signals, 1.0 / 120.0, "bench.toml")
+
+
+class Drive(ModbusNode):
+    """Takes a command in remote mode only, and that mode after its unlock word only."""
+
+    def __init__(self) -> None:
+        super().__init__({3, 4, 6, 16}, framing="tcp")
+        self.put("input", 0, 30012, 1200, 43, 0x4050, 0, 1)
+        self.put("holding", 0, 0, 0, 0)
+        self.put("holding", UNLOCK, 0, 0)
+        self.unlocked = False
+        self.on_write = self._judge
+
+    def _judge(self, _: str, address: int, word: int) -> None:
+        if address == UNLOCK:
+            self.unlocked = word == 0x2A5A
+            return
+        refuses_mode = address == MODE and not self.unlocked
+        if refuses_mode or (address == CONTROL and word and self.tables["holding"][MODE] != 2):
+            raise RefusalError(ILLEGAL_VALUE)
+
+
+@contextlib.asynccontextmanager
+async def running(drive: Drive, **changes: str | None) -> AsyncIterator[tuple[ModbusPort, Ear]]:
+    async with drive.served():
+        port, ear = build(bus__port=str(drive.port), bus__heartbeat__daemon=None, **changes), Ear()
+        task = asyncio.create_task(port.run(ear, lambda: None))
+        try:
+            yield port, ear
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_a_drive_is_unlocked_and_set_up_before_its_first_command() -> None:
+    drive = Drive()
+    async with running(drive, **SETUP) as (port, ear):
+
+        def commanded() -> bool:
+            port.send(RUN)  # renewed, as by the fast loop
+            return 1 in drive.written(CONTROL)
+
+        await until(lambda: bool(ear.readings))
+        await until(commanded)
+    assert [address for address, _ in drive.writes][:2] == [UNLOCK, MODE]
+    assert drive.written(MODE) == [2]
+    assert port.complaint is None
+
+
+async def test_a_set_up_that_does_not_hold_keeps_the_drive_lost() -> None:
+    drive = Drive()
+    async with running(drive, **{**SETUP, "bus__setup__unlock": "7"}) as (_, ear):
+        await until(lambda: bool(ear.bus))
+    up, detail = ear.bus[0]
+    assert not up
+    assert "set-up of 'mode': exception reply 3 to function 16 (illegal value)" in detail
+    assert not ear.readings
+
+
+async def test_a_stop_goes_before_the_set_up() -> None:
+    drive = Drive()
+    async with drive.served():
+        port, ear = build(bus__port=str(drive.port), **SETUP), Ear()
+        port.send(SAFE_COMMAND)
+        task = asyncio.create_task(port.run(ear, lambda: None))
+        await until(lambda: bool(drive.written(MODE)))
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert next(address for address, _ in drive.writes) in {WANTED, CONTROL}
+
+
+def test_fields_of_one_register_are_written_together() -> None:
+    ((block, sinks),) = plan(**FIELDS).writes
+    assert block_words(block, sinks, RUN, 0)[1] == 0x0203
+    assert block_words(block, sinks, SAFE_COMMAND, 0) == [0, 0x0200]
+
+
+def test_fields_that_share_bits_are_a_flaw() -> None:
+    wide = "{ address = 1, table = 'holding', mask = 0x0300 }"
+    assert flaws(**FIELDS) == {}
+    both = {**FIELDS, "bus__registers__other": wide, "signals__command__constants__other": "0"}
+    place = "signals.command.constants.other"
+    assert flaws(**both) == {place: "'other' lies in the same register as 'local'"}
+
+
+def test_names_of_counts_switch() -> None:
+    named = "{ address = 1, table = 'holding', names = { Stop = 0, Run = 5 } }"
+    switch = "{ signal = 'control', on = 'Run', off = 'Stop' }"
+    ((block, sinks),) = plan(bus__registers__control=named, signals__command__bridge=switch).writes
+    assert block_words(block, sinks, RUN, 0)[1] == 5
+    wrong = flaws(
+        bus__registers__control=named, signals__command__bridge=switch.replace("Run", "Go")
+    )
+    assert "has no 'Go'" in wrong["signals.command.bridge"]
+
+
+async def test_a_command_that_does_not_change_is_written_seldom() -> None:
+    drive = Drive()
+    drive.put("holding", MODE, 2)
+    async with running(drive, bus__command_interval_s="0.4") as (port, ear):
+
+        def commanded() -> bool:
+            port.send(RUN)  # renewed, as by the fast loop
+            return len(drive.written(CONTROL)) >= 4
+
+        await until(commanded)
+        count = len(ear.readings)
+        assert count >= 3 * (len(drive.written(CONTROL)) - 1)
+        port.send(SAFE_COMMAND)
+        await until(lambda: drive.tables["holding"][CONTROL] == 0)
+
+
+LIMITED = {
+    "bus__registers__wanted": (
+        "{ address = 0, table = 'holding', scale = 0.01, write_limit = 86400 }"
+    ),
+    "load__period_s": "2.0",
+}
+
+
+class Now:
+    """A clock that a test sets."""
+
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_a_register_that_wears_out_is_written_on_change_and_not_too_often() -> None:
+    poll, clock = plan(**LIMITED), Now()
+    wanted, control = sorted((block for block, _ in poll.writes), key=lambda one: one.address)
+    assert (wanted, control) == (Block("holding", 0, 1), Block("holding", 1, 1))
+    pace, writes = WritePace(poll, clock), 0
+    for second in range(20 * 60):
+        clock.now_s = second / 20.0
+        if pace.is_due(wanted, [second // 3]):
+            pace.note(wanted, [second // 3])
+            writes += 1
+    assert writes == 60  # one a second, as many a day as the register endures
+    clock.now_s += DAY_S
+    pace.note(wanted, [7])
+    clock.now_s += DAY_S
+    assert not pace.is_due(wanted, [7])
+    assert pace.is_due(wanted, [0])
+    assert pace.is_due(control, [1])
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "words"),
+    [
+        ({"load__period_s": "0.5"}, "bus.registers.wanted.write_limit", "let load.period_s be 1 s"),
+        (
+            {"bus__command_timeout_s": "1.0"},
+            "bus.registers.wanted.write_limit",
+            "the time-out of a drive that needs writes",
+        ),
+        (
+            {"bus__command_timeout_s": "1.0", "bus__command_interval_s": "0.9"},
+            "bus.command_interval_s",
+            "0.9 must be at most 0.6667 s",
+        ),
+        ({"bus__setup__speed": "1"}, "bus.setup.speed", "cannot be written"),
+        ({"bus__setup__none": "1"}, "bus.setup.none", "no register 'none'"),
+    ],
+)
+def test_what_cannot_work_is_a_flaw(changes: dict[str, str], place: str, words: str) -> None:
+    assert words in flaws(**{**LIMITED, **changes})[place]
