@@ -50,6 +50,7 @@ class ModbusNode:
         self.most = most
         self.port = 0
         self._framing, self._device = framing, device
+        self._tasks: set[asyncio.Task[None]] = set()
 
     def put(self, table: str, address: int, *words: int) -> None:
         """Let registers from an address on hold words."""
@@ -74,12 +75,20 @@ class ModbusNode:
             yield
         finally:
             server.close()
+            for task in [*self._tasks]:
+                task.cancel()
+            await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
+        task = asyncio.current_task()
+        assert task is not None
+        self._tasks.add(task)
+        try:
             while True:
                 await (self._tcp if self._framing == "tcp" else self._rtu)(reader, writer)
-        writer.close()
+        except (asyncio.IncompleteReadError, ConnectionError, asyncio.CancelledError):
+            self._tasks.discard(task)
+            writer.close()
 
     async def _tcp(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         head = await reader.readexactly(7)

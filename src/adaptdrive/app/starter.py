@@ -14,7 +14,9 @@ from importlib import resources
 from typing import Literal
 
 from adaptdrive.config.load import LoadName
+from adaptdrive.config.proposals import nearest
 from adaptdrive.config.services import LONGEST_STALE_S
+from adaptdrive.errors import ConfigurationError, Flaw
 
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen"]
 
@@ -86,14 +88,44 @@ def compose(  # noqa: PLR0913 - what the user and the drive's own description sa
     return Starter(text, description, _read(description) if description else b"")
 
 
+def device_names() -> list[str]:
+    """Return the names of the devices that come with a description."""
+    files = (resources.files("adaptdrive") / "devices").iterdir()
+    return sorted(one.name.removesuffix(".toml") for one in files if one.name.endswith(".toml"))
+
+
+def of_device(load: LoadName, device: str, name: str) -> Starter:
+    """Return the configuration of a device, which passes `check`.
+
+    Args:
+        load: Kind of load.
+        device: Name of the device.
+        name: Name of the drive.
+
+    Raises:
+        ConfigurationError: There is no such device, or it is described with another kind of load.
+    """
+    known = device_names()
+    if device not in known:
+        problem = f"is none of {', '.join(known)}{nearest(device, known)}"
+        raise ConfigurationError("--device", [Flaw(device, problem)])
+    text = _read(f"{device}.toml", "devices").decode("utf-8")
+    tables = tomllib.loads(text)
+    if tables["load"]["type"] != load:
+        problem = f"is described with a {tables['load']['type']}, not with a {load}"
+        raise ConfigurationError("--device", [Flaw(device, problem)])
+    file = tables["bus"].get("database") or tables["bus"].get("eds")
+    return Starter(_named(text, name), file, _read(file, "devices") if file else b"")
+
+
 def _description(load: LoadName, bus: BusName) -> str:
     if bus == "canopen":
         return _EDS
     return str(tomllib.loads(_example(f"{load}.toml"))["bus"]["database"])
 
 
-def _read(file: str) -> bytes:
-    return (resources.files("adaptdrive") / "examples" / file).read_bytes()
+def _read(file: str, folder: str = "examples") -> bytes:
+    return (resources.files("adaptdrive") / folder / file).read_bytes()
 
 
 def _example(file: str) -> str:
@@ -122,7 +154,7 @@ def _between(text: str, first: str, last: str) -> str:
 
 
 def _named(section: str, name: str) -> str:
-    return re.sub(r'(?m)^name = "[^"]*"', f'name = "{name}"', section)
+    return re.sub(r'(?m)^name = "[^"]*"', f'name = "{name}"', section, count=1)
 
 
 def _load_part(load_text: str, stride: int) -> str:

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from pydantic import ValidationError
 
 from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
-from adaptdrive.app.starter import BusName, Starter, compose
+from adaptdrive.app.starter import BusName, Starter, compose, device_names, of_device
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -28,7 +28,8 @@ def init(  # noqa: PLR0913 - one parameter for each option
     load: LoadName,
     /,
     *,
-    bus: BusName,
+    bus: BusName | None = None,
+    device: str | None = None,
     name: str | None = None,
     directory: Path = Path(),
     dbc: Path | None = None,
@@ -43,6 +44,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
     Args:
         load: Kind of load.
         bus: Kind of bus.
+        device: Device whose description comes with this package, in place of the bus.
         name: Name of the drive, the kind of load when left out.
         directory: Folder for the files.
         dbc: DBC file of the drive.
@@ -52,12 +54,16 @@ def init(  # noqa: PLR0913 - one parameter for each option
     Returns:
         0 when the file passes `check`, 2 when something is left to fill in.
     """
-    _refuse_misfits(bus, dbc, eds)
     drive = load if name is None else _refuse_misnamed(name)
-    part = _described(load, directory, dbc, eds, ask=sys.stdin.isatty() and not yes)
-    starter = compose(
-        load, bus, drive, part, stride=clock_ticks(part or ""), output_unit=output_unit(part or "")
-    )
+    if device is not None:
+        _refuse_two(bus, dbc, eds)
+        starter = of_device(load, device, drive)
+    else:
+        known = _refuse_misfits(bus, dbc, eds)
+        part = _described(load, directory, dbc, eds, ask=sys.stdin.isatty() and not yes)
+        described = part or ""
+        stride, unit = clock_ticks(described), output_unit(described)
+        starter = compose(load, known, drive, part, stride=stride, output_unit=unit)
     path = _write(starter, directory, drive)
     return _name_next_steps(path, _check(path))
 
@@ -77,12 +83,23 @@ def _name_next_steps(path: Path, problem: str) -> int:
     return 0
 
 
-def _refuse_misfits(bus: BusName, dbc: Path | None, eds: Path | None) -> None:
+def _refuse_two(*given: object) -> None:
+    if any(one is not None for one in given):
+        flaw = Flaw("--device", "describes bus and signals: leave --bus, --dbc and --eds out")
+        raise ConfigurationError("init", [flaw])
+
+
+def _refuse_misfits(bus: BusName | None, dbc: Path | None, eds: Path | None) -> BusName:
+    """Return the kind of bus; refuse a missing one, and a file that describes another."""
+    if bus is None:
+        flaw = Flaw("--bus", f"is missing, or --device: one of {', '.join(device_names())}")
+        raise ConfigurationError("init", [flaw])
     if dbc is not None and bus != "can":
         raise ConfigurationError("--dbc", [Flaw(str(dbc), f"describes a drive on can, not {bus}")])
     if eds is not None and bus != "canopen":
         flaw = Flaw(str(eds), f"describes a drive on canopen, not {bus}")
         raise ConfigurationError("--eds", [flaw])
+    return bus
 
 
 def _refuse_misnamed(name: str) -> str:

@@ -19,7 +19,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.modbus.capacity import Exchange, exchange_bytes
 from adaptdrive.hardware.modbus.link import ModbusConnection
-from adaptdrive.hardware.modbus.mapping import Poll, map_drive, value_in, written
+from adaptdrive.hardware.modbus.mapping import Poll, block_words, map_drive, value_in
 from adaptdrive.hardware.modbus.replies import function_of
 from tests.config.modbus_documents import parse
 
@@ -90,9 +90,7 @@ async def polled(bus: ModbusTcp, poll: Poll) -> dict[str, float | None]:
             words = await link.exchange(Exchange(read=block), [])
             found |= {one.quantity: value_in(one, block, words) for one in sources}
         for block, sinks in poll.writes:
-            words = [
-                word for sink in sinks for word in written(sink, Command(0.0, 2.5, bridge=True), 0)
-            ]
+            words = block_words(block, sinks, Command(0.0, 2.5, bridge=True), 0)
             await link.exchange(Exchange(write=block), words)
     finally:
         link.close()

@@ -11,7 +11,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, exchange_bytes, exchange_s
-from adaptdrive.hardware.modbus.mapping import Poll, map_drive, written
+from adaptdrive.hardware.modbus.mapping import Poll, block_words, map_drive
 from tests.config.modbus_documents import parse
 
 HALF_CYCLE_s = 1.0 / 120.0
@@ -114,8 +114,7 @@ def test_a_drive_that_could_not_be_switched_off_is_a_flaw() -> None:
 def test_a_constant_is_written_with_each_command() -> None:
     writes = plan(signals__command__constants__alive="7").writes
     assert [
-        [word for sink in sinks for word in written(sink, Command(0.0, 2.5, bridge=True), 0)]
-        for _, sinks in writes
+        block_words(block, sinks, Command(0.0, 2.5, bridge=True), 0) for block, sinks in writes
     ] == [[250, 1, 7]]
     found = flaws(signals__command__constants__alive="7.5")
     assert "alive = 7.5 would be sent as 8" in found["signals.command.constants.alive"]

@@ -1,0 +1,51 @@
+"""What each description of a device says of itself, and how `init` hands it over."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.examine import load_examined
+from adaptdrive.app.starter import device_names, of_device
+from adaptdrive.cli import main
+from adaptdrive.errors import ConfigurationError
+from tests.devices.described import DEVICES, NAMES
+
+
+def test_there_are_devices_of_every_kind() -> None:
+    assert len(NAMES) >= 12
+    assert device_names() == NAMES
+    tables = [tomllib.loads((DEVICES / f"{name}.toml").read_text()) for name in NAMES]
+    assert {one["bus"]["type"] for one in tables} >= {"can", "canopen", "modbus-rtu"}
+    assert {one["load"]["type"] for one in tables} == {"motor", "bath", "battery"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_names_its_source_and_what_was_tried(name: str) -> None:
+    text = (DEVICES / f"{name}.toml").read_text()
+    assert re.search(r"(?m)^# Source: .{20}", text)
+    assert re.search(r"(?m)^# Tried: .{20}", text)
+    assert "\n# Checked, never on hardware.\n" in text
+    tests = "".join(path.read_text() for path in Path(__file__).parent.glob("test_*_devices.py"))
+    assert f'"{name}"' in tests
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_init_writes_a_configuration_that_check_accepts(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    load = tomllib.loads((DEVICES / f"{name}.toml").read_text())["load"]["type"]
+    words = ["init", load, "--device", name, "--name", "mine", "--directory", str(tmp_path)]
+    assert main(words) == 0
+    assert load_examined(tmp_path / "mine.toml").drive.name == "mine"
+    assert "next:" in capsys.readouterr().out
+
+
+def test_an_unknown_device_and_another_load_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match="did you mean 'delta-ms300'"):
+        of_device("motor", "delta-ms30", "mine")
+    with pytest.raises(ConfigurationError, match="is described with a motor, not with a bath"):
+        of_device("bath", "vesc", "mine")
