@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from adaptdrive.recording.records import CommandRow, EventRow, Header
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from tests.app.test_replay import EXAMPLE, lived
 from tests.recording.material import INFO, make_batch, record_messages
@@ -26,7 +26,7 @@ def session_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
         '"adaptdrive.dbc"', f'"{EXAMPLE.with_name("adaptdrive.dbc")}"'
     )
     info = msgspec.structs.replace(INFO, output_unit="V")
-    directory = create_session(NewSession(tmp_path_factory.mktemp("sessions"), info, text))
+    directory = create_session(tmp_path_factory.mktemp("sessions"), info, text)
     ticks, slow = stamped(*lived((0.0113, 40.0, 300.7)))
     batch = msgspec.structs.replace(
         make_batch(ticks, slow, last=True),

@@ -20,7 +20,7 @@ from scipy.io import loadmat
 from adaptdrive.analysis.export import export
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header, SensorColumn
-from adaptdrive.recording.session import TICKS, NewSession, create_session
+from adaptdrive.recording.session import TICKS, create_session
 from tests.operation.peers import load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
@@ -87,7 +87,7 @@ SENSORS = ("2nd.inflow", "_x.inflow", "2nd-inflow", "a" * 64 + ".water", "a" * 6
 @pytest.fixture
 def sensed_path(tmp_path: Path) -> Path:
     """A session with sensors, whose first slow step comes 20 s after its first tick."""
-    directory = create_session(NewSession(tmp_path / "sessions", INFO, ""))
+    directory = create_session(tmp_path / "sessions", INFO, "")
     columns = tuple(SensorColumn(name, "K", "temperature", "sensor bus") for name in SENSORS)
     step = replace(load_report(1), time_s=70.0)
     batch = msgspec.structs.replace(

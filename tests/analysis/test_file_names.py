@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.cli import main
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from tests.app.test_replay import EXAMPLE, PRIOR, lived
 from tests.recording.material import INFO, make_batch, record_messages
 
@@ -21,7 +21,7 @@ NAME = os.fsdecode(b"adaptdrive-\xff")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session that was copied to a folder with such a name."""
     folder, text = tmp_path_factory.mktemp("state"), EXAMPLE.read_text(encoding="utf-8")
-    directory = create_session(NewSession(folder, INFO, text))
+    directory = create_session(folder, INFO, text)
     record_messages(directory, Header(INFO, text), make_batch(*lived(PRIOR, 20), last=True))
     return directory.rename(folder / NAME)
 

@@ -15,7 +15,7 @@ from adaptdrive.cli import main
 from adaptdrive.errors import IdentificationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
@@ -82,7 +82,7 @@ def test_a_line_whose_frequency_wanders_has_one_period(tmp_path: Path) -> None:
         replace(one, measurement=replace(one.measurement, tick_period_s=1.003 / 120.0))
         for one in map(make_tick, range(2000, 2600))
     ]
-    directory = create_session(NewSession(tmp_path, INFO, ""))
+    directory = create_session(tmp_path, INFO, "")
     record_messages(directory, Header(INFO, ""), make_batch([*ticks, *slower], last=True))
     stretches = read_stretches(read_session(directory))
     assert len(stretches) == 2

@@ -17,7 +17,7 @@ from adaptdrive.cli import main
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import ConfigurationError, IdentificationError
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from tests.app.test_replay import EXAMPLE, PRIOR, lived
 from tests.closed_loop.bench import STEP
@@ -32,7 +32,7 @@ def stepped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three cycles of the square wave with three disks, of which the nominal model is ignorant."""
     text = EXAMPLE.read_text(encoding="utf-8")
     info = msgspec.structs.replace(INFO, output_unit="V", prior=PRIOR)
-    directory = create_session(NewSession(tmp_path_factory.mktemp("sessions"), info, text))
+    directory = create_session(tmp_path_factory.mktemp("sessions"), info, text)
     batch = make_batch(*lived(PRIOR, 360), last=True)
     record_messages(directory, Header(info, text), batch)
     return directory
@@ -107,7 +107,7 @@ def by_hand(ticks: list[TickReport]) -> list[TickReport]:
 
 def recorded(folder: Path, ticks: list[TickReport], slow: list[LoadReport]) -> Path:
     text = EXAMPLE.read_text(encoding="utf-8")
-    directory = create_session(NewSession(folder, INFO, text))
+    directory = create_session(folder, INFO, text)
     record_messages(directory, Header(INFO, text), make_batch(ticks, slow, last=True))
     return directory
 

@@ -14,7 +14,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.session import NewSession, create_session, read_info, write_info
+from adaptdrive.recording.session import create_session, read_info, write_info
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import STEP, Bench, order, square_wave
@@ -64,7 +64,7 @@ def test_the_prior_is_part_of_the_record(
 ) -> None:
     info = msgspec.structs.replace(INFO, prior=PRIOR)
     text = EXAMPLE.read_text(encoding="utf-8")
-    directory = create_session(NewSession(tmp_path, info, text))
+    directory = create_session(tmp_path, info, text)
     ticks, slow = lived(PRIOR)
     assert slow[-1].decision.controller is Mode.ADAPTIVE
     header = Header(info, text)
@@ -88,7 +88,7 @@ def test_so_is_the_resolution_that_an_earlier_run_found(
     step = 0.01
     text = EXAMPLE.read_text(encoding="utf-8")
     info = msgspec.structs.replace(INFO, prior=PRIOR, resolution=step)
-    directory = create_session(NewSession(tmp_path, info, text))
+    directory = create_session(tmp_path, info, text)
     ticks, slow = lived(PRIOR, 10, step)
     assert all(one.snapshot.resolution == step for one in slow)
     record_messages(directory, Header(info, text), make_batch(ticks, slow, last=True))
@@ -112,7 +112,7 @@ def test_a_setting_without_effect_on_a_replay_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], setting: str, warned: bool
 ) -> None:
     text = EXAMPLE.read_text(encoding="utf-8")
-    directory = create_session(NewSession(tmp_path, INFO, text))
+    directory = create_session(tmp_path, INFO, text)
     ticks, slow = lived(None, seconds=3)
     record_messages(directory, Header(INFO, text), make_batch(ticks, slow, last=True))
     replay(str(directory), [setting])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.app.interlocks import response_limits
-from adaptdrive.app.response_table import response_table
+from adaptdrive.app.reach_table import response_table
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.hardware.port import Reading

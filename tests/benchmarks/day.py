@@ -19,7 +19,7 @@ import msgspec
 
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.session import NewSession, create_session, session_directories
+from adaptdrive.recording.session import create_session, session_directories
 from tests.benchmarks.day_material import CONFIG, STRETCH_s, repeated, stretch
 from tests.benchmarks.rows import Extent, Row
 from tests.benchmarks.tools import BUSY
@@ -71,7 +71,7 @@ def _recorded(folder: Path, batches: list[Batch], hours: int) -> Iterator[Run]:
     info = msgspec.structs.replace(INFO, output_unit="V", log="../motor.log")
     header = Header(info, CONFIG.read_text(encoding="utf-8"), sessions="sessions")
     log, sessions = folder / "motor.log", folder / "sessions"
-    create_session(NewSession(sessions, info, header.config_text))
+    create_session(sessions, info, header.config_text)
     seconds = repeated(batches, hours * 3600, info.started.timestamp())
     for hour in range(1, hours + 1):
         for _ in range(3600 // _FILE_s):

@@ -17,7 +17,7 @@ from adaptdrive.control.signals import Command, Measurement, Mode, Order
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.pure import build_name
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetVoltage, SetWaveform
 from adaptdrive_sim.noise import NoiseParameters
@@ -112,7 +112,7 @@ def _record(
         ticks_per_period=configuration.ticks_per_period,
         latency_ticks=load.latency_ticks,
     )
-    directory = create_session(NewSession(folder / name, info, text))
+    directory = create_session(folder / name, info, text)
     record_messages(directory, Header(info, text), make_batch(drive.reports, drive.slow, last=True))
 
 

@@ -18,7 +18,7 @@ import pytest
 import adaptdrive
 from adaptdrive.recording.recorder import EVENT_KIND
 from adaptdrive.recording.records import EventRow, Header
-from adaptdrive.recording.session import Dropped, NewSession, create_session
+from adaptdrive.recording.session import Dropped, create_session
 from adaptdrive.runtime.reports import EVENT_KINDS
 from tests.recording.material import INFO, make_batch, make_tick, record_messages, write_log
 
@@ -48,7 +48,7 @@ def recorded(tmp_path: Path, dropped: Dropped) -> Path:
 
 
 def recorded_events(tmp_path: Path, dropped: Dropped, events: list[EventRow]) -> Path:
-    directory = create_session(NewSession(tmp_path / "sessions", INFO, ""))
+    directory = create_session(tmp_path / "sessions", INFO, "")
     ticks = make_batch([make_tick(number) for number in range(1000)])
     last = msgspec.structs.replace(make_batch([], last=True), events=events, dropped=dropped)
     record_messages(directory, Header(INFO, ""), ticks, last)
@@ -140,7 +140,7 @@ def test_a_fifo_in_a_session_hangs_nothing_and_hides_no_other(tmp_path: Path, na
 
 def test_what_a_killed_daemon_has_left_unwritten_is_named(tmp_path: Path) -> None:
     info = msgspec.structs.replace(INFO, log="../motor.log")
-    directory = create_session(NewSession(tmp_path / "sessions", info, ""))
+    directory = create_session(tmp_path / "sessions", info, "")
     batch = make_batch([make_tick(number) for number in range(10)])
     left = write_log(tmp_path / "motor.log", Header(info, ""), batch)
     answer = run(tmp_path, "sessions", "verify")

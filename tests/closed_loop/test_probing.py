@@ -19,7 +19,7 @@ from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import LoadReport, StopWord, TickReport
 from adaptdrive.runtime.requests import Disable, Enable, SetMode, SetSetpoint, SetWaveform
@@ -205,7 +205,7 @@ def test_a_probe_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     wait_for_a_probe(drive)
     wait(drive, 60.0)
     batch = make_batch(drive.kept.ticks, drive.kept.slow, last=True)
-    directory = create_session(NewSession(tmp_path, INFO, ""))
+    directory = create_session(tmp_path, INFO, "")
     record_messages(directory, Header(INFO, ""), batch)
     controller = Controller(controller_settings(configuration), build_load(configuration))
     report = replay(read_session(directory), controller)

@@ -125,9 +125,14 @@ def _events() -> bytes:
     row = "(1, '2026-01-01T00:00:00+00:00', 5.0, 7"
     return _database(
         "events.good",
-        *event_log._TABLES.split(";")[:2],
-        f"INSERT INTO events VALUES {row}, 'trip', 'error', 'stale')",
-        f"INSERT INTO commands VALUES {row}, 'mode', 'fixed', 'x', 1, '')",
+        *(
+            f"CREATE TABLE {table} ({', '.join(event_log._columns(kind).values())})"
+            for kind, table in event_log._TABLES.items()
+        ),
+        "INSERT INTO events (id, time, monotonic_s, tick, kind, severity, detail) "
+        f"VALUES {row}, 'trip', 'error', 'stale')",
+        "INSERT INTO commands (id, time, monotonic_s, command_id, verb, value, user, accepted, "
+        f"reason) VALUES {row}, 'mode', 'fixed', 'x', 1, '')",
     )
 
 

@@ -19,7 +19,8 @@ from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import recall
 from adaptdrive.recording.memory import Recalled
-from adaptdrive.recording.recorder import Clocks, Feed, Place, Recorder
+from adaptdrive.recording.recorder import Recorder
+from adaptdrive.recording.recorder_settings import Clocks, Place
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.hub import Hub
 from tests.recording.material import INFO
@@ -74,11 +75,8 @@ async def keeping(folder: Path, hub: Hub) -> AsyncIterator[Ledger]:
     """The log of a daemon that records no session."""
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
     recalled = recall(folder, datetime.now(UTC))
-    feed = Feed.of(hub, flush_s=0.25)
-    recorder = Recorder(
-        Place(folder, None), Header(INFO, ""), feed, hub.publish, clocks, recalled=recalled
-    )
-    hub.keep_with(recorder.keep)
+    recorder = Recorder(Place(folder, None), Header(INFO, ""), hub, clocks, recalled=recalled)
+    hub.keep_with(recorder.kept)
     running = asyncio.create_task(recorder.run())
     try:
         yield ledger_of(recalled, recorder)

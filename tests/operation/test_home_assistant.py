@@ -76,7 +76,7 @@ async def test_the_device_is_announced_only_where_it_is_wanted(
 async def test_what_home_assistant_sends_is_accepted(
     mosquitto: Broker, tmp_path: Path, name: str, value: str, request_: Request
 ) -> None:
-    component = discovery(profile("commanded"), "homeassistant").payload["components"][name]
+    component = discovery(profile("commanded"), "homeassistant")[1]["components"][name]
     verb = component["command_topic"].rpartition("/")[2]
     payload = rendered(component["command_template"], value=value)
     validators()[f"command/{verb}"].validate(json.loads(payload))
@@ -90,7 +90,7 @@ async def test_only_a_stop_of_home_assistant_acts_late(
     mosquitto: Broker, tmp_path: Path, name: str, value: str, request_: Request
 ) -> None:
     """Its client sends again, after any time, what a loss of the broker has left unacknowledged."""
-    component = discovery(profile("late"), "homeassistant").payload["components"][name]
+    component = discovery(profile("late"), "homeassistant")[1]["components"][name]
     verb = component["command_topic"].rpartition("/")[2]
     given = datetime.now(UTC) - timedelta(seconds=5)
     payload = rendered(component["command_template"], at=given, value=value)
@@ -102,7 +102,7 @@ async def test_only_a_stop_of_home_assistant_acts_late(
 
 
 def test_commands_of_home_assistant_expire_alike_when_summer_time_ends() -> None:
-    component = discovery(profile("x"), "homeassistant").payload["components"]["enable"]
+    component = discovery(profile("x"), "homeassistant")[1]["components"]["enable"]
     for minutes in range(0, 180, 10):
         given = datetime(2026, 10, 25, tzinfo=UTC) + timedelta(minutes=minutes)
         payload = Payload(rendered(component["command_template"], at=given).encode())
@@ -112,7 +112,7 @@ def test_commands_of_home_assistant_expire_alike_when_summer_time_ends() -> None
 async def test_what_home_assistant_shows_is_in_the_messages(
     mosquitto: Broker, tmp_path: Path
 ) -> None:
-    payload = json.loads(encode(discovery(profile("shown"), "homeassistant").payload))
+    payload = json.loads(encode(discovery(profile("shown"), "homeassistant")[1]))
     async with (
         serving(mosquitto, "shown", tmp_path) as bench,
         listening(mosquitto, bench.topic("#")) as ear,
@@ -147,22 +147,22 @@ async def test_what_home_assistant_shows_is_in_the_messages(
 def test_a_rise_of_temperature_is_no_temperature() -> None:
     for unit, wanted in (("K", "temperature_delta"), ("°C", "temperature")):
         warm = replace(profile("x"), output=Output("temperature", unit))
-        shown = discovery(warm, "homeassistant").payload["components"]["output"]
+        shown = discovery(warm, "homeassistant")[1]["components"]["output"]
         assert (shown["device_class"], shown["unit_of_measurement"]) == (wanted, unit)
 
 
 def test_limits_and_units_are_those_of_the_drive() -> None:
-    number = discovery(profile("x"), "homeassistant").payload["components"]["setpoint"]
+    number = discovery(profile("x"), "homeassistant")[1]["components"]["setpoint"]
     assert (number["min"], number["max"], number["unit_of_measurement"]) == (0.0, 4.0, "V")
 
 
 def test_a_narrow_range_has_a_step_that_home_assistant_takes() -> None:
     narrow = replace(profile("x"), limits={"setpoint": (0.0, 0.5)})
-    number = discovery(narrow, "homeassistant").payload["components"]["setpoint"]
+    number = discovery(narrow, "homeassistant")[1]["components"]["setpoint"]
     assert number["step"] == 1e-3  # it leaves a control with a smaller one out
 
 
 def test_enabling_from_home_assistant_must_be_switched_on_there() -> None:
-    components = discovery(profile("x"), "homeassistant").payload["components"]
+    components = discovery(profile("x"), "homeassistant")[1]["components"]
     hidden = [name for name, one in components.items() if one.get("enabled_by_default") is False]
     assert hidden == ["enable"]

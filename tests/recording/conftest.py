@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from tests.recording.material import INFO
 
 
 @pytest.fixture
-def new_session(tmp_path: Path) -> NewSession:
-    return NewSession(tmp_path / "sessions", INFO, "# as configured\n")
+def sessions(tmp_path: Path) -> Path:
+    return tmp_path / "sessions"
 
 
 @pytest.fixture
-def directory(new_session: NewSession) -> Path:
-    return create_session(new_session)
+def directory(sessions: Path) -> Path:
+    return create_session(sessions, INFO, "# as configured\n")
 
 
 @pytest.fixture

@@ -12,7 +12,8 @@ from itertools import count
 from pathlib import Path
 
 from adaptdrive.app.log import log_events
-from adaptdrive.recording.recorder import Clocks, Feed, Place, Recorder, WritePace
+from adaptdrive.recording.recorder import Recorder
+from adaptdrive.recording.recorder_settings import Clocks, Place, WritePace
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, Severity
@@ -30,10 +31,10 @@ async def publish(hub: Hub) -> None:
 async def main(sessions: Path) -> None:
     hub = Hub()
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
-    feed, pace = Feed.of(hub, flush_s=0.1), WritePace(flush_s=0.1, keep_s=60.0)
+    pace = WritePace(flush_s=0.1, keep_s=60.0)
     place = Place(sessions.with_name("motor.log"), sessions)
-    recorder = Recorder(place, Header(INFO, ""), feed, hub.publish, clocks, pace)
-    hub.keep_with(recorder.keep)
+    recorder = Recorder(place, Header(INFO, ""), hub, clocks, pace)
+    hub.keep_with(recorder.kept)
     events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:
         group.create_task(recorder.run())

@@ -21,7 +21,6 @@ from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import (
     Dropped,
     Ending,
-    NewSession,
     create_session,
     read_info,
     session_directories,
@@ -75,7 +74,7 @@ class Place:
 
     def begin(self) -> Path:
         header = self.header()
-        return create_session(NewSession(self.sessions, header.info, header.config_text))
+        return create_session(self.sessions, header.info, header.config_text)
 
 
 @pytest.fixture
@@ -215,7 +214,7 @@ def test_a_session_that_cannot_be_written_keeps_no_other_from_it(place: Place) -
     first = place.begin()
     place.write(0, last=True)
     second = place.header(started=LATER)
-    create_session(NewSession(place.sessions, second.info, ""))
+    create_session(place.sessions, second.info, "")
     place.add(make_batch([make_tick(0)], last=True), started=LATER)
     (first / "events.sqlite").write_bytes(b"no database" * 100)
     with pytest.raises(RecordingError, match="stays in the log"):

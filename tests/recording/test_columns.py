@@ -16,7 +16,7 @@ from pyarrow import parquet as pq
 from adaptdrive.app.recording import sensor_columns
 from adaptdrive.config import load_configuration
 from adaptdrive.recording.records import CommandRow, Header, sensor_row
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from adaptdrive.recording.tables import INPUT_UNIT
 from adaptdrive.runtime.reports import SensorReport, SensorSample
 from tests.operation.peers import drive_report, load_report
@@ -52,7 +52,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         sensors=[sensor_row(report), sensor_row(SAMPLE)],
         commands=[COMMAND],
     )
-    directory = create_session(NewSession(tmp_path_factory.mktemp("sessions"), info, ""))
+    directory = create_session(tmp_path_factory.mktemp("sessions"), info, "")
     record_messages(directory, Header(info, "", sensors=columns), batch)
     return directory
 

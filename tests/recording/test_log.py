@@ -16,7 +16,8 @@ from adaptdrive.recording import log_writer, reserve
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import is_live, log_files, recall, records
-from adaptdrive.recording.log_writer import LogNews, LogWriter
+from adaptdrive.recording.log_syncs import LogNews
+from adaptdrive.recording.log_writer import LogWriter
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import Dropped

@@ -19,7 +19,8 @@ from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.log_writer import LogWriter
 from adaptdrive.recording.notes import session_notes
 from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Place, Recorder, WritePace
+from adaptdrive.recording.recorder import EVENT_KIND, Recorder
+from adaptdrive.recording.recorder_settings import Clocks, Place, WritePace
 from adaptdrive.recording.records import EventRow, Header, Keep
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories
@@ -53,11 +54,10 @@ class Bench:
         self.hub = Hub()
         self.sessions = sessions
         self.published = 0
-        self.feed = Feed.of(self.hub, flush_s=0.05)
         self.told = self.hub.subscribe(Event, size=100)
         pace = WritePace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s, trip_s=0.5)
         place, header = Place(log_of(sessions), sessions), Header(INFO, "# as configured\n")
-        self.recorder = Recorder(place, header, self.feed, self.hub.publish, CLOCKS, pace)
+        self.recorder = Recorder(place, header, self.hub, CLOCKS, pace)
         self.running: asyncio.Task[None] | None = None
 
     @property
@@ -200,7 +200,7 @@ async def test_an_event_is_on_disk_before_the_next_flush(sessions: Path) -> None
     hub = Hub()
     pace = WritePace(flush_s=10 * PATIENCE_S, close_s=4 * PATIENCE_S)
     place, header = Place(log_of(sessions), sessions), Header(INFO, "")
-    recorder = Recorder(place, header, Feed.of(hub, 1.0), hub.publish, CLOCKS, pace)
+    recorder = Recorder(place, header, hub, CLOCKS, pace)
     hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", 77))
     async with asyncio.TaskGroup() as group, asyncio.timeout(PATIENCE_S):
         running = group.create_task(recorder.run())

@@ -21,7 +21,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from tests.recording.material import INFO, make_batch, record_messages
 
@@ -237,7 +237,7 @@ def test_a_session_that_grows_meanwhile_is_replayed_as_far_as_it_was_known(
     known = 400
     early = [report for report in daemon.slow if report.snapshot.tick < known]
     begun, grown = (
-        recorded(create_session(NewSession(tmp_path / name, INFO, "")), ticks, slow)
+        recorded(create_session(tmp_path / name, INFO, ""), ticks, slow)
         for name, ticks, slow in (
             ("begun", daemon.ticks[:known], early),
             ("grown", daemon.ticks, daemon.slow),

@@ -15,7 +15,6 @@ from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import (
     Ending,
-    NewSession,
     create_session,
     read_info,
     recorded_directories,
@@ -29,7 +28,7 @@ NOW = INFO.started + timedelta(days=10)
 
 def recorded(sessions: Path, age_days: float, ticks: int = 50) -> Path:
     info = msgspec.structs.replace(INFO, started=NOW - timedelta(days=age_days))
-    directory = create_session(NewSession(sessions, info, ""))
+    directory = create_session(sessions, info, "")
     batch = make_batch([make_tick(number) for number in range(ticks)], last=True)
     record_messages(directory, Header(info, ""), batch)
     return directory

@@ -12,7 +12,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.session import (
     Dropped,
     Ending,
-    NewSession,
+    SessionInfo,
     create_session,
     find_session,
     read_info,
@@ -48,34 +48,33 @@ def test_a_new_session_holds_its_facts_at_once(directory: Path) -> None:
     assert [path.name for path in directory.parent.iterdir()] == [directory.name]
 
 
-def test_sessions_of_one_second_do_not_share_a_directory(new_session: NewSession) -> None:
-    names = [create_session(new_session).name for _ in range(3)]
+def test_sessions_of_one_second_do_not_share_a_directory(sessions: Path) -> None:
+    names = [create_session(sessions, INFO, "").name for _ in range(3)]
     first = "20261121T012209Z_motor"
     assert names == [first, f"{first}-2", f"{first}-3"]
 
 
 def test_drives_of_two_containers_that_begin_at_once_make_a_session_each(
-    new_session: NewSession, monkeypatch: pytest.MonkeyPatch
+    sessions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A container counts its processes for itself: the same number is there twice."""
     monkeypatch.setattr(threading, "get_native_id", lambda: 7)
-    drives = [
-        NewSession(
-            new_session.sessions, msgspec.structs.replace(new_session.info, drive=name), name
-        )
-        for name in ("motor", "bath")
-    ]
+    drives = [msgspec.structs.replace(INFO, drive=name) for name in ("motor", "bath")]
+
+    def create(info: SessionInfo) -> Path:
+        return create_session(sessions, info, info.drive)
+
     with ThreadPoolExecutor(max_workers=2) as both:
         for _ in range(100):
-            for drive, directory in zip(drives, both.map(create_session, drives), strict=True):
-                assert read_info(directory) == drive.info
-                assert (directory / "config.toml").read_text() == drive.config_text
+            for info, directory in zip(drives, both.map(create, drives), strict=True):
+                assert read_info(directory) == info
+                assert (directory / "config.toml").read_text() == info.drive
 
 
-def test_a_file_in_the_way_is_an_error_that_names_it(new_session: NewSession) -> None:
-    new_session.sessions.write_text("")
-    with pytest.raises(OSError, match=str(new_session.sessions)):
-        create_session(new_session)
+def test_a_file_in_the_way_is_an_error_that_names_it(sessions: Path) -> None:
+    sessions.write_text("")
+    with pytest.raises(OSError, match=str(sessions)):
+        create_session(sessions, INFO, "")
 
 
 def test_a_session_is_found_by_path_and_by_name(directory: Path) -> None:
@@ -88,8 +87,8 @@ def test_a_session_is_found_by_path_and_by_name(directory: Path) -> None:
 
 def test_the_last_session_is_taken_where_none_is_named(directory: Path) -> None:
     sessions = directory.parent
-    later = NewSession(sessions, msgspec.structs.replace(INFO, started=datetime.now(UTC)), "")
-    newest = create_session(later)
+    later = msgspec.structs.replace(INFO, started=datetime.now(UTC))
+    newest = create_session(sessions, later, "")
     assert find_session(None, sessions) == newest
     with pytest.raises(RecordingError, match="empty: it holds no session"):
         find_session(None, sessions / "empty")
@@ -99,7 +98,7 @@ def test_the_last_session_is_taken_where_none_is_named(directory: Path) -> None:
 def test_a_session_has_its_name_wherever_the_operator_is(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    directory = create_session(NewSession(tmp_path, INFO, ""))
+    directory = create_session(tmp_path, INFO, "")
     (directory / "trip-1").mkdir()
     monkeypatch.chdir(directory)
     assert find_session(name.format(directory.name), tmp_path).name == directory.name
@@ -149,6 +148,6 @@ def test_a_directory_without_a_session_is_an_error(tmp_path: Path) -> None:
         read_info(tmp_path)
 
 
-def test_a_folder_in_the_making_is_no_session(new_session: NewSession, directory: Path) -> None:
+def test_a_folder_in_the_making_is_no_session(sessions: Path, directory: Path) -> None:
     shutil.copytree(directory, directory.with_name(".new-1"))
-    assert list(session_directories(new_session.sessions)) == [directory]
+    assert list(session_directories(sessions)) == [directory]

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
@@ -45,14 +44,8 @@ Remark = Callable[[str], None]
 """Prints a remark next to what is shown."""
 
 
-class Show(Protocol):
-    """Prints what is known after so many half seconds."""
-
-    def __call__(
-        self, configuration: Configuration, port: Port, reading: Reading | None, number: int, /
-    ) -> None:
-        """Print it."""
-        ...
+Show = Callable[[Configuration, Port, Reading | None, int], None]
+"""Prints what is known after so many half seconds."""
 
 
 class _Probe:

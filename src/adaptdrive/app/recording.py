@@ -20,7 +20,8 @@ from adaptdrive.operation.ledger import Ledger
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log_files import log_folder
 from adaptdrive.recording.memory import Recalled
-from adaptdrive.recording.recorder import Clocks, Feed, Place, Recorder, WritePace
+from adaptdrive.recording.recorder import Recorder
+from adaptdrive.recording.recorder_settings import Clocks, Place, WritePace
 from adaptdrive.recording.records import Header, Keep, SensorColumn
 from adaptdrive.recording.session import SessionInfo, sessions_directory
 from adaptdrive.runtime.hub import Hub
@@ -59,8 +60,7 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     clocks = Clocks(lambda: datetime.now(UTC), now_s)
     pace = WritePace(flush_s=recording.flush_s, start_thread=start_thread)
     place = place_of(configuration)
-    feed = Feed.of(hub, recording.flush_s)
-    return Recorder(place, header, feed, hub.publish, clocks, pace, recalled)
+    return Recorder(place, header, hub, clocks, pace, recalled)
 
 
 def ledger_of(recalled: Recalled, recorder: Recorder) -> Ledger:

@@ -45,7 +45,6 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
-from adaptdrive.hardware.port import Port
 from adaptdrive.lines import log
 from adaptdrive.operation.ledger import Ledger
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
@@ -175,7 +174,8 @@ async def _run(
         start("lock", send_visitors_away(locks))
         start("log", log_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
-        start("mqtt", _mqtt(configuration, daemon, hub, parts.ledger).run())
+        profile, around = operator_profile(configuration), ServiceSurroundings(parts.ledger)
+        start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
         start("opened", course.opened(daemon.opened))
         if keeper is not None:
             ending.callback(keeper.save)
@@ -204,30 +204,10 @@ def _build(
     controller = controller_from(settings, load, learnt)
     rehearsal = build_rehearsal(configuration, path)
     recorder = build_recorder(configuration, given.text, hub, recalled, learnt, start_thread)
-    hub.keep_with(recorder.keep)
+    hub.keep_with(recorder.kept)
     publish_samples(port, hub.publish, now_s)
     keeper = _keeper(configuration, recorder, controller, hub) if is_kept(settings) else None
-    return _Parts(
-        daemon=_daemon(configuration, port, controller, hub, rehearsal, recorder, course),
-        bus=port.description,
-        rehearsal=rehearsal,
-        recorder=recorder,
-        ledger=ledger_of(recalled, recorder),
-        keeper=keeper,
-        news=tuple(news_of(given, known, recalled)),
-    )
-
-
-def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon
-    configuration: Configuration,
-    port: Port,
-    controller: Controller,
-    hub: Hub,
-    rehearsal: Rehearsal,
-    recorder: Recorder,
-    course: RunCourse,
-) -> Daemon:
-    return Daemon(
+    daemon = Daemon(
         port=port,
         controller=controller,
         settings=daemon_settings(configuration),
@@ -238,6 +218,15 @@ def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon
         rehearse=rehearsal.tick,
         recorded=lambda: not recorder.failing,
         prepare=course.prepare,
+    )
+    return _Parts(
+        daemon=daemon,
+        bus=port.description,
+        rehearsal=rehearsal,
+        recorder=recorder,
+        ledger=ledger_of(recalled, recorder),
+        keeper=keeper,
+        news=tuple(news_of(given, known, recalled)),
     )
 
 
@@ -271,12 +260,6 @@ def _stop_on_signals(end: Callable[[], None]) -> None:
     for number in _ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             loop.add_signal_handler(number, end)
-
-
-def _mqtt(configuration: Configuration, daemon: Daemon, hub: Hub, ledger: Ledger) -> MqttService:
-    profile = operator_profile(configuration)
-    surroundings = ServiceSurroundings(ledger)
-    return MqttService(profile, configuration.mqtt, daemon, hub, surroundings)
 
 
 def _keeper(

@@ -36,8 +36,7 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     from adaptdrive.app.advice import advice  # noqa: PLC0415 - `schema` needs no bus
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415
     from adaptdrive.app.interlocks import response_limits  # noqa: PLC0415
-    from adaptdrive.app.reach_table import pole_line, reach_table  # noqa: PLC0415
-    from adaptdrive.app.response_table import response_table  # noqa: PLC0415
+    from adaptdrive.app.reach_table import pole_line, reach_table, response_table  # noqa: PLC0415
     from adaptdrive.app.settings import tick_s  # noqa: PLC0415
     from adaptdrive.app.time_limits import limits_table, time_limits  # noqa: PLC0415
     from adaptdrive.hardware.link.bus import missing_here  # noqa: PLC0415

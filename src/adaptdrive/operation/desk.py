@@ -8,14 +8,14 @@ waits for a slow disk must not undo the stop that came after it.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
 from msgspec.structs import replace
 
 from adaptdrive.errors import AdaptdriveError, RefusedError
-from adaptdrive.lines import log
+from adaptdrive.lines import Level, log
 from adaptdrive.operation.clock import WallClock
 from adaptdrive.operation.commands import LONGEST_ID, PING, STOP, Payload
 from adaptdrive.operation.memory import ReplyMemory
@@ -189,27 +189,17 @@ class Desk:
         return self._ration.take()
 
     def _log_unreadable(self, command: OperatorCommand) -> None:
-        if (withheld := self._withheld_lines()) is not None:
-            log(
-                "warning",
-                "command without a readable id",
-                verb=command.verb,
-                size=len(command.raw),
-                carried_out=command.stopped is not None,
-                withheld_lines=withheld,
-            )
+        size, stopped = len(command.raw), command.stopped is not None
+        facts = {"verb": command.verb, "size": size, "carried_out": stopped}
+        self._log("warning", "command without a readable id", facts)
 
     def _log_reply(self, reply: Reply) -> None:
+        facts = {"id": reply.id, "verb": reply.verb, "accepted": reply.accepted}
+        self._log("info", "command", facts | {"reason": reply.reason or None})
+
+    def _log(self, level: Level, event: str, facts: Mapping[str, object]) -> None:
         if (withheld := self._withheld_lines()) is not None:
-            log(
-                "info",
-                "command",
-                id=reply.id,
-                verb=reply.verb,
-                accepted=reply.accepted,
-                reason=reply.reason or None,
-                withheld_lines=withheld,
-            )
+            log(level, event, **facts, withheld_lines=withheld)
 
     def _repeated(self, command: OperatorCommand, payload: Payload) -> Reply | None:
         """Return the reply to a command whose id is known, None for a new one."""

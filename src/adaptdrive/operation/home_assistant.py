@@ -7,8 +7,6 @@ acknowledgement again, after any time: each command but a stop expires.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from adaptdrive.operation.messages import Payload
 from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.topics import Topics
@@ -33,21 +31,8 @@ _EXPIRING = (  # a sum in local time is an hour wrong in the hour that autumn re
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Announcement:
-    """A retained message outside the topics of the drive.
-
-    Attributes:
-        topic: Topic.
-        payload: Payload.
-    """
-
-    topic: str
-    payload: Payload
-
-
-def discovery(profile: Profile, prefix: str) -> Announcement:
-    """Return the discovery message of a drive.
+def discovery(profile: Profile, prefix: str) -> tuple[str, Payload]:
+    """Return the topic and the payload of the discovery message of a drive, which is retained.
 
     Args:
         profile: Name, unit and limits of the drive.
@@ -69,7 +54,7 @@ def discovery(profile: Profile, prefix: str) -> Announcement:
         "qos": 1,
         "components": components,
     }
-    return Announcement(f"{prefix}/device/{key}/config", payload)
+    return f"{prefix}/device/{key}/config", payload
 
 
 def _sensors(profile: Profile, topics: Topics) -> dict[str, Payload]:
@@ -78,46 +63,31 @@ def _sensors(profile: Profile, topics: Topics) -> dict[str, Payload]:
         "output": _measured(output.name, drive, "output", output.unit),
         "boost_reference": _measured("V_c", topics.load_telemetry, "boost_reference_V", "V"),
         "applied": _measured("boost voltage", drive, "boost_voltage_V", "V"),
-        "state": {
-            "platform": "sensor",
-            "name": "state",
-            "state_topic": topics.state,
-            "value_template": "{{ value_json.state }}",
-            "device_class": "enum",
-            "options": [state.value for state in State],
-        },
-        "controller": {
-            "platform": "sensor",
-            "name": "controller in force",
-            "state_topic": topics.state,
-            "value_template": "{{ value_json.controller }}",
-        },
-        "tripped": {
-            "platform": "binary_sensor",
-            "name": "trip",
-            "device_class": "problem",
-            "state_topic": topics.state,
-            "value_template": "{{ 'ON' if value_json.trip else 'OFF' }}",
-        },
-        "last_trip": {
-            "platform": "sensor",
-            "name": "last trip",
-            "state_topic": topics.state,
-            "value_template": _LAST_TRIP,
+        "state": _shown("state", topics.state, "{{ value_json.state }}")
+        | {"device_class": "enum", "options": [state.value for state in State]},
+        "controller": _shown("controller in force", topics.state, "{{ value_json.controller }}"),
+        "tripped": _shown("trip", topics.state, "{{ 'ON' if value_json.trip else 'OFF' }}")
+        | {"platform": "binary_sensor", "device_class": "problem"},
+        "last_trip": _shown("last trip", topics.state, _LAST_TRIP)
+        | {
             "json_attributes_topic": topics.state,
             "json_attributes_template": "{{ (value_json.last_trip or {}) | tojson }}",
         },
     }
 
 
-def _measured(name: str, topic: str, key: str, unit: str) -> Payload:
-    sensor: Payload = {
+def _shown(name: str, topic: str, template: str) -> Payload:
+    """Return a sensor that shows a part of a topic."""
+    return {
         "platform": "sensor",
         "name": name,
         "state_topic": topic,
-        "value_template": f"{{{{ value_json.{key} }}}}",
-        "state_class": "measurement",
+        "value_template": template,
     }
+
+
+def _measured(name: str, topic: str, key: str, unit: str) -> Payload:
+    sensor = _shown(name, topic, f"{{{{ value_json.{key} }}}}") | {"state_class": "measurement"}
     if unit:
         sensor["unit_of_measurement"] = unit
     if unit in _DEVICE_CLASSES:
@@ -133,26 +103,21 @@ def _controls(profile: Profile, topics: Topics) -> dict[str, Payload]:
         # whoever wants to energise the drive from Home Assistant switches this one on there
         "enable": _button("enable", topics.command("enable"), _EXPIRING)
         | {"enabled_by_default": False},
-        "mode": {
+        "mode": _shown("mode", topics.state, "{{ value_json.mode }}")
+        | {
             "platform": "select",
-            "name": "mode",
             "options": [mode.value for mode in profile.modes],
-            "state_topic": topics.state,
-            "value_template": "{{ value_json.mode }}",
             "command_topic": topics.command("mode"),
             "command_template": f'{{{_EXPIRING}, "value": "{{{{ value }}}}"}}',
         },
     }
     if low is not None and high is not None:
-        controls["setpoint"] = {
+        controls["setpoint"] = _shown("set-point", topics.state, "{{ value_json.setpoint }}") | {
             "platform": "number",
-            "name": "set-point",
             "min": low,
             "max": high,
             "step": max(_SMALLEST_STEP, (high - low) / _STEPS),
             "mode": "box",
-            "state_topic": topics.state,
-            "value_template": "{{ value_json.setpoint }}",
             "command_topic": topics.command("setpoint"),
             "command_template": f'{{{_EXPIRING}, "value": {{{{ value }}}}}}',
         }

@@ -14,10 +14,9 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from adaptdrive.lines import log
 from adaptdrive.operation.board import Mailbox
 from adaptdrive.operation.desk import Desk, OperatorCommand
-from adaptdrive.operation.home_assistant import Announcement
 from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.link import BrokerConnection
-from adaptdrive.operation.messages import OFFLINE, ONLINE, Reply, encode
+from adaptdrive.operation.messages import OFFLINE, ONLINE, Payload, Reply, encode
 from adaptdrive.operation.pace import Pace
 from adaptdrive.operation.probe import CommandProbe
 from adaptdrive.operation.topics import Topics
@@ -68,11 +67,11 @@ class BrokerSession:
         self._logged = 0
         self._logged_s = -LOGGED_EVERY_S
 
-    async def run(self, announcement: Announcement | None = None) -> None:
+    async def run(self, announcement: tuple[str, Payload] | None = None) -> None:
         """Serve until the connection is lost, or until cancelled: then publish that and leave.
 
         Args:
-            announcement: Retained message beside the topics of the drive, None for none.
+            announcement: Topic and payload of a retained message more, None for none.
 
         Raises:
             MqttError: The connection is lost.
@@ -80,8 +79,8 @@ class BrokerSession:
         try:
             await self._greet()
             if announcement is not None:
-                payload = encode(announcement.payload)
-                await self._client.publish(announcement.topic, payload, qos=1, retain=True)
+                topic, payload = announcement
+                await self._client.publish(topic, encode(payload), qos=1, retain=True)
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._client.lost(), name="mqtt connection")
                 tasks.create_task(self._answer_commands(), name="mqtt replies")

@@ -34,16 +34,14 @@ from adaptdrive.recording.segments import last_tick_time, parquet_path
 from adaptdrive.recording.session import (
     EVENTS_FILE,
     TABLES,
-    TICKS,
     Ending,
-    NewSession,
     SessionInfo,
     create_session,
     read_info,
     session_of,
     write_info,
 )
-from adaptdrive.recording.tick_times import TickTimes
+from adaptdrive.recording.tick_times import Counted
 from adaptdrive.recording.trip_record import write_trips
 from adaptdrive.runtime.reports import Severity
 
@@ -183,7 +181,7 @@ def _directory(logged: _Logged) -> Path | None:
     sessions = logged.folder.parent / header.sessions
     found = session_of(sessions, header.info)
     if found is None and logged_notes(logged.files).rows:
-        return create_session(NewSession(sessions, header.info, header.config_text))
+        return create_session(sessions, header.info, header.config_text)
     return found
 
 
@@ -208,12 +206,12 @@ def close_segment(
     """
     losses: list[str] = []
     notes = logged_notes(files, losses)
-    rows, times = dict(info.rows), TickTimes(info.histograms)
+    count = Counted(info.rows, info.histograms)
     for table in TABLES:
         schema = table_schema(header, table)
         write_parquet(
             parquet_path(directory, table, part),
-            _counted(logged_batches(files, table, schema), table, rows, times),
+            count.taken(table, logged_batches(files, table, schema)),
         )
     path = directory / EVENTS_FILE
     logged = info.logged
@@ -222,24 +220,14 @@ def close_segment(
     info = msgspec.structs.replace(
         info,
         segments=part,
-        rows=rows,
-        histograms=times.histograms,
+        rows=count.rows,
+        histograms=count.histograms,
         dropped=notes.dropped or info.dropped,
         logged=logged,
         losses=(*info.losses, *losses),
     )
     write_info(directory, info)
     return info
-
-
-def _counted(
-    batches: Iterator[pa.RecordBatch], table: str, rows: dict[str, int], times: TickTimes
-) -> Iterator[pa.RecordBatch]:
-    for batch in batches:
-        rows[table] = rows.get(table, 0) + batch.num_rows
-        if table == TICKS:
-            times.count(batch)
-        yield batch
 
 
 def _end(directory: Path, info: SessionInfo, logged: _Logged, report: Report) -> None:

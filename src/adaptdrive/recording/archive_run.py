@@ -1,48 +1,120 @@
-"""The archiver as the control process sees it: started in a thread, heard line by line."""
+"""The archiver as the control process sees it: started when it is due, heard line by line."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import msgspec
 
 from adaptdrive.aside import in_thread
-from adaptdrive.recording.records import News
+from adaptdrive.recording.recorder_settings import WritePace
+from adaptdrive.recording.records import Header, News
+from adaptdrive.recording.session import create_session, session_of
 from adaptdrive.runtime.reports import Severity
 
+_RETRY_S = 60.0
+"""Pause of the archiver after a failure."""
 
-async def run_archiver(
-    command: Sequence[str],
-    report: Callable[[Severity, str], None],
-    start_thread: Callable[[], None],
-) -> str:
-    """Run the archiver until it ends; it continues where this is cancelled.
 
-    Args:
-        command: Program and words.
-        report: Takes its events, in the event loop.
-        start_thread: What a thread does first.
+class Archiving:
+    """Makes the folder of a session, and runs the archiver at the start and whenever it is due.
 
-    Returns:
-        Why it failed, empty where it did not.
+    Attributes:
+        directory: Folder of the session, None before it is made.
     """
-    loop = asyncio.get_running_loop()
 
-    def tell(news: News) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(report, Severity(news.severity), news.detail)
+    def __init__(
+        self,
+        log: Path,
+        sessions: Path,
+        header: Header,
+        report: Callable[[Severity, str], None],
+        pace: WritePace,
+    ) -> None:
+        """Start nothing yet.
 
-    def run() -> str:
-        start_thread()
-        return _run(command, tell)
+        Args:
+            log: Folder of the log.
+            sessions: Folder of all sessions.
+            header: The session that is recorded.
+            report: Takes events, in the event loop.
+            pace: Intervals of the recorder.
+        """
+        self.directory: Path | None = None
+        self._sessions = sessions
+        self._header = header
+        program = [sys.executable, "-P", "-m", "adaptdrive.recording.archiver"]
+        self._command = [*program, str(log), str(sessions), str(pace.trip_s)]
+        self._report = report
+        self._pace = pace
+        self._due = asyncio.Event()
 
-    try:
-        return await asyncio.wrap_future(in_thread(run, "archiver"))
-    except (OSError, RuntimeError) as problem:  # no further process or thread
-        return str(problem)
+    def make_session(self) -> None:
+        """Make the folder of the session where there is none, in the thread of the log.
+
+        Raises:
+            OSError: It cannot be made.
+        """
+        if self.directory is None:
+            info, sessions = self._header.info, self._sessions
+            found = session_of(sessions, info)
+            self.directory = found or create_session(sessions, info, self._header.config_text)
+
+    def due(self) -> None:
+        """Have it run as soon as it can."""
+        self._due.set()
+
+    def due_for_trip(self) -> None:
+        """Have it run once the record of a trip that has just been is complete."""
+        asyncio.get_running_loop().call_later(self._pace.trip_s + 0.1, self._due.set)
+
+    async def run(self, begin: asyncio.Event | None) -> None:
+        """Run it until cancelled.
+
+        Args:
+            begin: It does not run before this is set; None to begin at once.
+        """
+        if begin is not None:
+            await begin.wait()
+        said = ""
+        while True:
+            problem = await self.once()
+            if problem and problem != said:
+                self._report(Severity.ALARM, f"sessions are not written: {problem}")
+            said = problem
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_RETRY_S if problem else None):
+                    await self._due.wait()
+            self._due.clear()
+
+    async def once(self, *words: str) -> str:
+        """Run it until it ends; it continues where this is cancelled.
+
+        Args:
+            words: More words of its command line.
+
+        Returns:
+            Why it failed, empty where it did not.
+        """
+        loop = asyncio.get_running_loop()
+
+        def tell(news: News) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(self._report, Severity(news.severity), news.detail)
+
+        def run() -> str:
+            self._pace.start_thread()
+            return _run([*self._command, *words], tell)
+
+        try:
+            return await asyncio.wrap_future(in_thread(run, "archiver"))
+        except (OSError, RuntimeError) as problem:  # no further process or thread
+            return str(problem)
 
 
 def _run(command: Sequence[str], tell: Callable[[News], None]) -> str:

@@ -19,37 +19,17 @@ from adaptdrive.recording.records import CommandRow, EventRow
 
 T = TypeVar("T", EventRow, CommandRow)
 
-_TABLES = """
-CREATE TABLE IF NOT EXISTS events (
-    id INTEGER PRIMARY KEY,
-    time TEXT NOT NULL,
-    monotonic_s REAL,
-    tick INTEGER NOT NULL,
-    kind TEXT NOT NULL,
-    severity TEXT NOT NULL,
-    detail TEXT NOT NULL
-);
-CREATE TABLE IF NOT EXISTS commands (
-    id INTEGER PRIMARY KEY,
-    time TEXT NOT NULL,
-    monotonic_s REAL,
-    command_id TEXT NOT NULL,
-    verb TEXT NOT NULL,
-    value TEXT NOT NULL,
-    user TEXT NOT NULL,
-    accepted INTEGER NOT NULL,
-    reason TEXT NOT NULL
-);
-"""
-_INSERT_EVENT = """
-INSERT OR IGNORE INTO events (id, time, monotonic_s, tick, kind, severity, detail)
-VALUES (?, ?, ?, ?, ?, ?, ?)
-"""
-_INSERT_COMMAND = """
-INSERT OR IGNORE INTO commands
-(id, time, monotonic_s, command_id, verb, value, user, accepted, reason)
-VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)
-"""
+_TABLES: dict[type[EventRow | CommandRow], str] = {EventRow: "events", CommandRow: "commands"}
+_RENAMED = {"number": "id", "id": "command_id"}
+"""Columns with another name than their field."""
+
+_SQL = {
+    "datetime": "TEXT NOT NULL",
+    "str": "TEXT NOT NULL",
+    "bool": "INTEGER NOT NULL",
+    "int": "INTEGER NOT NULL",
+    "float": "REAL",
+}
 
 
 def append(path: Path, events: Iterable[EventRow], commands: Iterable[CommandRow]) -> int:
@@ -74,14 +54,36 @@ def append(path: Path, events: Iterable[EventRow], commands: Iterable[CommandRow
         if path.exists():
             shutil.copyfile(path, unfinished)
         with closing(sqlite3.connect(unfinished)) as database, database:
-            database.executescript(_TABLES)
-            database.executemany(_INSERT_EVENT, map(_event_values, events))
-            database.executemany(_INSERT_COMMAND, map(_command_values, commands))
+            _insert(database, EventRow, events)
+            _insert(database, CommandRow, commands)
             rows = count_rows(database)
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
     return rows
+
+
+def _insert(database: sqlite3.Connection, kind: type[T], rows: Iterable[T]) -> None:
+    columns, table = _columns(kind), _TABLES[kind]
+    database.execute(f"CREATE TABLE IF NOT EXISTS {table} ({', '.join(columns.values())})")
+    names = ", ".join(column.split(" ")[0] for column in columns.values())
+    places = ", ".join(f":{field}" for field in columns)
+    command = f"INSERT OR IGNORE INTO {table} ({names}) VALUES ({places})"  # noqa: S608 - constants
+    database.executemany(command, map(_values, rows))
+
+
+def _columns(kind: type[EventRow | CommandRow]) -> dict[str, str]:
+    """Return the columns of a table as SQL defines them, by field of its rows; the key first."""
+    defined = {
+        field: f"{_RENAMED.get(field, field)} {_SQL[kind.__annotations__[field]]}"
+        for field in kind.__struct_fields__
+    }
+    return {"number": "id INTEGER PRIMARY KEY"} | defined | {"number": "id INTEGER PRIMARY KEY"}
+
+
+def _values(row: EventRow | CommandRow) -> dict[str, Any]:
+    time, number = row.time.isoformat(), row.number or None
+    return msgspec.structs.asdict(row) | {"time": time, "number": number}
 
 
 def count_rows(database: sqlite3.Connection) -> int:
@@ -113,7 +115,7 @@ def read_events(path: Path) -> tuple[EventRow, ...]:
     Raises:
         RecordingError: The log is damaged.
     """
-    return _read(path, "events", EventRow, {"number": "id"})
+    return _read(path, EventRow)
 
 
 def read_commands(path: Path) -> tuple[CommandRow, ...]:
@@ -122,22 +124,21 @@ def read_commands(path: Path) -> tuple[CommandRow, ...]:
     Raises:
         RecordingError: The log is damaged.
     """
-    return _read(path, "commands", CommandRow, {"number": "id", "id": "command_id"})
+    return _read(path, CommandRow)
 
 
-def _read(path: Path, table: str, kind: type[T], columns: Mapping[str, str]) -> tuple[T, ...]:
+def _read(path: Path, kind: type[T]) -> tuple[T, ...]:
     """Return the rows of a table as values, each of the type that it was recorded with.
 
     Args:
         path: The log.
-        table: Name of the table.
         kind: Type of the rows.
-        columns: Name of a field's column, where it is another one.
 
     Raises:
         RecordingError: The log is damaged.
     """
-    names = {field: columns.get(field, field) for field in kind.__struct_fields__}
+    table = _TABLES[kind]
+    names = {field: column.split(" ")[0] for field, column in _columns(kind).items()}
     try:
         return tuple(msgspec.convert(_given(row, names), kind) for row in _rows(path, table))
     except (msgspec.ValidationError, UnicodeDecodeError, OverflowError, MemoryError) as problem:
@@ -145,9 +146,10 @@ def _read(path: Path, table: str, kind: type[T], columns: Mapping[str, str]) -> 
 
 
 def _given(row: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
-    """Return a row by the fields of its type."""
+    """Return a row by the fields of its type; SQLite keeps NaN as nothing, and no truth values."""
     found = {field: row[name] for field, name in names.items() if name in row}
-    found["monotonic_s"] = _float(found.get("monotonic_s"))
+    if found.get("monotonic_s") is None:
+        found["monotonic_s"] = math.nan
     if "accepted" in found:
         found["accepted"] = bool(found["accepted"])
     return found
@@ -169,27 +171,3 @@ def _rows(path: Path, table: str) -> list[dict[str, Any]]:
         raise RecordingError(path, reason_of(problem)) from problem
     except sqlite3.Error as problem:
         raise RecordingError(path, str(problem)) from problem
-
-
-def _event_values(event: EventRow) -> tuple[Any, ...]:
-    time, monotonic_s = event.time.isoformat(), event.monotonic_s
-    number = event.number or None
-    return (number, time, monotonic_s, event.tick, event.kind, event.severity, event.detail)
-
-
-def _command_values(command: CommandRow) -> tuple[Any, ...]:
-    return (
-        command.number or None,
-        command.time.isoformat(),
-        command.monotonic_s,
-        command.id,
-        command.verb,
-        command.value,
-        command.user,
-        command.accepted,
-        command.reason,
-    )
-
-
-def _float(value: float | None) -> float:
-    return math.nan if value is None else value

@@ -14,7 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from adaptdrive.recording.frames import Kind
-from adaptdrive.recording.log_writer import NOTES, ROWS, Item, LogNews, LogWriter
+from adaptdrive.recording.log_syncs import LogNews
+from adaptdrive.recording.log_writer import NOTES, ROWS, Item, LogWriter
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import Dropped

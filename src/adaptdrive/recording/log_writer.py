@@ -1,7 +1,7 @@
-"""The log as its threads see it: files that are appended to, and synced for those who wait.
+"""The log as the thread that writes it sees it: files that are appended to.
 
-One thread writes, which a disk may hold up for as long as it likes; another one has the disk keep
-what was written, so that rows and events go into the file while that takes its time.
+A disk may hold it up for as long as it likes. Another thread has the disk keep what was written
+(`log_syncs.py`), so that rows and events go into the file while that takes its time.
 """
 
 from __future__ import annotations
@@ -23,15 +23,13 @@ import msgspec
 from adaptdrive.recording import reserve
 from adaptdrive.recording.frames import Kind, Record, framed
 from adaptdrive.recording.log_files import new_file
+from adaptdrive.recording.log_syncs import LogNews, LogSyncs
 from adaptdrive.recording.memory import LogMemory, Recalled
 from adaptdrive.recording.records import Header
 
 _LARGEST_FILE_BYTES = 4 << 20
 _AT_ONCE = 50
 """Records to a write: about 0.3 ms with Python's lock."""
-
-_CLOSE = -1
-"""Job of the thread that syncs: close the file."""
 
 _FAST = 1
 """Level of compression: at 120 Hz it takes 0.06 ms, without Python's lock, four times a second."""
@@ -59,26 +57,7 @@ class Item:
     rows: int = 0
 
 
-class LogNews(msgspec.Struct, frozen=True):
-    """Reports of the threads to the event loop.
-
-    Attributes:
-        synced: Records other than rows that the disk keeps by now, None for no news of them.
-        problems: Why nothing, no rows, or nothing that outlasts a power cut is written, by name;
-            an empty text where it is again.
-        part: Segment of the session that has begun, 0 for no news.
-        written: Whether all is written, and nothing more will be.
-        ended: Whether the disk keeps all of it, too, and the file is closed.
-    """
-
-    synced: int | None = None
-    problems: dict[str, str] = {}
-    part: int = 0
-    written: bool = False
-    ended: bool = False
-
-
-NOTES, ROWS, SYNC = "notes", "rows", "sync"
+NOTES, ROWS = "notes", "rows"
 
 
 class LogWriter:
@@ -123,13 +102,13 @@ class LogWriter:
         self._memory = LogMemory(recalled, clock()[0])
         self._number, self._file_number = recalled.number, recalled.file
         self._wakes: queue.SimpleQueue[None] = queue.SimpleQueue()
-        self._syncs: queue.SimpleQueue[tuple[int, int] | None] = queue.SimpleQueue()
+        self._syncs = LogSyncs(tell)
         self._descriptor, self._path, self._size = -1, Path(), 0
         self._part, self._part_began_s = 0, 0.0
         self._taken: list[Item] = []
         self._taken_rows: list[Item] = []
         self._notes_written = 0
-        self._problems = {NOTES: "", ROWS: "", SYNC: ""}
+        self._problems = {NOTES: "", ROWS: ""}
         self._closing = threading.Event()
         self._rows_begun = threading.Event()
 
@@ -139,8 +118,8 @@ class LogWriter:
         Raises:
             RuntimeError: This process may have no further thread.
         """
-        for work in (self._write_for_ever, self._sync_for_ever):
-            threading.Thread(target=work, name="log", daemon=True).start()
+        for work in (self._write_for_ever, self._syncs.run):
+            threading.Thread(target=self._begin, args=(work,), name="log", daemon=True).start()
         self.wake()
 
     def wake(self) -> None:
@@ -159,15 +138,18 @@ class LogWriter:
 
     # -- the thread that writes ----------------------------------------------------------------
 
-    def _write_for_ever(self) -> None:
+    def _begin(self, work: Callable[[], None]) -> None:
         self._start_thread()
+        work()
+
+    def _write_for_ever(self) -> None:
         while not (self._closing.is_set() and self._idle):
             with contextlib.suppress(queue.Empty):
                 self._wakes.get(timeout=None if self._idle else _PAUSE_S)
             self._write_all()
         self._end_file()
         self._tell(LogNews(written=True))
-        self._syncs.put(None)
+        self._syncs.end(self._notes_written)
 
     @property
     def _idle(self) -> bool:
@@ -190,7 +172,7 @@ class LogWriter:
                 self._append(self._taken)
             self._notes_written += len(self._taken)
             self._taken.clear()
-            self._syncs.put((self._descriptor, self._notes_written))
+            self._syncs.keep(self._descriptor, self._notes_written)
 
     def _write_rows(self) -> None:
         self._begin_rows()
@@ -269,11 +251,11 @@ class LogWriter:
         # without a separate number: the next record has the same one in whichever file it is
         self._write(framed(Record(self._number, now_s, wall_s, Kind.BEGIN, payload)))
         # before an archiver may remove the files before this one
-        self._syncs.put((self._descriptor, self._notes_written))
+        self._syncs.keep(self._descriptor, self._notes_written)
 
     def _end_file(self) -> None:
         if self._descriptor >= 0:
-            self._syncs.put((self._descriptor, _CLOSE))
+            self._syncs.close(self._descriptor)
             self._descriptor = -1
 
     def _is_in_place(self) -> bool:
@@ -281,8 +263,6 @@ class LogWriter:
             return os.path.samestat(self._path.stat(), os.fstat(self._descriptor))
         except OSError:
             return False
-
-    # -- what is reported ------------------------------------------------------------------------
 
     def _tried(self, what: str, act: Callable[[], None]) -> bool:
         """Do something, report its failure once and its success after that."""
@@ -300,30 +280,6 @@ class LogWriter:
         if problem != self._problems[what]:
             self._problems[what] = problem
             self._tell(LogNews(problems={what: problem}))
-
-    # -- the thread that syncs -------------------------------------------------------------------
-
-    def _sync_for_ever(self) -> None:
-        self._start_thread()
-        while (job := self._syncs.get()) is not None:
-            descriptor, notes = job
-            if notes == _CLOSE:
-                self._report(SYNC, _synced(descriptor))
-                with contextlib.suppress(OSError):
-                    os.close(descriptor)
-            elif self._syncs.empty():  # a later sync of this file serves those before it
-                self._report(SYNC, _synced(descriptor))
-                self._tell(LogNews(synced=notes))
-        self._tell(LogNews(synced=self._notes_written, ended=True))
-
-
-def _synced(descriptor: int) -> str:
-    """Have the disk keep a file; return why it does not, empty where it does."""
-    try:
-        os.fdatasync(descriptor)
-    except OSError as problem:
-        return str(problem)
-    return ""
 
 
 def _compressed(item: Item) -> Item:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import datetime
 from typing import Any
 
@@ -218,14 +219,4 @@ def command_row(
     report: CommandReport, time: datetime, monotonic_s: float, number: int
 ) -> CommandRow:
     """Return the row of one operator command with the time of its report."""
-    return CommandRow(
-        time=time,
-        monotonic_s=monotonic_s,
-        id=report.id,
-        verb=report.verb,
-        value=report.value,
-        user=report.user,
-        accepted=report.accepted,
-        reason=report.reason,
-        number=number,
-    )
+    return CommandRow(time=time, monotonic_s=monotonic_s, number=number, **asdict(report))

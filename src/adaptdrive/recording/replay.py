@@ -20,7 +20,8 @@ from adaptdrive.recording.rows import recorded_ticks, table_rows
 from adaptdrive.recording.session import INFO_FILE, SLOW, TICKS
 from adaptdrive.runtime.reports import TickReport
 
-_SLOW_COLUMNS = ("k", "boost_reference_V", "controller", "accepted", "gains")
+_COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
+_DECIDED = ("boost_reference_V", "controller", "accepted", "gains")
 
 
 def replay(session: Session, controller: TwoRate) -> ReplayReport:
@@ -66,7 +67,7 @@ class _Player:
         self._session = session
         self._controller = controller
         self._schedule = Schedule(controller, latency_ticks=0)  # delivered when it took effect
-        self._slow = {row["k"]: row for row in table_rows(session, SLOW, _SLOW_COLUMNS)}
+        self._slow = {row["k"]: row for row in table_rows(session, SLOW, ("k", *_DECIDED))}
         self._decided = set(self._slow)
         self.known = 0
         for row in table_rows(session, TICKS, ("applied_k",)):
@@ -128,8 +129,8 @@ class _Player:
         self._slow_steps += 1
         row = self._slow.get(snapshot.k)
         if row is not None:
-            recorded, replayed = _row_values(row), _decision_values(decision)
-            self._decisions.compare(snapshot.tick, recorded, replayed)
+            recorded = {name: row[name] for name in _DECIDED}
+            self._decisions.compare(snapshot.tick, recorded, _decision_values(decision))
 
 
 class _Comparison:
@@ -154,24 +155,12 @@ class _Comparison:
 
 
 def _command_values(command: Command) -> dict[str, Any]:
-    return {
-        "current_scale_S": command.current_scale_S,
-        "boost_reference_V": command.boost_reference_V,
-        "bridge": command.bridge,
-    }
+    return {name: getattr(command, name) for name in _COMMANDED}
 
 
 def _decision_values(decision: Decision) -> dict[str, Any]:
-    return {
-        "boost_reference_V": decision.boost_reference_V,
-        "controller": decision.controller.value,
-        "accepted": decision.accepted,
-        "gains": list(decision.gains),
-    }
-
-
-def _row_values(row: dict[str, Any]) -> dict[str, Any]:
-    return {name: row[name] for name in ("boost_reference_V", "controller", "accepted", "gains")}
+    whole = {name: getattr(decision, name) for name in _DECIDED}
+    return whole | {"controller": decision.controller.value, "gains": list(decision.gains)}
 
 
 def _alike(recorded: object, replayed: object) -> bool:

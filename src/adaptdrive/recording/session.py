@@ -11,7 +11,6 @@ import errno
 import shutil
 import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from itertools import count
@@ -124,21 +123,6 @@ class SessionInfo(msgspec.Struct, frozen=True):
     format: int = FORMAT
 
 
-@dataclass(frozen=True, slots=True)
-class NewSession:
-    """A session about to be recorded.
-
-    Attributes:
-        sessions: Folder of all sessions.
-        info: What is known about it.
-        config_text: The configuration in force, as TOML.
-    """
-
-    sessions: Path
-    info: SessionInfo
-    config_text: str
-
-
 def sessions_directory(configured: Path | None, environment: Mapping[str, str]) -> Path:
     """Return the folder of sessions: configured, else in `$STATE_DIRECTORY`, else `./sessions`."""
     if configured is not None:
@@ -148,11 +132,13 @@ def sessions_directory(configured: Path | None, environment: Mapping[str, str]) 
     return Path(state) / "sessions" if state else Path("sessions")
 
 
-def create_session(new: NewSession) -> Path:
+def create_session(sessions: Path, info: SessionInfo, config_text: str) -> Path:
     """Make the directory of a new session, such as `20261121T012209Z_motor`, with its facts.
 
     Args:
-        new: The session; its start and drive give the name.
+        sessions: Folder of all sessions.
+        info: What is known about it; start and drive give the name.
+        config_text: The configuration in force, as TOML.
 
     Returns:
         The directory; a second one in the same second gets `-2` after its name.
@@ -160,16 +146,16 @@ def create_session(new: NewSession) -> Path:
     Raises:
         OSError: The directory cannot be made.
     """
-    new.sessions.mkdir(parents=True, exist_ok=True)
+    sessions.mkdir(parents=True, exist_ok=True)
     # with the drive: in two containers two processes have one number
-    unfinished = new.sessions / f".new-{threading.get_native_id()}_{new.info.drive}"
+    unfinished = sessions / f".new-{threading.get_native_id()}_{info.drive}"
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
     try:
         # without a sync, for which the thread of the log would wait: all of it is in the log
-        (unfinished / CONFIG_FILE).write_text(new.config_text, encoding="utf-8")
-        (unfinished / INFO_FILE).write_bytes(_text(new.info))
-        return rename_free(unfinished, session_name(new.info))
+        (unfinished / CONFIG_FILE).write_text(config_text, encoding="utf-8")
+        (unfinished / INFO_FILE).write_bytes(_text(info))
+        return rename_free(unfinished, session_name(info))
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 

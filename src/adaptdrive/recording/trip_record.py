@@ -26,7 +26,7 @@ from adaptdrive.recording.session import (
     time_in_name,
     write_facts,
 )
-from adaptdrive.recording.tick_times import TickTimes
+from adaptdrive.recording.tick_times import Counted
 from adaptdrive.runtime.reports import MONOTONIC
 
 TEXT_FILE = "trip.txt"
@@ -86,7 +86,7 @@ def _write(
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
     try:
-        count = _Count()
+        count = Counted()
         for table, found in recent.items():
             rows = _between(found, begin_s, end_s)
             write_parquet(parquet_path(unfinished, table, 1), count.taken(table, rows))
@@ -98,7 +98,7 @@ def _write(
             dropped=Dropped(),
             segments=1,
             rows=count.rows,
-            histograms=count.times.histograms,
+            histograms=count.histograms,
             first_sequence=count.first_sequence,
             logged=event_log.append(unfinished / EVENTS_FILE, events, commands),
             losses=(),
@@ -109,25 +109,6 @@ def _write(
         return unfinished.rename(path)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-
-
-class _Count:
-    """Rows of a record, counted as they are written."""
-
-    def __init__(self) -> None:
-        self.rows: dict[str, int] = {}
-        self.times = TickTimes()
-        self.first_sequence = 0
-
-    def taken(self, table: str, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-        """Yield batches, and count them."""
-        for batch in batches:
-            if table == TICKS:
-                if not self.rows.get(TICKS):
-                    self.first_sequence = batch.column("sequence")[0].as_py()
-                self.times.count(batch)
-            self.rows[table] = self.rows.get(table, 0) + batch.num_rows
-            yield batch
 
 
 def _between(found: list[Segment], begin_s: float, end_s: float) -> Iterator[pa.RecordBatch]:
