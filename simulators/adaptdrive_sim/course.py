@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptdrive.control.preview import AHEAD
 from adaptdrive.control.signals import Decision, Mode, Stage
 
 Array = NDArray[np.float64]
@@ -49,6 +50,7 @@ class Course:
         stops: Slow periods in which the drive is off; it precharges in the last of each. Compiled
             code knows no stops.
         steady: Whether the reference counts as a constant set-point, which may be probed.
+        preview: Whether the controller knows the references to come.
         start: Output at which everything rests before; the first reference when left out.
     """
 
@@ -63,6 +65,7 @@ class Course:
     offset: float = 0.0
     stops: tuple[range, ...] = ()
     steady: bool = False
+    preview: bool = False
     start: float | None = None
 
     def stage(self, k: int) -> Stage:
@@ -71,6 +74,13 @@ class Course:
         if stop is None:
             return Stage.RUN
         return Stage.PRECHARGE if k == stop[-1] else Stage.OFF
+
+    def upcoming(self, k: int) -> tuple[float, ...]:
+        """Return the references that the controller knows in a slow period."""
+        if not self.preview:
+            return ()
+        last = len(self.references) - 1
+        return tuple(float(self.references[min(k + i, last)]) for i in range(1, AHEAD))
 
 
 @dataclass(slots=True)

@@ -6,6 +6,7 @@ nothing waits: time passes as fast as the machine counts it.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from adaptdrive.control.controller import Controller
@@ -26,6 +27,7 @@ class Site:
         sample: What the drive measured at the end of the last half cycle.
         snapshot: The last snapshot, None before the first.
         decision: What the slow half made of it.
+        upcoming: Set-points to come that no order tells of.
     """
 
     def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
@@ -40,6 +42,7 @@ class Site:
         self.sample: Sample = world.at_rest()
         self.snapshot: Snapshot | None = None
         self.decision: Decision | None = None
+        self.upcoming: tuple[float, ...] = ()
         self._rates = controller._settings.rates  # noqa: SLF001
         self._schedule = Schedule(controller, self._rates.latency_ticks)
 
@@ -58,6 +61,8 @@ class Site:
         command = self._schedule.tick(measurement, order)
         snapshot = self._schedule.take_snapshot()
         if snapshot is not None:
+            if self.upcoming:
+                snapshot = replace(snapshot, upcoming=self.upcoming)
             self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
         return command, snapshot is not None
 
@@ -113,6 +118,7 @@ class Site:
         self.sample = world.step_disturbed(world.current_scale_S, world.bridge, noise[0])
         for k, reference in enumerate(course.references.tolist()):
             change_plant(load, course, k)
+            self.upcoming = course.upcoming(k)
             order = Order(
                 course.stage(k), reference, course.mode, course.pole, steady=course.steady
             )

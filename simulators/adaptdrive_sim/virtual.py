@@ -134,9 +134,14 @@ class OperatedDrive(Site):
 
     def _order(self) -> Order:
         machine = self.machine
-        manual_V = machine.manual_V(self.ticks)
         return Order(
-            machine.stage, self.reference, machine.mode, machine.pole, manual_V, machine.steady
+            machine.stage,
+            self.reference,
+            machine.mode,
+            machine.pole,
+            machine.manual_V(self.ticks),
+            machine.steady,
+            machine.told,
         )
 
     def _obey(self, decision: Decision) -> None:

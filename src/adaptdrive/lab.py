@@ -226,10 +226,12 @@ class Drive:
         """Choose the closed-loop pole of the load loop."""
         return await self.command("pole", pole)
 
-    async def set_waveform(self, shape: str, low: float, high: float, period_s: float) -> Reply:
+    async def set_waveform(
+        self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
+    ) -> Reply:
         """Follow a periodic set-point."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
-        return await self.command("waveform", value)
+        return await self.command("waveform", value, preview=preview)
 
     async def enable(self) -> Reply:
         """Energise the drive and hold the present output."""

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.waveform import Shape, Waveform, heard
 
 ORACLES = {
     Shape.SQUARE: lambda phase: 0.5 + 0.5 * signal.square(2.0 * np.pi * phase),
@@ -31,3 +31,11 @@ def test_it_never_leaves_its_limits(shape: Shape, elapsed_s: float, period_s: fl
 def test_the_high_half_of_a_square_wave_comes_first() -> None:
     wave = Waveform(Shape.SQUARE, 3.0, 3.2, 120.0)
     assert [wave.value(t) for t in (0.0, 59.99, 60.0, 119.99, 120.0)] == [3.2, 3.2, 3.0, 3.0, 3.2]
+
+
+@given(st.sampled_from(Shape), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.integers(-9, 10**9))
+def test_the_controller_hears_what_it_is_told(
+    shape: Shape, low: float, high: float, tick: int
+) -> None:
+    wave = Waveform(shape, low, high, 0.1 * (1.0 + abs(high)))
+    assert heard(wave.told(tick)) == (wave, tick)

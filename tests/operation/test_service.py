@@ -300,6 +300,7 @@ async def test_telemetry_is_json_with_name_and_unit_of_the_output(bench: Bench) 
     assert list(load.content) == [
         *("time", "k", "tick", "period_s", "stage", "reference", "mode", "pole", "manual_V"),
         "steady",
+        "waveform",
         "output",
         *("output_filtered", "input_filtered", "applied_V", "followed", "held_ticks"),
         *("held_V", "resolution", "rounding"),

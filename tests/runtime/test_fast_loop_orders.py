@@ -25,7 +25,10 @@ CHANGES: dict[str, tuple[Request, dict[str, object]]] = {
     "reference": (SetSetpoint(2.5), {"reference": 2.5}),
     "mode": (SetMode(Mode.ADAPTIVE), {"mode": Mode.ADAPTIVE}),
     "pole": (SetPole(0.8), {"pole": 0.8}),
-    "steady": (SetWaveform(Waveform(Shape.SQUARE, 2.5, 3.0, 60.0)), {"steady": False}),
+    "steady": (
+        SetWaveform(Waveform(Shape.SQUARE, 2.5, 3.0, 60.0), preview=False),
+        {"steady": False},
+    ),
 }
 
 

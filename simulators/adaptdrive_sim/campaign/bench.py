@@ -204,6 +204,7 @@ class Stand(DrawnRun):
             self.scenario.life.torques_at(self.times_s),
             self.offset,
             self.stops,
+            preview=self.preview,
         )
 
     def world(self) -> World:

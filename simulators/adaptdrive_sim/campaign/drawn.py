@@ -209,6 +209,7 @@ class DrawnRun(ABC):
     size_name: str
     change_times_s: Numbers
     largest_movement: float
+    preview = True
 
     def __init__(self, own: Deployed, scenario: Drawn, offset: float, shown: float) -> None:
         """Begin the course of a scenario.

@@ -102,6 +102,8 @@ def run(
             if fast.take_in(settings, load, state, bank, measurement):
                 trace[k, OUTPUT] = world.load.output
                 sample.reference = references[k]
+                for i in range(len(sample.upcoming)):
+                    sample.upcoming[i] = references[min(k + 1 + i, len(references) - 1)]
                 decided_V = decide(settings, load, state, bank, slow, measurement, sample)
                 note(trace[k], slow, sample, decided_V, settings.learning, load)
                 if slow.unresponsive or slow.cycling:

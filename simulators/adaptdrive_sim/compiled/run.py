@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.preview import AHEAD
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Measurement, Mode
 from adaptdrive.control.slow_state import SlowSample
@@ -116,4 +117,5 @@ def _sample(settings: ControllerSettings, load: Load, course: Course) -> SlowSam
         low=to_input(stage.boost_reference_min_V, gain, exponent),
         high=to_input(stage.boost_reference_max_V, gain, exponent),
         steady=course.steady,
+        upcoming=[0.0] * (AHEAD - 1 if course.preview else 0),
     )

@@ -65,6 +65,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
         learning=_learning(configuration) if exact else paper_learning(configuration),
         jacket=_jacket(configuration) if exact else paper_jacket(configuration),
         probing=_probing(configuration),
+        govern=load.govern,
     )
 
 

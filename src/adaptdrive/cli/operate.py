@@ -44,6 +44,7 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     period: Number | None = None,
     /,
     *,
+    preview: bool = True,
     contact: Contact = _HERE,
 ) -> int:
     """Follow a periodic set-point, or stop following it.
@@ -54,6 +55,7 @@ def waveform(  # noqa: PLR0913 - the words of the command line
         low: Lowest value in the unit of the output.
         high: Highest value in the unit of the output.
         period: Length of one period in seconds.
+        preview: Whether adaptive control moves before an edge that V_c could not follow.
         contact: Broker.
     """
     numbers = {"low": low, "high": high, "period_s": period}
@@ -65,7 +67,8 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     if None in numbers.values():
         print(f"adaptdrive: waveform {shape} needs LOW, HIGH and PERIOD", file=sys.stderr)
         return UNUSABLE
-    return _ask(drive, "waveform", {"shape": shape, **numbers}, contact)
+    value = {"shape": shape, **numbers}
+    return _ask(drive, "waveform", value, contact, preview=preview)
 
 
 def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:

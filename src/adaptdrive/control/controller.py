@@ -23,6 +23,7 @@ from adaptdrive.control.charging import (
 )
 from adaptdrive.control.estimator import start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.preview import AHEAD
 from adaptdrive.control.reach import estimated_reach, nominal_reach
 from adaptdrive.control.reasons import reason
 from adaptdrive.control.rounding import remembered_grid, step_found
@@ -42,6 +43,7 @@ from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from adaptdrive.control.voltage_loop import initial_sum
 from adaptdrive.control.watch import Fallback
+from adaptdrive.control.waveform import heard
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 _DISCONNECTED = "no current: the current has left in one step: is the battery disconnected?"
@@ -280,7 +282,17 @@ class Controller:
             held_V=held_V,
             resolution=resolution,
             rounding=rounding,
+            upcoming=self._upcoming(measurement.tick, order.waveform),
         )
+
+    def _upcoming(self, tick: int, told: str) -> tuple[float, ...]:
+        """Return the set-points of the slow periods to come, none where they are not known."""
+        if not told:
+            return ()
+        (waveform, begin), rates = heard(told), self._settings.rates
+        ticks = [tick + i * rates.ticks_per_period for i in range(1, AHEAD)]
+        asked = [waveform.value((later - begin) * rates.nominal_tick_s) for later in ticks]
+        return tuple(map(self._reach.nearest, asked) if self._settings.govern else asked)
 
     def _set_by_hand(self, measurement: Measurement, order: Order) -> None:
         """Set V_c to the operator's value; a battery's terminals stay at their limit."""
@@ -319,6 +331,7 @@ class Controller:
             lowest=self._reach.low,
             highest=self._reach.high,
             rounding=snapshot.rounding,
+            upcoming=list(snapshot.upcoming),
         )
 
     def _estimates(self) -> dict[str, Estimate]:

@@ -42,12 +42,13 @@ def new_reference_filter(order: int, taps: int) -> ReferenceFilter:
     return ReferenceFilter([0.0] * (2 * order + 1), [0.0] * count, [math.nan] * count)
 
 
-def filter_reference(state: ReferenceFilter, reference: float) -> float:
+def filter_reference(state: ReferenceFilter, reference: float, planned: float = math.nan) -> float:
     """Return r"[k].
 
     Args:
         state: Overwritten.
         reference: r'[k].
+        planned: m[k] where it is planned (`preview`), else NaN.
     """
     if total(state.loop) == 0.0 or not all_finite(state.course):
         for i in range(len(state.course)):
@@ -56,7 +57,7 @@ def filter_reference(state: ReferenceFilter, reference: float) -> float:
     course = total(state.asked) * reference
     for i in range(1, len(state.asked)):
         course -= state.asked[i] * state.course[i - 1]
-    shift_in(state.course, course)
+    shift_in(state.course, planned if math.isfinite(planned) else course)
     return reference_of(state.loop, state.course)
 
 

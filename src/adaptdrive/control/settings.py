@@ -191,6 +191,7 @@ class ControllerSettings:
         learning: The estimator.
         jacket: The supervisor.
         probing: The probing, off by default.
+        govern: Whether set-points are moved into what V_c can hold.
     """
 
     exact: bool
@@ -199,3 +200,4 @@ class ControllerSettings:
     learning: Learning
     jacket: Jacket
     probing: Probing = field(default_factory=Probing)
+    govern: bool = False

@@ -62,6 +62,14 @@ class Order:
     steady: Annotated[
         bool, Quantity("", "true while the set-point is constant, so that it may be probed")
     ] = False
+    waveform: Annotated[
+        str,
+        Quantity(
+            "",
+            "waveform of which the controller knows what comes: shape, low, high, period in s and "
+            "tick of its start; empty for none",
+        ),
+    ] = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +125,7 @@ class Snapshot:
     rounding: Annotated[
         float, Quantity("y", "standard deviation of the rounding error of a slow sample")
     ] = 0.0
+    upcoming: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

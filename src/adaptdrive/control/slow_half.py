@@ -18,6 +18,7 @@ from adaptdrive.control.cycling import watch_cycling
 from adaptdrive.control.design import compensator_gains, discrete_model, reference_lead
 from adaptdrive.control.evidence import NOISE_FLOOR
 from adaptdrive.control.load import Load
+from adaptdrive.control.preview import look_ahead
 from adaptdrive.control.probing import probe
 from adaptdrive.control.redesign import adapt
 from adaptdrive.control.reference_filter import condition_reference, filter_reference, reference_of
@@ -58,11 +59,13 @@ def slow_step(
     governed = _governed_reference(load, state, sample)
     reference = probe(settings.probing, load, state, sample, governed)
     _look_at_loop(settings, load, state, sample, reference)
-    led = lead_reference(reference, state.reference, reference_lead(settings, load))
+    lead = reference_lead(settings, load)
+    led = lead_reference(reference, state.reference, lead)
+    planned = look_ahead(settings, load, state, sample, reference, lead)
     state.reference = reference
     if sample.manual:
         return _follow_hand(state, sample)
-    return _act(jacket, state, sample, led, _highest(load, state, sample, reference))
+    return _act(jacket, state, sample, led, planned, _highest(load, state, sample, reference))
 
 
 def _note_applied(state: SlowState, sample: SlowSample) -> None:
@@ -181,14 +184,14 @@ def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> Non
 
 
 def _expected_output(state: SlowState, sample: SlowSample, reference: float) -> float:
-    """Return the response to the reference that was asked for: 2m equal poles, from y by hand."""
+    """Return the response that was asked for: 2m equal poles, from y by hand, and the preview."""
     value = reference
     for i in range(len(state.expected)):
         state.expected[i] += (1.0 - sample.pole) * (value - state.expected[i])
         if sample.manual:
             state.expected[i] = sample.output
         value = state.expected[i]
-    return value
+    return value + state.preview.moved
 
 
 def _highest(load: Load, state: SlowState, sample: SlowSample, reference: float) -> float:
@@ -207,13 +210,18 @@ def _highest(load: Load, state: SlowState, sample: SlowSample, reference: float)
 
 
 def _act(
-    jacket: Jacket, state: SlowState, sample: SlowSample, reference: float, highest: float
+    jacket: Jacket,
+    state: SlowState,
+    sample: SlowSample,
+    reference: float,
+    planned: float,
+    highest: float,
 ) -> float:
     """Both laws on the shared history; what is sent is limited and remembered."""
     sound = state.supervisor.trusted and state.watch.fallback == Fallback.NONE
     state.adaptive = sample.adaptive and sound
     fixed = control_law(state.fixed_gains, state.inputs, state.outputs, reference)
-    filtered = filter_reference(state.reference_filter, reference)
+    filtered = filter_reference(state.reference_filter, reference, planned)
     quiet = control_law(state.adaptive_gains, state.inputs, state.outputs, filtered)
     other = _fast_law(state, quiet)
     ready = total(state.adaptive_gains) != 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
@@ -34,6 +34,21 @@ class ProbeState:
     pause_periods: int = 0
     reference: float = math.nan
     shift: float = 0.0
+
+
+@dataclass(slots=True)
+class PreviewState:
+    """State of the preview.
+
+    Attributes:
+        course: m*[k] ... m*[k-n].
+        offset: f.
+        moved: m[k] - m*[k].
+    """
+
+    course: Vector
+    offset: float = math.nan
+    moved: float = 0.0
 
 
 @dataclass(slots=True)
@@ -78,6 +93,7 @@ class SlowState:
         unresponsive: Whether the load has stopped to answer.
         cycles: The watch over the fixed law.
         probe: The probing.
+        preview: The preview.
         cycling: Whether the fixed law is in a limit cycle.
     """
 
@@ -104,6 +120,7 @@ class SlowState:
     watch: WatchState
     cycles: CyclingState
     probe: ProbeState
+    preview: PreviewState
     model_a: Vector
     model_b: Vector
     trusted_a: Vector
@@ -144,6 +161,7 @@ class SlowSample:
         lowest: Lowest output that V_c can hold, NaN while unknown.
         highest: Highest output that V_c can hold, NaN while unknown.
         rounding: Standard deviation of the rounding error of the output.
+        upcoming: r[k+1] and the following ones that preview knows, empty for none.
     """
 
     period_s: float
@@ -164,6 +182,7 @@ class SlowSample:
     lowest: float = -math.inf
     highest: float = math.inf
     rounding: float = 0.0
+    upcoming: Vector = field(default_factory=list)
 
 
 def new_slow_state(
@@ -200,6 +219,7 @@ def new_slow_state(
         watch=WatchState(fast=resting, slow=resting),
         cycles=CyclingState(),
         probe=ProbeState(),
+        preview=PreviewState([math.nan] * (load.order + taps + 1)),
         model_a=[1.0] + [0.0] * load.order,
         model_b=[0.0] * (taps + 1),
         trusted_a=[1.0] + [0.0] * load.order,

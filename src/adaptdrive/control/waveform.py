@@ -36,6 +36,16 @@ class Waveform:
         phase = math.fmod(elapsed_s, self.period_s) / self.period_s
         return self.low + (self.high - self.low) * _LEVELS[self.shape](phase)
 
+    def told(self, tick: int) -> str:
+        """What the controller is told of a waveform that was started at a tick."""
+        return f"{self.shape} {self.low!r} {self.high!r} {self.period_s!r} {tick}"
+
+
+def heard(told: str) -> tuple[Waveform, int]:
+    """Return the waveform that the controller is told of, and the tick of its start."""
+    shape, low, high, period_s, tick = told.split()
+    return Waveform(Shape(shape), float(low), float(high), float(period_s)), int(tick)
+
 
 def _square(phase: float) -> float:
     return 1.0 if phase < 0.5 else 0.0

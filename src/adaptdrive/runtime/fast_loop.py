@@ -335,7 +335,7 @@ class FastLoop:
         """The order of this tick; a new object only when something changed."""
         machine, last = self._machine, self._order
         stage, reference = machine.stage, machine.reference(tick)
-        manual_V, steady = machine.manual_V(tick), machine.steady
+        manual_V, steady, told = machine.manual_V(tick), machine.steady, machine.told
         if (
             last is not None
             and last.stage is stage
@@ -344,11 +344,12 @@ class FastLoop:
             and last.pole == machine.pole
             and last.manual_V == manual_V
             and last.steady is steady
+            and last.waveform == told
         ):
             return last
         if stage is not _RUN:
             self._surroundings.run_ended()
-        self._order = Order(stage, reference, machine.mode, machine.pole, manual_V, steady)
+        self._order = Order(stage, reference, machine.mode, machine.pole, manual_V, steady, told)
         return self._order
 
     def _report(

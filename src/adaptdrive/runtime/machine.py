@@ -62,6 +62,7 @@ class Machine:
         self._precharging = False
         self._awaited_s = math.inf
         self._waveform_tick = 0
+        self._told = ""
 
     @property
     def energised(self) -> bool:
@@ -114,6 +115,11 @@ class Machine:
     def steady(self) -> bool:
         """True while the set-point is constant and a controller follows it."""
         return self.waveform is None and self.mode is not _MANUAL
+
+    @property
+    def told(self) -> str:
+        """What the controller is told of a waveform, so that it knows what comes."""
+        return "" if self.waveform is None else self._told
 
     def reference(self, tick: int) -> float:
         """The set-point at a tick; governed to the edge of what V_c can hold where that is set."""
@@ -219,7 +225,7 @@ class Machine:
         elif self.coasting:
             self._start()
 
-    def set_waveform(self, waveform: Waveform | None, tick: int) -> None:
+    def set_waveform(self, waveform: Waveform | None, tick: int, *, preview: bool = True) -> None:
         """Follow a waveform from a tick on; None holds the present set-point.
 
         Raises:
@@ -233,7 +239,7 @@ class Machine:
                 self._limits.require_reference(f"waveform {name}", value)
                 self._limits.require_reach(f"waveform {name}", value, self.reach)
             self._limits.require_period("waveform period_s", waveform.period_s)
-            self._waveform_tick = tick
+            self._waveform_tick, self._told = tick, waveform.told(tick) if preview else ""
             if self.coasting:
                 self._start()
         self.waveform = waveform

@@ -72,14 +72,20 @@ class SetSetpoint(Request):
 
 @dataclass(frozen=True, slots=True)
 class SetWaveform(Request):
-    """Follow a periodic set-point, or hold the present one (`off`)."""
+    """Follow a periodic set-point, or hold the present one (`off`).
+
+    Attributes:
+        value: The set-point.
+        preview: Whether the controller may know what comes.
+    """
 
     verb = "waveform"
     value: Waveform | None
+    preview: bool = True
 
     def apply(self, machine: Machine, now: Moment) -> None:
         """Start or stop the waveform."""
-        machine.set_waveform(self.value, now.tick)
+        machine.set_waveform(self.value, now.tick, preview=self.preview)
 
 
 @dataclass(frozen=True, slots=True)
