@@ -14,7 +14,7 @@ from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.reach import UNKNOWN, Reach, estimated_reach, nominal_reach
-from adaptdrive.control.rest import believed_offset, distance_from_rest, nominal_gain
+from adaptdrive.control.rest import believed_offset, distance_from_rest
 from adaptdrive.control.slow_state import SlowState, new_slow_state
 from tests.closed_loop.bench import EXACT, MOTOR, REST_V, STAGE
 from tests.control.systems import System, motor_system, polynomials
@@ -44,7 +44,7 @@ def trusts(state: SlowState, gain: float) -> None:
 def test_the_nominal_gain_is_where_a_step_ends(load: Load) -> None:
     system = System(list(load.numerator), list(load.denominator)).state_space()
     _, response, _ = dlsim(cont2discrete(system, 20.0, "zoh"), [[1.0]] * 2000)
-    assert nominal_gain(load) == pytest.approx(float(response[-1, 0]), rel=1e-6)
+    assert load.gain == pytest.approx(float(response[-1, 0]), rel=1e-6)
 
 
 @given(st.floats(-60.0, 60.0), st.floats(-1.0, 8.0))

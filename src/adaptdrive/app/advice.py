@@ -7,14 +7,13 @@ import math
 import os
 from collections.abc import Iterator
 
-from adaptdrive.app.loads import build_load, total_lag_s
+from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection
 from adaptdrive.config.supply import absent_names
 from adaptdrive.control.load import Load, to_input, to_voltage
-from adaptdrive.control.rest import nominal_gain
 from adaptdrive.errors import Flaw
 
 _REACH_SHARE = 0.1
@@ -66,9 +65,9 @@ def _paper(configuration: Configuration) -> Iterator[Flaw]:
 def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The highest voltage reaches the highest set-point."""
     section, limits = configuration.load, configuration.drive.limits
-    if isinstance(section, BatterySection):
+    if section.traits.charges:
         return
-    highest = nominal_gain(load) * to_input(
+    highest = load.gain * to_input(
         limits.boost_reference_max_V, load.input_gain, load.input_exponent
     )
     span = section.reference_max - section.reference_min
@@ -118,7 +117,7 @@ def _highest_power_W(configuration: Configuration, load: Load) -> float:
         return (section.charge.voltage_max_V + section.model.droop_Ohm * current_A) * current_A
     if not isinstance(section, BathSection):
         return 0.0
-    heat_W = section.reference_max / nominal_gain(load)
+    heat_W = section.reference_max / load.gain
     volts = to_voltage(heat_W, load.input_gain, load.input_exponent)
     highest_V = min(volts, configuration.drive.limits.boost_reference_max_V)
     model = section.model
@@ -145,7 +144,7 @@ def _charge(configuration: Configuration) -> Iterator[Flaw]:
 
 def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The λ filters and the slow period suit the load."""
-    mean_s = total_lag_s(load) / load.order
+    mean_s = load.lag_s / load.order
     lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
     known = f"the load's mean time constant of {mean_s:.4g} s"
     if not _LEAST_LAMBDA <= lambda_s / mean_s <= _MOST_LAMBDA:

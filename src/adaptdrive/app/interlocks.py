@@ -7,13 +7,12 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from adaptdrive.app.loads import build_load, total_lag_s
+from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
 from adaptdrive.config.derived import moved_inputs
 from adaptdrive.config.load import BatterySection
 from adaptdrive.config.supply import absent_names
 from adaptdrive.control.load import Load, to_input
-from adaptdrive.control.rest import nominal_gain
 from adaptdrive.runtime.interlocks import Limits, Watch
 from adaptdrive.runtime.response import Response, ResponseLimits
 from adaptdrive.runtime.stillness import StillnessLimits, StillnessWatch
@@ -64,11 +63,11 @@ def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
         return None
     load = build_load(configuration)
     distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
-    if isinstance(section, BatterySection):  # takes no current at all below its own voltage
+    if section.traits.charges:  # takes no current at all below its own voltage
         distance = 0.0
     return StillnessLimits(
         unit=section.output_unit,
-        gain=nominal_gain(load),
+        gain=load.gain,
         input_gain=load.input_gain,
         input_exponent=load.input_exponent,
         lags_s=_lags_s(load),
@@ -82,7 +81,7 @@ def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
 
 def _lags_s(load: Load) -> tuple[float, ...]:
     """Return equal time constants with the same sum as those of the load."""
-    return (total_lag_s(load) / load.order,) * load.order
+    return (load.lag_s / load.order,) * load.order
 
 
 def response_limits(configuration: Configuration) -> ResponseLimits | None:
@@ -95,7 +94,7 @@ def response_limits(configuration: Configuration) -> ResponseLimits | None:
     limits = ResponseLimits(
         name=section.output_name,
         unit=section.output_unit,
-        gain=nominal_gain(load),
+        gain=load.gain,
         input_gain=load.input_gain,
         input_exponent=load.input_exponent,
         input_max=to_input(highest_V, load.input_gain, load.input_exponent),

@@ -66,11 +66,6 @@ def candidate_loads(configuration: Configuration) -> list[Load]:
     ]
 
 
-def total_lag_s(load: Load) -> float:
-    """Return the sum of the nominal model's time constants."""
-    return load.denominator[-2] / load.denominator[-1]
-
-
 def _charging(battery: BatterySection) -> Charging:
     longest_h = battery.charge.longest_h
     return Charging(

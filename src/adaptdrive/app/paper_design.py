@@ -10,7 +10,6 @@ import math
 import sys
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import BatterySection
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Jacket, Learning
 
@@ -32,7 +31,7 @@ def paper_learning(configuration: Configuration) -> Learning:
         output_scale=1.0,
         input_scale=1.0,
         start_at_nominal=False,
-        bias=isinstance(load, BatterySection),
+        bias=load.traits.charges,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from adaptdrive.app.loads import build_load, total_lag_s
+from adaptdrive.app.loads import build_load
 from adaptdrive.app.pole_range import MODEL_ERROR, standing_poles
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
@@ -86,7 +86,7 @@ def _battery_flaws(configuration: Configuration) -> Iterator[Flaw]:
 def _pace_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The slow period fits the load, and the load can be controlled with it."""
     period_s = configuration.load.period_s
-    total_s = total_lag_s(load)
+    total_s = load.lag_s
     if not _SHORTEST_PERIODS <= total_s / period_s <= _LONGEST_PERIODS:
         problem = f"its time constants add up to {total_s:.4g} s, {total_s / period_s:.3g} slow "
         limits = f"{_SHORTEST_PERIODS:g}…{_LONGEST_PERIODS:g}"

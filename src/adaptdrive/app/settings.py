@@ -10,13 +10,12 @@ from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_le
 from adaptdrive.app.pole_range import pole_range
 from adaptdrive.config import Configuration
 from adaptdrive.config.estimator import ERROR_SHARE, FORGETTING, Supervisor
-from adaptdrive.config.load import NOISE_SHARE, BathSection, BatterySection, MotorSection
+from adaptdrive.config.load import NOISE_SHARE, MotorSection
 from adaptdrive.control.evidence import NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
 from adaptdrive.control.load import to_input
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.reach import nominal_reach
-from adaptdrive.control.rest import nominal_gain
 from adaptdrive.control.settings import (
     ControllerSettings,
     Jacket,
@@ -140,7 +139,7 @@ def _kicks(configuration: Configuration) -> tuple[int, float, float]:
 
 def _learning(configuration: Configuration) -> Learning:
     estimator, load = configuration.estimator, build_load(configuration)
-    battery = isinstance(configuration.load, BatterySection)
+    charges = configuration.load.traits.charges
     limits = configuration.drive.limits
     low_V, high_V = limits.boost_reference_min_V, limits.boost_reference_max_V
     middle_V = 0.5 * (low_V + high_V if low_V >= 0.0 else max(-low_V, abs(high_V)))
@@ -155,17 +154,17 @@ def _learning(configuration: Configuration) -> Learning:
         initial_covariance=_initial_covariance(configuration),
         settle_periods=_periods(configuration, estimator.settle_s),
         gate=estimator.gate,
-        output_scale=nominal_gain(load) * middle,
+        output_scale=load.gain * middle,
         input_scale=middle,
         start_at_nominal=True,
         alert=estimator.alert,
         covariance_max=0.0 if directional else estimator.covariance_max,
         short_lag_s=short_lag_s(configuration),
-        bias=estimator.bias or battery,
+        bias=estimator.bias or charges,
         initial_state=estimator.initial_state,
         resolution=configuration.load.resolution,
-        charge=battery and method.physical,
-        drifts=isinstance(configuration.load, BathSection) and directional,
+        charge=charges and method.physical,
+        drifts=configuration.load.traits.drifts and directional,
         damping_min=configuration.supervisor.damping_min,
     )
 
@@ -207,8 +206,7 @@ def _probing(configuration: Configuration) -> Probing:
     load = configuration.load
     if load.design != "exact" or not METHODS[configuration.estimator.method].physical:
         return Probing()
-    charging = isinstance(load, BatterySection)
-    scale = 1.0 if charging else load.reference_max - load.reference_min
+    scale = 1.0 if load.traits.charges else load.reference_max - load.reference_min
     return Probing(
         amplitude=load.probe_share * scale,
         stale_periods=_periods(configuration, load.probe_s),

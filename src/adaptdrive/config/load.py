@@ -26,9 +26,11 @@ NOISE_SHARE = 0.04
 
 @dataclass(frozen=True, slots=True)
 class LoadTraits:
-    """Numbers of a kind of load that no key of its section holds.
+    """Traits of a kind of load that no key of its section holds.
 
     Attributes:
+        charges: Whether the output is a current that fills it, and never flows back.
+        drifts: Whether what acts next to the input moves by itself, as the inflow of a bath does.
         patience_s: Time for which commissioning waits until the output rests.
         lag_periods: Slow periods in the sum of the time constants that commissioning proposes.
         lag_periods_min: Least sum, in slow periods, with which the estimates serve.
@@ -37,6 +39,8 @@ class LoadTraits:
         paper_method: Estimator of the paper's experiment; None where it has none.
     """
 
+    charges: bool = False
+    drifts: bool = False
     patience_s: float = 60.0
     lag_periods: float = 20.0
     lag_periods_min: float = 4.0
@@ -183,6 +187,7 @@ class BathSection(LoadSection):
     """`[load]` with `type = "bath"`."""
 
     traits: ClassVar[LoadTraits] = LoadTraits(
+        drifts=True,
         patience_s=600.0,
         lag_periods=10.0,
         lag_periods_min=2.0,
@@ -236,6 +241,8 @@ class Charge(Section):
 
 class BatterySection(LoadSection):
     """`[load]` with `type = "battery"`; the set-point is the charging current."""
+
+    traits: ClassVar[LoadTraits] = LoadTraits(charges=True)
 
     type: Literal["battery"] = Field(description="kind of load")
     output_name: str = Field(default="current", description="name of the output for people")

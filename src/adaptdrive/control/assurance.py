@@ -116,11 +116,12 @@ def closes_stably(gains: Vector, a: Vector, b: Vector, order: int, radius: float
         order: m.
         radius: Of the circle about 0.
     """
-    polynomial = _closed_loop(gains, a, b, order)
+    polynomial = closed_loop(gains, a, b, order)
     return all_finite(polynomial) and is_stable(polynomial, radius)
 
 
-def _closed_loop(gains: Vector, a: Vector, b: Vector, order: int) -> Vector:
+def closed_loop(gains: Vector, a: Vector, b: Vector, order: int) -> Vector:
+    """Return A_c of the loop that gains and a model A, B make."""
     taps = len(gains) - order - 1
     return closed_loop_polynomial(a, b, [1.0, *gains[:taps]], gains[taps:])
 
@@ -146,7 +147,7 @@ def _driven(order: int, gains: Vector, loop: Vector, b: Vector, pole: float) -> 
 def _response(order: int, model: Vector, gains: Vector, driven: Vector) -> Vector:
     """y[k] of a load in the loop of some gains; infinite where that is not stable."""
     a, b = model[: order + 1], model[order + 1 :]
-    closed = _closed_loop(gains, a, b, order)
+    closed = closed_loop(gains, a, b, order)
     if not (all_finite(closed) and is_stable(closed, MARGIN_RADIUS)):
         return [math.inf] * len(driven)
     return _filtered(b, closed, driven)

@@ -20,7 +20,7 @@ from adaptdrive.control.evidence import PRIOR_SAMPLES
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector, copy_into
+from adaptdrive.control.vectors import Vector, copy_into, unit
 
 
 @dataclass(slots=True)
@@ -126,6 +126,5 @@ def posterior_power(branch: Branch, power: float, count: int) -> float:
 
 def widen_last(branch: Branch, variance: float) -> None:
     """Widen P along the last parameter, the bias."""
-    direction = [0.0] * len(branch.theta)
-    direction[len(direction) - 1] = 1.0
+    direction = unit(len(branch.theta), len(branch.theta) - 1)
     ud.widen(branch.upper, branch.diagonal, direction, variance)

@@ -30,10 +30,7 @@ def is_sure(branch: Branch, power: float, learning: Learning, load: Load) -> boo
         return False
     values = load.physical(numerator, denominator)
     deviations = deviations_of(branch, math.sqrt(power), learning, load, values)
-    for i in range(len(values)):
-        if not deviations[i] <= PRIOR_SHARE * abs(values[i]):
-            return False
-    return True
+    return all(deviations[i] <= PRIOR_SHARE * abs(values[i]) for i in range(len(values)))
 
 
 def deviations_of(

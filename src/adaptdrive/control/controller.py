@@ -8,6 +8,7 @@ calls in the same order give the same commands bit for bit, live, simulated and 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -296,17 +297,23 @@ class Controller:
 
     def _set_by_hand(self, measurement: Measurement, order: Order) -> None:
         """Set V_c to the operator's value; a battery's terminals stay at their limit."""
-        charging, highest_V = self._load.charging, math.inf
-        if charging is not None:
-            highest_V = highest_boost_voltage(charging, _proven_current(charging, measurement))
+        highest_V = self._bearable(measurement, highest_boost_voltage)
         fast.set_by_hand(self._fast, self._settings.stage, order.manual_V, highest_V)
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
-        charging, highest_V = self._load.charging, math.inf
-        if charging is not None:
-            highest_V = voltage_limit(charging, _proven_current(charging, measurement))
+        highest_V = self._bearable(measurement, voltage_limit)
         scale, reference = fast.drive(self._fast, self._settings.stage, measurement, highest_V)
         return Command(scale, reference, bridge)
+
+    def _bearable(
+        self, measurement: Measurement, limit: Callable[[Charging, float], float]
+    ) -> float:
+        """Return the V_c that a battery bears; infinite for a load that bears any."""
+        charging, voltage_V = self._load.charging, measurement.boost_voltage_V
+        if charging is None:
+            return math.inf
+        power_W = measurement.load_power_W
+        return limit(charging, proven_current(charging, measurement.output, voltage_V, power_W))
 
     def _sample(self, snapshot: Snapshot) -> SlowSample:
         load, stage = self._load, self._settings.stage
@@ -362,11 +369,6 @@ def _recalling(settings: ControllerSettings) -> ControllerSettings:
     """With a prior no warm-up is needed: its gains act at once."""
     periods = min(settings.learning.settle_periods, settings.jacket.warm_up_periods)
     return replace(settings, jacket=replace(settings.jacket, warm_up_periods=periods))
-
-
-def _proven_current(charging: Charging, measurement: Measurement) -> float:
-    voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
-    return proven_current(charging, measurement.output, voltage_V, power_W)
 
 
 def _fault(state: SlowState, charging: Charging | None) -> str:

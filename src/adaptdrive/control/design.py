@@ -85,12 +85,7 @@ def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
 def loop_gains(a: Vector, b: Vector, desired: Vector) -> Vector:
     """The gains that give a model the closed loop `desired`, in the order of the compensator."""
     r, s = place_poles(a, b, desired)
-    gains = [0.0] * (len(r) - 1 + len(s))
-    for i in range(len(r) - 1):
-        gains[i] = r[i + 1]
-    for i in range(len(s)):
-        gains[len(r) - 1 + i] = s[i]
-    return gains
+    return [*r[1:], *s]
 
 
 def asked_loop(b: Vector, order: int, pole: float) -> Vector:

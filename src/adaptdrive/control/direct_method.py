@@ -112,15 +112,10 @@ def fill_direct_regressor(
 def direct_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
     """Return A, B in q^-1 of a direct estimate."""
     order = load.order
-    a = [0.0] * (order + 1)
-    inputs = _input_count(theta, learning, load)
-    b = [0.0] * (inputs + 1)
-    a[0] = 1.0
-    for i in range(order):
-        a[i + 1] = theta[i]
-    for i in range(inputs):
-        b[i + 1] = theta[order + i] * learning.output_scale / learning.input_scale
-    return a, b
+    b = [0.0] * (_input_count(theta, learning, load) + 1)
+    for i in range(1, len(b)):
+        b[i] = theta[order + i - 1] * learning.output_scale / learning.input_scale
+    return [1.0, *theta[:order]], b
 
 
 def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:

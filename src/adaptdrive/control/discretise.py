@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.control.vectors import Vector, copy_into
+from adaptdrive.control.vectors import Vector, copy_into, dot, unit
 
 _TAYLOR_TERMS = 30
 """Terms of the exponential: 2^30/30! is below the rounding of a double."""
@@ -152,10 +152,8 @@ def _norm(system: Vector, order: int) -> float:
 def _transition(system: Vector, size: int, duration_s: float) -> Vector:
     """exp(M t), flat."""
     transition = [0.0] * (size * size)
-    column = [0.0] * size
     for j in range(size):
-        for i in range(size):
-            column[i] = 1.0 if i == j else 0.0
+        column = unit(size, j)
         propagate(system, column, duration_s)
         for i in range(size):
             transition[i * size + j] = column[i]
@@ -165,13 +163,7 @@ def _transition(system: Vector, size: int, duration_s: float) -> Vector:
 def _transit(transition: Vector, state: Vector) -> Vector:
     """exp(M t) z."""
     size = len(state)
-    result = [0.0] * size
-    for i in range(size):
-        value = 0.0
-        for j in range(size):
-            value += transition[i * size + j] * state[j]
-        result[i] = value
-    return result
+    return [dot(transition[i * size : (i + 1) * size], state) for i in range(size)]
 
 
 def _responses(

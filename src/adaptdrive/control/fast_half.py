@@ -17,7 +17,7 @@ from adaptdrive.control.rounding import Grid, close_share, note_sample, rounding
 from adaptdrive.control.screen import WIDE, Screen, pass_sample
 from adaptdrive.control.settings import ControllerSettings, PowerStage
 from adaptdrive.control.signals import Measurement
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.vectors import Vector, copy_into
 
 _CEILING_RISE = 1.002
 """Rise of the ceiling of V_c for each reading: slow, so that the power limit does not oscillate."""
@@ -107,7 +107,7 @@ def new_filter_bank(
     """λ chains that have seen the present output and boost voltage for ever."""
     order = load.order
     load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
-    expected = load.numerator[order] / load.denominator[order] * load_input
+    expected = load.gain * load_input
     bank = FilterBank(
         decay=[0.0] * order,
         held=[0.0] * order,
@@ -211,8 +211,7 @@ def take_means(bank: FilterBank) -> Vector:
     if bank.count == 0:
         accumulate(bank)
     means = [value / bank.count for value in bank.sums]
-    for i in range(len(bank.sums)):
-        bank.sums[i] = 0.0
+    copy_into(bank.sums, [0.0] * len(bank.sums))
     bank.count = 0
     return means
 

@@ -24,7 +24,7 @@ from adaptdrive.control.evidence import PRIOR_SHARE
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import charge_index, dc_gain, fitted_order, initial_state_count
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.vectors import Vector, dot, identity, total, unit
 
 NOTHING = 0
 DISTURBANCE = 1
@@ -71,17 +71,13 @@ def restart_past(branch: Branch, learning: Learning, load: Load, time_s: float) 
     first = fitted_order(learning, load) + len(load.input_powers)
     shift = (time_s - branch.origin_s) / learning.tau_lambda_s
     change = _shifted_functions(count, shift)
-    transform = [0.0] * (size * size)
-    for i in range(size):
-        transform[i * size + i] = 1.0
+    transform = identity(size)
     for i in range(count):
         for j in range(count):
             transform[(first + i) * size + first + j] = change[i * count + j]
     old = list(branch.theta)
     for i in range(size):
-        branch.theta[i] = 0.0
-        for j in range(size):
-            branch.theta[i] += transform[i * size + j] * old[j]
+        branch.theta[i] = dot(transform[i * size : (i + 1) * size], old)
     ud.transform(branch.upper, branch.diagonal, transform)
     branch.origin_s = time_s
 
@@ -112,24 +108,22 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
         return
     order, size = fitted_order(learning, load), len(branch.theta)
     last = order + len(load.input_powers) - 1
-    gains = 0.0
-    for i in range(order, last + 1):
-        gains += branch.theta[i]
+    gains = abs(total(branch.theta[order : last + 1]))
     if kind != LOAD and learning.bias:
-        direction = [0.0] * size
-        direction[size - 1] = 1.0
-        _open(branch, direction, DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
+        direction = unit(size, size - 1)
+        _open(branch, direction, DISTURBANCE_SHARE * gains, learning, load, anchor)
     if kind != DISTURBANCE:
         _widen_load(branch, learning, load, anchor)
     if kind >= BOTH:
         direction = [0.0] * size
-        for i in range(order, last + 1):
-            direction[i] = branch.theta[i]
+        direction[order : last + 1] = branch.theta[order : last + 1]
         _carry_offset(direction, branch.theta, 1.0, learning)
         _open(branch, direction, PRIOR_SHARE, learning, load, anchor)
-    _blur(branch, DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
-    if kind == ANEW:
-        _free_state(branch, learning, load, anchor)
+    share = min(1.0, anchor.gap_s / learning.tau_lambda_s)  # the moment of the change is in doubt
+    spread = DISTURBANCE_SHARE * gains
+    _widen_state(branch, share * share * spread * spread / anchor.power, learning, load)
+    if kind == ANEW:  # a disk that lands at rest takes half the speed away
+        _widen_state(branch, PRIOR_SHARE * PRIOR_SHARE / anchor.power, learning, load)
 
 
 def _widen_load(branch: Branch, learning: Learning, load: Load, anchor: Anchor) -> None:
@@ -150,8 +144,7 @@ def load_direction(theta: Vector, index: int, learning: Learning, load: Load) ->
     """
     order, size = fitted_order(learning, load), len(theta)
     last = order + len(load.input_powers) - 1
-    direction = [0.0] * size
-    direction[index] = 1.0
+    direction = unit(size, index)
     if index >= order:
         direction[last] = -1.0
         return direction
@@ -191,22 +184,9 @@ def _open(
     ud.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
 
 
-def _blur(branch: Branch, spread: float, learning: Learning, load: Load, anchor: Anchor) -> None:
-    """Doubt the moment of the change: γ by what the change does between two samples."""
-    first = fitted_order(learning, load) + len(load.input_powers)
-    share = min(1.0, anchor.gap_s / learning.tau_lambda_s)
-    for i in range(initial_state_count(learning, load)):
-        direction = [0.0] * len(branch.theta)
-        direction[first + i] = 1.0
-        variance = share * share * spread * spread / anchor.power
-        ud.widen(branch.upper, branch.diagonal, direction, variance)
-
-
-def _free_state(branch: Branch, learning: Learning, load: Load, anchor: Anchor) -> None:
-    """Let the state of the load jump: a disk that lands at rest takes half the speed away."""
+def _widen_state(branch: Branch, variance: float, learning: Learning, load: Load) -> None:
+    """Widen γ, what is left of the state at the change, by itself."""
     first = fitted_order(learning, load) + len(load.input_powers)
     for i in range(initial_state_count(learning, load)):
-        direction = [0.0] * len(branch.theta)
-        direction[first + i] = 1.0
-        variance = PRIOR_SHARE * PRIOR_SHARE / anchor.power
+        direction = unit(len(branch.theta), first + i)
         ud.widen(branch.upper, branch.diagonal, direction, variance)

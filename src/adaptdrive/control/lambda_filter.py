@@ -38,10 +38,7 @@ def chain_decay(order: int, tick_period_s: float, tau_s: float) -> Vector:
 def step_gains(order: int, tick_period_s: float, tau_s: float) -> Vector:
     """P_1 ... P_order: response to an input that is held over the tick."""
     h = tick_period_s / tau_s
-    gains = [0.0] * order
-    for i in range(order):
-        gains[i] = _held_response(i + 1, h)
-    return gains
+    return [_held_response(i + 1, h) for i in range(order)]
 
 
 def ramp_gains(order: int, tick_period_s: float, tau_s: float) -> Vector:

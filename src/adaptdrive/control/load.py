@@ -60,6 +60,28 @@ class Load:
         """m."""
         return len(self.denominator) - 1
 
+    @property
+    def gain(self) -> float:
+        """Return the dc gain of the nominal model."""
+        return self.numerator[self.order] / self.denominator[self.order]
+
+    @property
+    def lag_s(self) -> float:
+        """Return the sum of the nominal time constants."""
+        return self.denominator[self.order - 1] / self.denominator[self.order]
+
+    def possible(self, output: float) -> float:
+        """Return the possible output that is nearest: a battery takes no negative current."""
+        return output if self.charging is None else max(0.0, output)
+
+
+def is_damped(denominator: Vector, least: float) -> bool:
+    """Return whether a model has the least damping of a passive load, where its order is two."""
+    if len(denominator) != 3:
+        return True
+    square = 4.0 * least * least * denominator[2]
+    return denominator[1] > 0.0 and denominator[1] * denominator[1] >= square
+
 
 def to_input(boost_voltage_V: float, gain: float, exponent: int) -> float:
     """The load's input u at a boost voltage."""

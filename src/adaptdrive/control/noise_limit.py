@@ -28,7 +28,7 @@ import math
 from adaptdrive.control.design import kept_factor
 from adaptdrive.control.evidence import FEWEST
 from adaptdrive.control.pole_placement import desired_polynomial, place_poles
-from adaptdrive.control.vectors import Vector, multiply
+from adaptdrive.control.vectors import Vector, copy_into, multiply
 
 OBSERVER_POLE = 1.0 - 1.0 / FEWEST
 """Slowest observer pole: a disturbance is seen within the fewest samples that can show anything."""
@@ -112,8 +112,7 @@ def impulse_norm(numerator: Vector, denominator: Vector) -> float:
     """
     degree = len(denominator) - 1
     a, b = list(denominator), [0.0] * (degree + 1)
-    for i in range(len(numerator)):
-        b[i] = numerator[i]
+    copy_into(b, numerator)
     power = 0.0
     for k in range(degree, 0, -1):
         if not a[0] > 0.0:
@@ -127,9 +126,7 @@ def impulse_norm(numerator: Vector, denominator: Vector) -> float:
 def _reduce(a: Vector, b: Vector, k: int) -> None:
     """Lower the degree of both polynomials from k to k - 1."""
     alpha, beta = a[k] / a[0], b[k] / a[0]
-    last = [0.0] * (k + 1)
-    for i in range(k + 1):
-        last[i] = a[k - i]
+    last = [a[k - i] for i in range(k + 1)]
     for i in range(k):
         a[i] -= alpha * last[i]
         b[i] -= beta * last[i]

@@ -52,26 +52,14 @@ def place_poles(a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
         for j in range(feedback):
             matrix[row * size + free + j] = _entry(b, power - j)
     solution = solve_linear(matrix, right)
-    inner = [1.0] * (free + 1)
-    for j in range(free):
-        inner[j + 1] = solution[j]
-    feedback_gains = [0.0] * feedback
-    for j in range(feedback):
-        feedback_gains[j] = solution[free + j]
-    return multiply(inner, [1.0, -1.0]), feedback_gains
+    return multiply([1.0, *solution[:free]], [1.0, -1.0]), solution[free:]
 
 
 def closed_loop_polynomial(a: Vector, b: Vector, r: Vector, s: Vector) -> Vector:
     """A R + B S: its roots are the poles of the loop that R, S close around any A, B."""
     forward, back = multiply(a, r), multiply(b, s)
-    length = max(len(forward), len(back))
-    result = [0.0] * length
-    for i in range(length):
-        result[i] = _entry(forward, i) + _entry(back, i)
-    return result
+    return [_entry(forward, i) + _entry(back, i) for i in range(max(len(forward), len(back)))]
 
 
 def _entry(polynomial: Vector, power: int) -> float:
-    if 0 <= power < len(polynomial):
-        return polynomial[power]
-    return 0.0
+    return polynomial[power] if 0 <= power < len(polynomial) else 0.0

@@ -42,8 +42,7 @@ def half_periods(load: Load, pole: float, period_s: float) -> int:
     half = round(HALF_DELAYS * 2.0 * load.order * pole / (1.0 - pole))
     if load.charging is None:
         return half
-    lag_s = load.denominator[load.order - 1] / load.denominator[load.order]
-    return max(half, round(lag_s / period_s))
+    return max(half, round(load.lag_s / period_s))
 
 
 def probe(

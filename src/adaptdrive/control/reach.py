@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control.load import Load, to_input
-from adaptdrive.control.rest import believed_offset, nominal_gain
+from adaptdrive.control.rest import believed_offset
 from adaptdrive.control.settings import Learning, PowerStage
 from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.vectors import total
@@ -59,7 +59,7 @@ def nominal_reach(load: Load, stage: PowerStage) -> Reach:
     """
     if load.charging is not None:
         return UNKNOWN
-    return _reach(load, stage, nominal_gain(load), 0.0)
+    return _reach(load, stage, load.gain, 0.0)
 
 
 def estimated_reach(learning: Learning, load: Load, stage: PowerStage, state: SlowState) -> Reach:
@@ -79,9 +79,7 @@ def _reach(load: Load, stage: PowerStage, gain: float, offset: float) -> Reach:
     scale, exponent = load.input_gain, load.input_exponent
     low = gain * (to_input(stage.boost_reference_min_V, scale, exponent) + offset)
     high = gain * (to_input(stage.boost_reference_max_V, scale, exponent) + offset)
-    if load.charging is not None:
-        low, high = max(0.0, low), max(0.0, high)
-    return Reach(_shown(low), _shown(high))
+    return Reach(_shown(load.possible(low)), _shown(load.possible(high)))
 
 
 def _shown(value: float) -> float:

@@ -9,14 +9,13 @@ import math
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
-from adaptdrive.control.assurance import possible_models, response_spread
+from adaptdrive.control.assurance import closed_loop, possible_models, response_spread
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR
 from adaptdrive.control.fast_feedback import fast_loop
 from adaptdrive.control.integrated import restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.noise_limit import noise_gain, quiet_loop
-from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, copy_into, total
@@ -148,16 +147,11 @@ def _redesign(
     a, b, verdict = settings.learning.method.model(settings, load, state, sample.period_s)
     if verdict != sup.Verdict.TRUSTED:
         return verdict
-    verdict = sup.judge_load(a)
-    if verdict != sup.Verdict.TRUSTED:
-        return verdict
     limit = settings.jacket.noise_max
     noise = _output_noise(settings, state)
     copy_into(state.new_loop, quiet_loop(a, b, load.order, sample.pole, noise, limit))
     copy_into(gains, loop_gains(a, b, state.new_loop))
-    taps = len(state.inputs)
-    r = [1.0, *gains[:taps]]
-    verdict = sup.judge_loop(closed_loop_polynomial(a, b, r, gains[taps:]))
+    verdict = sup.judge_loop(closed_loop(gains, a, b, load.order))
     if verdict != sup.Verdict.TRUSTED:
         return verdict
     state.model_a, state.model_b = a, b
@@ -225,4 +219,4 @@ def judge_physical(
     if verdict != sup.Verdict.TRUSTED:
         return denominator, numerator, verdict
     a, b = discrete_model(settings, load, numerator, denominator, period_s)
-    return a, b, verdict
+    return a, b, sup.judge_load(a)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.vectors import Vector, all_finite, shift_in, total
+from adaptdrive.control.vectors import Vector, all_finite, copy_into, dot, shift_in, total
 
 
 @dataclass(slots=True)
@@ -51,8 +51,7 @@ def filter_reference(state: ReferenceFilter, reference: float, planned: float = 
         planned: m[k] where it is planned (`preview`), else NaN.
     """
     if total(state.loop) == 0.0 or not all_finite(state.course):
-        for i in range(len(state.course)):
-            state.course[i] = reference
+        copy_into(state.course, [reference] * len(state.course))
         return reference
     course = total(state.asked) * reference
     for i in range(1, len(state.asked)):
@@ -63,10 +62,7 @@ def filter_reference(state: ReferenceFilter, reference: float, planned: float = 
 
 def reference_of(loop: Vector, course: Vector) -> float:
     """Return r"[k] for a loop A_c."""
-    result = 0.0
-    for i in range(len(loop)):
-        result += loop[i] * course[i]
-    return result / total(loop)
+    return dot(loop, course) / total(loop)
 
 
 def condition_reference(state: ReferenceFilter, shortage: float, gain: float) -> None:

@@ -36,7 +36,7 @@ import math
 from adaptdrive.control.lambda_transform import from_lambda, to_lambda
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector, multiply
+from adaptdrive.control.vectors import Vector, multiply, total
 
 _TINY = 1e-12
 """Below this a divisor counts as zero."""
@@ -80,12 +80,8 @@ def theta_of(learning: Learning, load: Load, numerator: Vector, denominator: Vec
         rest = _without_factor(denominator, 1.0 / learning.short_lag_s)
     alpha = to_lambda(rest, learning.tau_lambda_s)
     beta = to_lambda(numerator, learning.tau_lambda_s)
-    theta = [0.0] * (order + len(load.input_powers))
-    for i in range(order):
-        theta[i] = alpha[i + 1]
-    for i in range(len(load.input_powers)):
-        theta[order + i] = beta[load.input_powers[i]] * scale
-    return theta
+    gains = [beta[power] * scale for power in load.input_powers]
+    return [*alpha[1 : order + 1], *gains]
 
 
 def _without_factor(polynomial: Vector, constant: float) -> Vector:
@@ -171,13 +167,8 @@ def fill_lowered_regressor(
         output_filtered: λy ... λ^m y.
         input_filtered: u, λu ... λ^m u.
     """
-    outputs = [0.0] * len(output_filtered)
-    inputs = [0.0] * len(input_filtered)
-    outputs[0], inputs[0] = output, input_filtered[0]
-    for i in range(1, len(outputs)):
-        outputs[i] = output_filtered[i - 1]
-    for i in range(1, len(inputs)):
-        inputs[i] = input_filtered[i - 1]
+    outputs = [output, *output_filtered[: len(output_filtered) - 1]]
+    inputs = [input_filtered[0], *input_filtered[: len(input_filtered) - 1]]
     fill_filtered_regressor(lowered, learning, load, outputs, inputs)
 
 
@@ -196,11 +187,10 @@ def initial_state_count(learning: Learning, load: Load) -> int:
 
 def dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
     """Σβ / (1 + Σα), scaled; 0 where there is none."""
-    below, above, order = 1.0, 0.0, fitted_order(learning, load)
+    below, order = 1.0, fitted_order(learning, load)
     for i in range(order):
         below += theta[i]
-    for i in range(len(load.input_powers)):
-        above += theta[order + i]
+    above = total(theta[order : order + len(load.input_powers)])
     return above / below if abs(below) > _TINY else 0.0
 
 
@@ -209,11 +199,8 @@ def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vecto
     order, scale = fitted_order(learning, load), learning.output_scale / learning.input_scale
     if has_short_lag(learning):
         scale *= learning.tau_lambda_s / learning.short_lag_s
-    alpha = [0.0] * (order + 1)
+    alpha = [1.0, *theta[:order]]
     beta = [0.0] * (load.order + 1)
-    alpha[0] = 1.0
-    for i in range(order):
-        alpha[i + 1] = theta[i]
     for i in range(len(load.input_powers)):
         beta[load.input_powers[i]] = theta[order + i] * scale
     numerator = from_lambda(beta, learning.tau_lambda_s)
@@ -237,7 +224,6 @@ def input_offset(theta: Vector, learning: Learning, load: Load, charge: float) -
     shift = theta[len(theta) - 1]
     if learning.charge:
         shift += theta[charge_index(learning, len(theta))] * charge
-    gain, order = 0.0, fitted_order(learning, load)
-    for i in range(len(load.input_powers)):
-        gain += theta[order + i]
+    order = fitted_order(learning, load)
+    gain = total(theta[order : order + len(load.input_powers)])
     return shift / gain * learning.input_scale if gain else math.nan

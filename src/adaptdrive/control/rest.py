@@ -28,7 +28,7 @@ def distance_from_rest(learning: Learning, load: Load, state: SlowState, output:
         output: y[k].
     """
     offset = believed_offset(learning, load, state)
-    distance = _distance(load, nominal_gain(load), state.sent, offset, output)
+    distance = _distance(load, load.gain, state.sent, offset, output)
     if state.supervisor.trusted:
         gain = total(state.trusted_b) / total(state.trusted_a)
         distance = min(distance, _distance(load, gain, state.sent, offset, output))
@@ -49,14 +49,7 @@ def believed_offset(learning: Learning, load: Load, state: SlowState) -> float:
     return estimated if math.isfinite(estimated) else 0.0
 
 
-def nominal_gain(load: Load) -> float:
-    """Return the dc gain of the nominal model."""
-    return load.numerator[load.order] / load.denominator[load.order]
-
-
 def _distance(load: Load, gain: float, held: float, offset: float, output: float) -> float:
     """Distance from g·u or from g·(u + d), the nearer; a battery takes no negative current."""
-    plain, shifted = gain * held, gain * (held + offset)
-    if load.charging is not None:
-        plain, shifted = max(0.0, plain), max(0.0, shifted)
+    plain, shifted = load.possible(gain * held), load.possible(gain * (held + offset))
     return min(abs(output - plain), abs(output - shifted))

@@ -36,7 +36,7 @@ from adaptdrive.control.hypotheses import (
     restart_past,
     widen,
 )
-from adaptdrive.control.load import Load
+from adaptdrive.control.load import Load, is_damped
 from adaptdrive.control.regression import fill_initial_state, filtered_model
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import DRIFT
@@ -260,10 +260,5 @@ def explained_power(rivals: Rivals) -> float:
 def is_possible(theta: Vector, learning: Learning, load: Load) -> bool:
     """Return whether such a load can exist: it stores and loses, so it neither grows nor swings."""
     _, denominator = filtered_model(theta, learning, load)
-    for coefficient in denominator:
-        if not coefficient > 0.0:
-            return False
-    if len(denominator) != 3:
-        return True
-    least = 4.0 * learning.damping_min * learning.damping_min * denominator[2]
-    return denominator[1] * denominator[1] >= least
+    losing = all(coefficient > 0.0 for coefficient in denominator)
+    return losing and is_damped(denominator, learning.damping_min)

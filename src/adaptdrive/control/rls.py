@@ -11,7 +11,7 @@ finite without excitation.
 from __future__ import annotations
 
 from adaptdrive.control.ud_factors import absorb, given, open_up, project, widen
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.vectors import Vector, copy_into, dot
 
 COVARIANCE_CEILING = 1.0e12
 """Largest variance that P may grow to: above it few digits of a double would be left."""
@@ -26,17 +26,13 @@ def reset(theta: Vector, upper: Vector, diagonal: Vector, covariance: float) -> 
         diagonal: D, n entries.
         covariance: p0 > 0.
     """
-    for i in range(len(theta)):
-        theta[i] = 0.0
+    copy_into(theta, [0.0] * len(theta))
     open_up(upper, diagonal, covariance)
 
 
 def predict(theta: Vector, regressor: Vector) -> float:
     """rᵀθ."""
-    result = 0.0
-    for i in range(len(theta)):
-        result += theta[i] * regressor[i]
-    return result
+    return dot(theta, regressor)
 
 
 def normalised(excitation: float, innovation: float, forgetting: float) -> float:

@@ -22,7 +22,7 @@ from adaptdrive.control.preview import look_ahead
 from adaptdrive.control.probing import probe
 from adaptdrive.control.redesign import adapt
 from adaptdrive.control.reference_filter import condition_reference, filter_reference, reference_of
-from adaptdrive.control.rest import distance_from_rest, nominal_gain
+from adaptdrive.control.rest import distance_from_rest
 from adaptdrive.control.rls import predict
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
@@ -164,11 +164,10 @@ def _look_at_loop(
     _look_for_cycle(jacket, state, sample)
     if load.charging is not None and state.sent < sample.high:
         saturated = False  # below its own voltage a battery answers no input
-    expected = nominal_gain(load) * state.sent
-    lag_periods = load.denominator[load.order - 1] / load.denominator[load.order] / sample.period_s
-    state.unresponsive = watch_response(
-        watch, jacket, expected, lag_periods, sample.output, saturated
-    )
+    expected = load.gain * state.sent
+    lag_periods = load.lag_s / sample.period_s
+    output = sample.output
+    state.unresponsive = watch_response(watch, jacket, expected, lag_periods, output, saturated)
 
 
 def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> None:

@@ -194,7 +194,7 @@ def new_slow_state(
     nominal = load.physical(list(load.numerator), list(load.denominator))
     resting = output
     if load.charging is not None:  # its EMF is not in the model
-        resting = load_input * load.numerator[load.order] / load.denominator[load.order]
+        resting = load_input * load.gain
     return SlowState(
         inputs=[load_input] * taps,
         outputs=[output] * (load.order + 1),

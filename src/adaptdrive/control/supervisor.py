@@ -18,6 +18,7 @@ from enum import IntEnum
 
 from adaptdrive.control.assurance import MARGIN_RADIUS, STABLE_RADIUS
 from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
+from adaptdrive.control.load import is_damped
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.vectors import Vector, all_finite, is_stable
 
@@ -81,8 +82,8 @@ def judge_model(numerator: Vector, denominator: Vector) -> int:
 
 def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: SupervisorState) -> int:
     """Check whether every parameter is within its bounds around the nominal one."""
-    for i in range(len(values)):
-        ratio = values[i] / nominal[i]
+    for i, value in enumerate(values):
+        ratio = value / nominal[i]
         if not jacket.ratio_min <= ratio <= jacket.ratio_max:
             state.culprit = i
             return Verdict.OUT_OF_BOUNDS
@@ -91,10 +92,8 @@ def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: Supervi
 
 def judge_damping(denominator: Vector, jacket: Jacket) -> int:
     """Check that a model of second order is damped like a passive load with losses."""
-    if len(denominator) != 3 or not jacket.damping_min > 0.0:
-        return Verdict.TRUSTED
-    least = 4.0 * jacket.damping_min * jacket.damping_min * denominator[2]
-    damped = denominator[1] > 0.0 and denominator[1] * denominator[1] >= least
+    least = jacket.damping_min
+    damped = not least > 0.0 or is_damped(denominator, least)
     return Verdict.TRUSTED if damped else Verdict.UNDERDAMPED
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.vectors import Vector, copy_into, identity, unit
 
 _SMALLEST = 1.0e-12
 """Least entry of D after a transformation: 0 would end learning in its direction."""
@@ -17,11 +17,8 @@ _SMALLEST = 1.0e-12
 
 def open_up(upper: Vector, diagonal: Vector, covariance: float) -> None:
     """Forget how sure θ is, and keep θ: P <- covariance · I."""
-    size = len(diagonal)
-    for i in range(size):
-        diagonal[i] = covariance
-        for j in range(size):
-            upper[i * size + j] = 1.0 if i == j else 0.0
+    copy_into(diagonal, [covariance] * len(diagonal))
+    copy_into(upper, identity(len(diagonal)))
 
 
 def widen(upper: Vector, diagonal: Vector, direction: Vector, variance: float) -> None:
@@ -91,12 +88,9 @@ def given(upper: Vector, diagonal: Vector, regressor: Vector, walks: int) -> Vec
         walks: How many the last entries are; C is zero elsewhere.
     """
     size = len(diagonal)
-    unit, gain = [0.0] * size, [0.0] * size
-    known, weights = list(upper), list(diagonal)
+    gain, known, weights = [0.0] * size, list(upper), list(diagonal)
     for i in range(size - walks):
-        unit[i] = 1.0
-        absorb(known, weights, unit, _SMALLEST, gain)
-        unit[i] = 0.0
+        absorb(known, weights, unit(size, i), _SMALLEST, gain)
     result = [0.0] * size
     project(known, weights, regressor, result)
     for i in range(size - walks):
@@ -147,12 +141,9 @@ def bound(upper: Vector, diagonal: Vector, information: float) -> None:
     if not information > 0.0:
         return
     size = len(diagonal)
-    unit = [0.0] * size
     gain = [0.0] * size
     for i in range(size):
-        unit[i] = 1.0
-        absorb(upper, diagonal, unit, 1.0 / information, gain)
-        unit[i] = 0.0
+        absorb(upper, diagonal, unit(size, i), 1.0 / information, gain)
 
 
 def transform(upper: Vector, diagonal: Vector, matrix: Vector) -> None:

@@ -19,6 +19,21 @@ def copy_into(target: Vector, source: Vector) -> None:
         target[i] = source[i]
 
 
+def unit(size: int, index: int) -> Vector:
+    """Return the unit vector along one entry."""
+    direction = [0.0] * size
+    direction[index] = 1.0
+    return direction
+
+
+def identity(size: int) -> Vector:
+    """Return the unit matrix, flat."""
+    matrix = [0.0] * (size * size)
+    for i in range(size):
+        matrix[i * size + i] = 1.0
+    return matrix
+
+
 def shift_in(history: Vector, value: float) -> None:
     """Make `value` the newest (first) entry of a history; the oldest one goes."""
     for i in range(len(history) - 1, 0, -1):
@@ -28,10 +43,7 @@ def shift_in(history: Vector, value: float) -> None:
 
 def all_finite(values: Vector) -> bool:
     """True when no entry is NaN or infinite."""
-    for value in values:
-        if not math.isfinite(value):
-            return False
-    return True
+    return all(math.isfinite(value) for value in values)
 
 
 def total(values: Vector) -> float:
@@ -39,6 +51,14 @@ def total(values: Vector) -> float:
     result = 0.0
     for value in values:
         result += value
+    return result
+
+
+def dot(left: Vector, right: Vector) -> float:
+    """Sum of the products of two vectors."""
+    result = 0.0
+    for i in range(len(left)):
+        result += left[i] * right[i]
     return result
 
 
@@ -84,16 +104,11 @@ def _pivot_row(matrix: Vector, column: int, size: int) -> int:
 
 
 def _swap_rows(matrix: Vector, right: Vector, one: int, other: int) -> None:
-    if one == other:
-        return
     size = len(right)
     for j in range(size):
-        kept = matrix[one * size + j]
-        matrix[one * size + j] = matrix[other * size + j]
-        matrix[other * size + j] = kept
-    kept = right[one]
-    right[one] = right[other]
-    right[other] = kept
+        a, b = one * size + j, other * size + j
+        matrix[a], matrix[b] = matrix[b], matrix[a]
+    right[one], right[other] = right[other], right[one]
 
 
 def _back_substitute(matrix: Vector, right: Vector) -> Vector:
@@ -117,9 +132,7 @@ def is_stable(polynomial: Vector, radius: float) -> bool:
         radius: Radius of the circle.
     """
     order = len(polynomial) - 1
-    row = [0.0] * (order + 1)
-    for i in range(order + 1):
-        row[i] = polynomial[i] / polynomial[0] / radius**i
+    row = [polynomial[i] / polynomial[0] / radius**i for i in range(order + 1)]
     for degree in range(order, 0, -1):
         reflection = row[degree] / row[0]
         if not abs(reflection) < 1.0:

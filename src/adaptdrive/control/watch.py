@@ -205,10 +205,8 @@ def _watch_saturation(
 
 
 def _watch_error(state: WatchState, jacket: Jacket, strayed: float, saturated: bool) -> None:
-    if saturated or abs(strayed) <= jacket.error_limit:
-        state.error_periods = 0
-    else:
-        state.error_periods += 1
+    small = saturated or abs(strayed) <= jacket.error_limit
+    state.error_periods = 0 if small else state.error_periods + 1
 
 
 def _watch_swings(state: WatchState, jacket: Jacket, error: float) -> None:
