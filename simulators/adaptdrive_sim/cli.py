@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal, NoReturn
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -45,6 +45,7 @@ Action = Literal[
 ]
 
 NO_ANSWER = 3
+ANSWER_s = 5.0
 INTERRUPTED = 130
 
 
@@ -110,24 +111,19 @@ def disturb(
     import asyncio  # noqa: PLC0415  # keeps --help fast
 
     from adaptdrive.operation.conversation import NoAnswerError  # noqa: PLC0415
-    from adaptdrive_sim.broker import ask, parse_address  # noqa: PLC0415
+    from adaptdrive.operation.sender import disturb as ask  # noqa: PLC0415
+    from adaptdrive_sim.broker import parse_address  # noqa: PLC0415
     from adaptdrive_sim.disturbances import from_words  # noqa: PLC0415
 
     request = from_words(action, values)
     try:
-        reply = asyncio.run(ask(parse_address(broker).mqtt, drive, request))
+        reply = asyncio.run(ask(parse_address(broker), drive, request, ANSWER_s))
     except NoAnswerError as silence:
-        _exit_unanswered(silence.problem)
-    if reply is None:
-        _exit_unanswered(f"no answer from {drive} at {broker}")
+        sys.stderr.write(f"adaptdrive-sim: {silence.problem}\n")
+        sys.exit(NO_ANSWER)
     if not reply.accepted:
         sys.exit(f"adaptdrive-sim: refused: {reply.reason}")
     print(f"{drive}: {' '.join([action, *(f'{value:g}' for value in values)])}: done")
-
-
-def _exit_unanswered(problem: str) -> NoReturn:
-    sys.stderr.write(f"adaptdrive-sim: {problem}\n")
-    sys.exit(NO_ANSWER)
 
 
 @app.command

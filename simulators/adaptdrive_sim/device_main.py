@@ -15,7 +15,7 @@ from typing import Any
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.sensors import AnySensorBus
-from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive.errors import AdaptdriveError, RefusedError, first_error
 from adaptdrive.lines import log
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_settings import DeviceSettings
@@ -65,7 +65,8 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     try:
         asyncio.run(_until_signal(jobs))
     except ExceptionGroup as problems:
-        raise _root_cause(problems) from problems
+        ours, _ = problems.split(AdaptdriveError)
+        raise first_error(ours or problems) from problems
     finally:
         report("stopped", ticks=drive.world.tick, **node.counts)
 
@@ -238,15 +239,3 @@ async def _until_signal(jobs: list[Job]) -> None:
             for task in pending:
                 task.cancel()
             await asyncio.wait(pending, timeout=_CANCEL_AGAIN_S)
-
-
-def _root_cause(problems: ExceptionGroup[Exception]) -> Exception:
-    """The first error of ours, else the first error at all."""
-    leaves = list(_leaves(problems))
-    return next((leaf for leaf in leaves if isinstance(leaf, AdaptdriveError)), leaves[0])
-
-
-def _leaves(problem: Exception) -> list[Exception]:
-    if isinstance(problem, ExceptionGroup):
-        return [leaf for part in problem.exceptions for leaf in _leaves(part)]
-    return [problem]

@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.battery_bench import ideal_current, judge_batteries, run_battery
+from adaptdrive_sim.campaign.battery_bench import BatteryTrial, ideal_current
 from adaptdrive_sim.campaign.battery_scenario import BatteryCampaign, BatteryScenario, draw_battery
-from adaptdrive_sim.campaign.main import repeat_run, run_campaign
+from adaptdrive_sim.campaign.main import repeat_run, run_campaign, run_seed
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
 from tests.campaign.flaws import message_about
 
@@ -61,7 +61,7 @@ def test_the_resistance_grows_in_the_plant() -> None:
     scenario = next(one for one in scenarios() if one.growth > 1.5 and one.charge < 0.4)
     assert scenario.series_at(0.0) == 1.0
     assert scenario.series_at(scenario.duration_s) == pytest.approx(scenario.growth)
-    run = run_battery(scenario, Mode.FIXED)
+    run = BatteryTrial(scenario).run(Mode.FIXED)
     assert not run.trip
     times_s, volts = run["time_s"], run["terminal_voltage_V"]
     before, after = (
@@ -75,8 +75,8 @@ def test_the_resistance_grows_in_the_plant() -> None:
 @pytest.mark.slow
 def test_a_row_says_what_happened_and_the_same_seed_says_the_same() -> None:
     campaign = read_battery_campaign(SHIPPED)
-    row = judge_batteries(campaign, 310_002)
-    assert row == judge_batteries(campaign, 310_002)
+    row = run_seed(campaign, 310_002)
+    assert row == run_seed(campaign, 310_002)
     assert row["interlock_fixed"] == row["interlock_adaptive"] == 0
     assert 0.0 < row["rms_fixed"] < 0.1
     assert row["ripple_found"] < row["ripple"] + 0.01

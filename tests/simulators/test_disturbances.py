@@ -11,9 +11,10 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from adaptdrive.config import load_configuration
+from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import RefusedError
 from adaptdrive_sim import cli
-from adaptdrive_sim.broker import BrokerAddress, parse_address
+from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_main import build_sensors
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
@@ -37,7 +38,7 @@ def ignore(*_: Any, **__: Any) -> None:
 @pytest.fixture
 def remote() -> Remote:
     drive = SimulatedDrive(World(Motor(MotorParameters())), ignore)
-    return Remote(BrokerAddress("localhost", 1), "bench", drive, ignore)
+    return Remote(Mqtt(host="localhost", port=1), "bench", drive, ignore)
 
 
 def ask(remote: Remote, **request: Any) -> tuple[bool, str]:
@@ -76,7 +77,7 @@ def test_a_sag_reaches_the_line(remote: Remote) -> None:
 
 def of(load: SimulatedLoad) -> Remote:
     return Remote(
-        BrokerAddress("localhost", 1), "bench", SimulatedDrive(World(load), ignore), ignore
+        Mqtt(host="localhost", port=1), "bench", SimulatedDrive(World(load), ignore), ignore
     )
 
 
@@ -207,12 +208,12 @@ def test_a_port_that_does_not_exist_is_refused(port: str) -> None:
 @pytest.mark.parametrize(
     ("text", "address"),
     [
-        ("broker:1884", BrokerAddress("broker", 1884)),
-        ("10.0.0.1", BrokerAddress("10.0.0.1", 1883)),
-        ("[::1]:1885", BrokerAddress("::1", 1885)),
+        ("broker:1884", Mqtt(host="broker", port=1884)),
+        ("10.0.0.1", Mqtt(host="10.0.0.1", port=1883)),
+        ("[::1]:1885", Mqtt(host="::1", port=1885)),
     ],
 )
-def test_broker_addresses(text: str, address: BrokerAddress) -> None:
+def test_broker_addresses(text: str, address: Mqtt) -> None:
     assert parse_address(text) == address
 
 
@@ -231,7 +232,7 @@ def test_no_broker_addresses(text: str) -> None:
 )
 def test_what_a_device_offers_is_carried_out(load: SimulatedLoad) -> None:
     device = SimulatedDrive(World(load), ignore)
-    remote = Remote(BrokerAddress("localhost", 1), "bench", device, ignore)
+    remote = Remote(Mqtt(host="localhost", port=1), "bench", device, ignore)
     features = json.loads(msgspec.json.encode(remote.state()))["features"]
     assert len(features) >= 3
     for feature in features:

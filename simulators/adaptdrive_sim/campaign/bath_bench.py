@@ -88,28 +88,6 @@ class BathScenario(Drawn):
             return np.full(times_s.size, self.reference.low)
         return np.array([self.reference.value(time_s) for time_s in times_s.tolist()])
 
-    def columns(self) -> Row:
-        """Return the drawn values as columns of the results."""
-        return {
-            "seed": self.seed,
-            "volume_first_gal": self.volumes_gal[0],
-            "volume_last_gal": self.volumes_gal[-1],
-            "volume_largest_gal": max(self.volumes_gal),
-            "changes": len(self.fill_times_s),
-            "fill_s": self.fill_s,
-            "inflow": self.inflows[0],
-            "inflow_changes": len(self.inflow_times_s),
-            **self.values("drift_K_per_h", "turn_s", "resistance", "ageing_per_h"),
-            "shape": "constant" if self.constant else self.reference.shape.value,
-            "low": self.reference.low,
-            "step": self.step,
-            "period_s": self.reference.period_s,
-            "sigma_K": self.sigma,
-            "spike_share": self.spike_share,
-            "output_K": self.output_quantum,
-            **self.values("offset_K", "output_delay_ticks", "line_voltage", "frequency_Hz"),
-        }
-
 
 def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
     """The run of a campaign that a seed stands for."""
@@ -177,8 +155,6 @@ def deployed_bath() -> Deployed:
 class BathStand(DrawnRun):
     """The course of one scenario of a bath; its size is the volume in US gallons."""
 
-    size_name = "volume_gal"
-
     def __init__(self, scenario: BathScenario) -> None:
         super().__init__(deployed_bath(), scenario, scenario.offset_K, scenario.reference.low)
         self.scenario = scenario
@@ -187,24 +163,25 @@ class BathStand(DrawnRun):
         self.sizes = moving(self.times_s, self.change_times_s, scenario.volumes_gal, ramps_s)
         self.inflows = scenario.inflows_at(self.times_s)
         self.references = scenario.references_at(self.times_s)
+        self.disturbances = scenario.disturbances(self.ticks + 1, self.offset)
         flows = scenario.inflows
         moved_K = (max(flows) / min(flows) - 1.0) * scenario.reference.high
         self.largest_movement = max(self.step, moved_K)
 
     def columns(self) -> Row:
         """Return the drawn values as columns of the results."""
-        return self.scenario.columns()
+        row = super().columns()
+        return row | {"shape": "constant"} if self.scenario.constant else row
 
     def course(self, mode: Mode) -> Course:
         """Return what happens in the run."""
         scenario, own = self.scenario, self.own
-        ticks = self.times_s.size * own.settings.rates.ticks_per_period
         moves = scenario.inflow_times_s
         return Course(
             self.references,
             scenario.targets_gal_at(self.times_s) / scenario.volumes_gal[0],
             scenario.fill_s,
-            scenario.disturbances(ticks + 1, self.offset),
+            self.disturbances,
             mode,
             own.pole,
             own.interlocks,

@@ -79,28 +79,6 @@ class Scenario(Drawn):
             drag_Nms2=self.life.drag_V * volt_Nm() * (nominal.tachometer_Vs / MIDDLE) ** 2,
         )
 
-    def columns(self) -> Row:
-        """Return the drawn values as columns of the results."""
-        own = self.life
-        return {
-            "seed": self.seed,
-            "inertia_first": self.inertias[0],
-            "inertia_last": self.inertias[-1],
-            "inertia_largest": max(self.inertias),
-            "changes": len(self.change_times_s),
-            **self.values("gain", "filter"),
-            "shape": self.reference.shape.value,
-            "step": self.step,
-            "period_s": self.reference.period_s,
-            "sigma": self.sigma / self.step,
-            **self.values("spike_share", "line_voltage", "frequency_Hz", "output_delay_ticks"),
-            "torque_changes": len(own.torques_V),
-            "torque_largest_V": own.largest_torque_V,
-            "restarts": len(own.stop_times_s),
-            "idle_s": min(self.duration_s, sum(own.idle_s)),
-            **{name: getattr(own, name) for name in ("coulomb_V", "drag_V", "offset")},
-        }
-
 
 def draw(campaign: Campaign, seed: int) -> Scenario:
     """The run of a campaign that a seed stands for."""
@@ -173,8 +151,6 @@ def at_rest(own: Deployed) -> Deployed:
 class Stand(DrawnRun):
     """The course of one scenario of a motor; its size is the inertia in disks."""
 
-    size_name = "inertia"
-
     def __init__(self, scenario: Scenario) -> None:
         life = scenario.life
         super().__init__(deployed(), scenario, life.offset, scenario.reference.value(0.0))
@@ -184,12 +160,11 @@ class Stand(DrawnRun):
         self.change_times_s = scenario.change_times_s
         self.largest_movement = scenario.largest_movement
         self.stops = life.stops(self.own.period_s)
-        ticks = self.times_s.size * self.own.settings.rates.ticks_per_period
-        self._disturbances = life.offset + scenario.disturbances(ticks + 1)
+        self.disturbances = life.offset + scenario.disturbances(self.ticks + 1)
 
     def columns(self) -> Row:
-        """Return the drawn values as columns of the results."""
-        return self.scenario.columns()
+        """Return the drawn values as columns of the results; noise is relative to the step."""
+        return super().columns() | {"sigma": self.scenario.sigma / self.step}
 
     def course(self, mode: Mode) -> Course:
         """Return what happens in the run."""
@@ -197,7 +172,7 @@ class Stand(DrawnRun):
             self.references,
             self.sizes,
             0.0,
-            self._disturbances,
+            self.disturbances,
             mode,
             self.own.pole,
             self.own.interlocks,

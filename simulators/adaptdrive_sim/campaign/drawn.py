@@ -1,11 +1,13 @@
-"""One drawn run of any load: its course, its plant, and the controllers that run it."""
+"""One drawn run of any load: what was drawn, its course, its plant, and what a run of it shows."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
 from functools import partial
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
+from adaptdrive.control.supervisor import Verdict
 from adaptdrive.control.waveform import Waveform
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.sources import compiled_modules
@@ -124,9 +127,21 @@ class Drawn:
             outputs=[output] * (DELAY_MAX + 1),
         )
 
-    def values(self, *names: str) -> Row:
-        """Return some of the drawn values as columns of the results."""
-        return {name: getattr(self, name) for name in names}
+
+def columns_of(drawn: Any) -> Row:  # noqa: ANN401 - any dataclass
+    """Return drawn values as columns; of several, how many, the first, the last and the largest."""
+    row: Row = {}
+    for one in fields(drawn):
+        value, name = getattr(drawn, one.name), one.name
+        if isinstance(value, tuple):
+            first, last = (value[0], value[-1]) if value else (math.nan, math.nan)
+            row |= {f"{name}_count": len(value), f"{name}_first": first, f"{name}_last": last}
+            row[f"{name}_largest"] = max(value, default=math.nan)
+        elif is_dataclass(value):
+            row |= columns_of(value)
+        else:
+            row[name] = value.value if isinstance(value, Enum) else value
+    return row
 
 
 def uniform(generator: np.random.Generator, ends: tuple[float, float]) -> float:
@@ -185,30 +200,67 @@ def _another(
     return low + place if place < room_below else above + place - room_below
 
 
-class DrawnRun(ABC):
-    """The course of one scenario, for as many controllers as are to run it.
+class Trial(ABC):
+    """The run of one seed, for as many controllers as are to run it.
+
+    Attributes:
+        compiled: Whether its runs are compiled code.
+        step: Height of the reference's step.
+        cycle_periods: Slow periods at the end of a run that show whether it is stable.
+        largest_movement: Movement of the output by the reference's step or by the largest
+            disturbance.
+    """
+
+    compiled: ClassVar[bool] = True
+    step: float
+    cycle_periods: int
+    largest_movement: float
+
+    @abstractmethod
+    def columns(self) -> Row:
+        """Return the drawn values as columns of the results; `changes` of the load among them."""
+
+    @abstractmethod
+    def run(self, mode: Mode) -> Run:
+        """Run a controller."""
+
+    @abstractmethod
+    def run_deployed(self, mode: Mode) -> Run:
+        """Run the deployed controller itself, interpreted, with columns for its file."""
+
+    @abstractmethod
+    def errors(self, run: Run) -> Array:
+        """Return the differences to the designed loop that count, as shares of the step."""
+
+    @abstractmethod
+    def seen(self, run: Run) -> Row:
+        """Return what a run of the adaptive controller shows, as columns of the results."""
+
+    @staticmethod
+    def summarise(rows: list[Row]) -> str:  # noqa: ARG004 - most loads have nothing to add
+        """Return what is printed below the tables that every load has."""
+        return ""
+
+
+class DrawnRun(Trial):
+    """The course of one scenario of a load whose runs are compiled.
 
     Attributes:
         own: The controller.
         seed: The seed that it was drawn from.
-        step: Height of the reference's step.
-        cycle_periods: Slow periods in one period of the reference.
         times_s: The slow instants.
         references: r[k].
         sizes: What changes of the load.
-        size_name: Its name.
         change_times_s: Times at which it begins to change.
+        disturbances: Measurement noise of every tick, with the offset of the sensor.
         offset: Offset of the sensor of the output.
-        largest_movement: Movement of the output by the reference's step or by the largest
-            disturbance.
         stops: Slow periods in which the drive is off.
     """
 
     references: Array
     sizes: Array
-    size_name: str
     change_times_s: Numbers
-    largest_movement: float
+    disturbances: Array
     preview = True
 
     def __init__(self, own: Deployed, scenario: Drawn, offset: float, shown: float) -> None:
@@ -225,12 +277,14 @@ class DrawnRun(ABC):
         self.cycle_periods = round(scenario.reference.period_s / own.period_s)
         periods = round(scenario.duration_s / own.period_s)
         self.times_s: Array = own.period_s * np.arange(periods, dtype=np.float64)
+        self.ticks = periods * own.settings.rates.ticks_per_period
         self.stops: tuple[range, ...] = ()
-        self._wire = partial(scenario.wire, shown)
+        self._drawn, self._wire = scenario, partial(scenario.wire, shown)
 
-    @abstractmethod
     def columns(self) -> Row:
         """Return the drawn values as columns of the results."""
+        row = columns_of(self._drawn) | {"step": self.step, "changes": len(self.change_times_s)}
+        return row | {"size_largest": float(np.max(self.sizes))}
 
     @abstractmethod
     def course(self, mode: Mode) -> Course:
@@ -257,8 +311,31 @@ class DrawnRun(ABC):
         return self.site().run(self.course(mode), compiled=not self.stops)
 
     def run_deployed(self, mode: Mode) -> Run:
-        """Run the deployed controller itself, interpreted."""
-        return self.site().run(self.course(mode))
+        """Run the deployed controller itself, interpreted; the loop as designed is beside it."""
+        given = {"time_s": self.times_s, "reference": self.references, "size": self.sizes}
+        return self.site().run(self.course(mode)).beside(**given, ideal=self.ideal())
+
+    def errors(self, run: Run) -> Array:
+        """Return the differences to the designed loop while the drive runs."""
+        shown = run["output"] + self.offset
+        found: Array = ((shown - self.ideal()) / self.step)[self.running()]
+        return found
+
+    def seen(self, run: Run) -> Row:
+        """Return what the supervisor has done, and the errors of the estimates at the end."""
+        in_force, verdicts = run["adaptive"] > 0.0, run["verdict"]
+        truth = self.truth_at(self.times_s.size - 1)
+        estimates = np.array([run[name][-1] for name in self.own.load.names])
+        row: Row = {
+            "adaptive_share": float(np.mean(in_force)),
+            "accepted_share": float(np.mean(run["accepted"] > 0.0)),
+            "switches": int(np.count_nonzero(np.diff(in_force.astype(int)))),
+            "estimate_error": float(np.max(np.abs(estimates / truth - 1.0))),
+            "saturated_share": float(np.mean(_at_limit(run["boost_reference_V"]))),
+        }
+        for verdict in Verdict:
+            row[f"verdict_{verdict.name.lower()}"] = int(np.count_nonzero(verdicts == verdict))
+        return row
 
     def running(self) -> NDArray[np.bool_]:
         """Return in which slow periods the drive runs and is regulated.
@@ -283,3 +360,7 @@ class DrawnRun(ABC):
         """Return the true physical parameters in a slow period."""
         load = self.true_load(k)
         return np.array(load.physical(list(load.numerator), list(load.denominator)))
+
+
+def _at_limit(voltage_V: Array) -> NDArray[np.bool_]:
+    return (voltage_V <= 200.0 + 1e-9) | (voltage_V >= 400.0 - 1e-9)

@@ -5,79 +5,39 @@ A file names a load by its key `type`. Runs go to processes of this machine, or 
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+from adaptdrive.control.signals import Mode
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.campaign.bath_bench import BathStand, draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
-from adaptdrive_sim.campaign.battery_bench import (
-    judge_batteries,
-    repeat_battery,
-    summarise_batteries,
-)
-from adaptdrive_sim.campaign.battery_scenario import BatteryCampaign
+from adaptdrive_sim.campaign.battery_bench import BatteryTrial
+from adaptdrive_sim.campaign.battery_scenario import BatteryCampaign, draw_battery
 from adaptdrive_sim.campaign.bench import Stand, draw
-from adaptdrive_sim.campaign.drawn import DrawnRun, Row
-from adaptdrive_sim.campaign.judge import run_and_judge
+from adaptdrive_sim.campaign.drawn import Row, Trial
+from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.campaign.repeat import repeat
 from adaptdrive_sim.campaign.report import print_results, write_results
 from adaptdrive_sim.campaign.settings import MOST_RUNS, Campaign, read_campaign_of
+from adaptdrive_sim.jobs import processes, progress
 from adaptdrive_sim.parameters import SEED_MAX, check_range
 
 AnyCampaign = Campaign | BathCampaign | BatteryCampaign
 
-TYPES: dict[str, type[AnyCampaign]] = {
-    "motor": Campaign,
-    "bath": BathCampaign,
-    "battery": BatteryCampaign,
+_TYPES: dict[str, tuple[type[AnyCampaign], type[Trial], Callable[[Any, int], Any]]] = {
+    "motor": (Campaign, Stand, draw),
+    "bath": (BathCampaign, BathStand, draw_bath),
+    "battery": (BatteryCampaign, BatteryTrial, draw_battery),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class CampaignKind:
-    """Functions that a campaign needs for the runs of one load.
-
-    Attributes:
-        judge: Runs a seed with both controllers; returns its row of the results.
-        repeat: Runs a seed again on the deployed controller, and records it.
-        summarise: Returns what is printed below the tables that every load has.
-        compiled: Whether its runs are compiled code.
-    """
-
-    judge: Callable[[Any, int], Row]
-    repeat: Callable[[Any, int, Path, Console], None]
-    summarise: Callable[[list[Row]], str]
-    compiled: bool
-
-
-def _drawn(stand: Callable[[Any, int], DrawnRun]) -> CampaignKind:
-    """Return the kind of a load whose runs are compiled."""
-
-    def judge_seed(campaign: AnyCampaign, seed: int) -> Row:
-        return run_and_judge(stand(campaign, seed))
-
-    def repeat_seed(campaign: AnyCampaign, seed: int, output: Path, console: Console) -> None:
-        repeat(stand(campaign, seed), output, console)
-
-    return CampaignKind(judge_seed, repeat_seed, lambda _: "", compiled=True)
-
-
-_KINDS = {
-    "motor": _drawn(lambda campaign, seed: Stand(draw(campaign, seed))),
-    "bath": _drawn(lambda campaign, seed: BathStand(draw_bath(campaign, seed))),
-    "battery": CampaignKind(judge_batteries, repeat_battery, summarise_batteries, compiled=False),
-}
+"""What a file may hold, what a run of it is, and what draws the scenario of one from a seed."""
 
 
 def read_any_campaign(path: Path) -> AnyCampaign:
@@ -86,22 +46,24 @@ def read_any_campaign(path: Path) -> AnyCampaign:
     Raises:
         CampaignError: It cannot be read, or a value is not allowed.
     """
-    return read_campaign_of(path, TYPES)
+    return read_campaign_of(path, {name: contents for name, (contents, *_) in _TYPES.items()})
 
 
-def kind_of(campaign: AnyCampaign) -> CampaignKind:
-    """Return what a campaign does with the runs of its load."""
-    return _KINDS[campaign.type]
+def trial_of(campaign: AnyCampaign, seed: int) -> Trial:
+    """Return the run of a campaign that a seed stands for."""
+    _, trial, draw_scenario = _TYPES[campaign.type]
+    return trial(draw_scenario(campaign, seed))  # type: ignore[call-arg]  # each has its own
 
 
 def is_compiled(campaign: AnyCampaign) -> bool:
     """Return whether the runs of a campaign are compiled code."""
-    return kind_of(campaign).compiled
+    return _TYPES[campaign.type][1].compiled
 
 
 def run_seed(campaign: AnyCampaign, seed: int) -> Row:
     """Run one seed with both controllers and judge them: one row of the results."""
-    return kind_of(campaign).judge(campaign, seed)
+    trial = trial_of(campaign, seed)
+    return judge(trial, trial.run(Mode.FIXED), trial.run(Mode.ADAPTIVE))
 
 
 _BATCH = 10
@@ -153,9 +115,7 @@ def workers(count: int | None, scheduler: str | None) -> Iterator[Executor]:
         with _cluster(scheduler) as executor:
             yield executor
         return
-    context = multiprocessing.get_context("spawn")
-    number = count or len(os.sched_getaffinity(0))
-    with ProcessPoolExecutor(number, mp_context=context) as executor:
+    with processes(count or len(os.sched_getaffinity(0))) as executor:
         yield executor
 
 
@@ -206,12 +166,16 @@ def run_campaign(
     with workers(processes, scheduler) as executor:
         _warm_up(campaign, executor)
         started_s = time.monotonic()
-        rows = _with_progress(campaign, run_all(campaign, executor), console)
+        rows: list[Row] = []
+        with progress(campaign.runs) as done:
+            for batch in run_all(campaign, executor):
+                rows += batch
+                done(len(batch), "")
         seconds = time.monotonic() - started_s
     rows.sort(key=lambda row: row["seed"])
     write_results(rows, output)
     print_results(rows, seconds, path, console)
-    if summary := kind_of(campaign).summarise(rows):
+    if summary := _TYPES[campaign.type][1].summarise(rows):
         console.print(summary)
     return rows
 
@@ -225,24 +189,10 @@ def repeat_run(path: Path, seed: int, output: Path) -> None:
     check_range("--only", seed, 0, SEED_MAX, "")
     output.mkdir(parents=True, exist_ok=True)
     campaign = read_any_campaign(path)
-    kind_of(campaign).repeat(campaign, seed, output, Console())
+    repeat(trial_of(campaign, seed), seed, output, Console())
 
 
 def _warm_up(campaign: AnyCampaign, executor: Executor) -> None:
     """Load what was compiled in each process: starting up is no part of a campaign's speed."""
     if is_compiled(campaign):
         list(executor.map(run_seed, [campaign] * _WARM_UPS, [campaign.seed] * _WARM_UPS))
-
-
-def _with_progress(
-    campaign: AnyCampaign, batches: Iterator[list[Row]], console: Console
-) -> list[Row]:
-    """Collect batches; the bar is shown on a terminal only."""
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    rows: list[Row] = []
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("", total=campaign.runs)
-        for batch in batches:
-            rows += batch
-            progress.advance(task, len(batch))
-    return rows

@@ -8,50 +8,26 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from rich.console import Console
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.drawn import DrawnRun
+from adaptdrive_sim.campaign.drawn import DrawnRun, Trial
 from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.course import Run
+from adaptdrive_sim.recorded import table_of
 
-Array = NDArray[np.float64]
 
-
-def repeat(stand: DrawnRun, output: Path, console: Console) -> None:
-    """Run one seed with both controllers, interpreted; write run-SEED.parquet and run-SEED.png."""
-    seed = stand.seed
-    fixed, adaptive = (stand.run_deployed(mode) for mode in (Mode.FIXED, Mode.ADAPTIVE))
-    pq.write_table(_table(stand, fixed, adaptive), output / f"run-{seed}.parquet")
-    picture(stand, fixed, adaptive).savefig(output / f"run-{seed}.png", dpi=120)
-    for name, value in judge(stand, fixed, adaptive).items():
+def repeat(trial: Trial, seed: int, output: Path, console: Console) -> None:
+    """Run one seed with both controllers, interpreted; write run-SEED.parquet, and a picture."""
+    runs = {mode.value: trial.run_deployed(mode) for mode in (Mode.FIXED, Mode.ADAPTIVE)}
+    path = output / f"run-{seed}.parquet"
+    pq.write_table(pa.concat_tables([table_of(run, mode=name) for name, run in runs.items()]), path)
+    for name, value in judge(trial, *runs.values()).items():
         console.print(f"{name:26} {value}")
-    changes = f"changes at {stand.change_times_s} s, at last to {stand.sizes[-1]:.4g}"
-    console.print(f"{stand.size_name} {changes}")
-    console.print(f"recorded: {output / f'run-{seed}.parquet'}, {output / f'run-{seed}.png'}")
-
-
-def _table(stand: DrawnRun, fixed: Run, adaptive: Run) -> pa.Table:
-    columns: dict[str, Array | list[str]] = {
-        "time_s": stand.times_s,
-        "reference": stand.references,
-        stand.size_name: stand.sizes,
-        "ideal": stand.ideal(),
-        "output_fixed": fixed["output"],
-        "boost_reference_fixed_V": fixed["boost_reference_V"],
-        "output_adaptive": adaptive["output"],
-        "boost_reference_adaptive_V": adaptive["boost_reference_V"],
-        "innovation": adaptive["innovation"],
-        "handover_step_V": adaptive["handover_step_V"],
-    }
-    decisions = adaptive.decisions
-    rest = len(stand.times_s) - len(decisions)
-    columns["reason"] = [one.reason for one in decisions] + [""] * rest
-    for name in decisions[0].estimates:
-        values = [one.estimates[name].value for one in decisions]
-        columns[name] = np.pad(values, (0, rest), constant_values=np.nan)
-    return pa.table(columns)
+    if isinstance(trial, DrawnRun):
+        picture(trial, *runs.values()).savefig(path.with_suffix(".png"), dpi=120)
+        console.print(f"changes at {trial.change_times_s} s, at last to {trial.sizes[-1]:.4g}")
+    console.print(f"recorded: {path}")
 
 
 def picture(stand: DrawnRun, fixed: Run, adaptive: Run) -> Figure:
@@ -59,7 +35,7 @@ def picture(stand: DrawnRun, fixed: Run, adaptive: Run) -> Figure:
     figure = Figure(figsize=(11, 8), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True)
     times_s = stand.times_s
-    top.plot(times_s, stand.ideal(), "k", lw=0.8, label="as designed")
+    top.plot(times_s, fixed["ideal"], "k", lw=0.8, label="as designed")
     for name, outcome, colour in (
         ("fixed", fixed, "tab:orange"),
         ("adaptive", adaptive, "tab:blue"),

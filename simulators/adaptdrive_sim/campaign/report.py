@@ -128,7 +128,7 @@ _SHOWN = 20
 
 _INFLUENCES: tuple[dict[str, str], ...] = (
     {
-        "inertia_largest": "largest inertia, disks",
+        "size_largest": "largest inertia, disks",
         "sigma": "noise σ, fraction of the step",
         "gain": "gain, relative",
         "filter": "τ_f, relative",
@@ -136,8 +136,8 @@ _INFLUENCES: tuple[dict[str, str], ...] = (
         "period_s": "period of the reference, s",
     },
     {
-        "volume_largest_gal": "largest volume, US gal",
-        "sigma_K": "noise σ, K",
+        "size_largest": "largest volume, US gal",
+        "sigma": "noise σ, K",
         "resistance": "heater resistance, relative",
         "drift_K_per_h": "drift of the inflow, K/h",
         "step": "step, K",

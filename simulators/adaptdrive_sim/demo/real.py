@@ -14,6 +14,7 @@ from typing import Any, Self
 
 from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.cli.panel import panel_address
+from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import RecordingError
 from adaptdrive.household.ports import Ports
 from adaptdrive.household.processes import BROKER, Household
@@ -24,7 +25,7 @@ from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.main import follow_drive
 from adaptdrive.watch.sending import over_mqtt
-from adaptdrive_sim.broker import BrokerAddress, parse_address
+from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.demo.bus import choose_bus
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
@@ -71,7 +72,7 @@ class RealStage:
         document = story.document()
         self.drive_name = str(document["drive"]["name"])
         if settings.broker is None:
-            self._broker = BrokerAddress("127.0.0.1", self._ports.take())
+            self._broker = Mqtt(port=self._ports.take())
             self._page, self._websocket = self._ports.take(), self._ports.take()
         else:
             self._broker = parse_address(settings.broker)
@@ -83,7 +84,7 @@ class RealStage:
         self.workspace.write(document)
         state = {"STATE_DIRECTORY": str(self.workspace.state), NAMESPACE: f"demo-{os.getpid()}"}
         self._household = Household({**os.environ, **state})
-        self._ask = over_mqtt(self._broker.mqtt, self.drive_name, _ANSWER_s)
+        self._ask = over_mqtt(self._broker, self.drive_name, _ANSWER_s)
         self._closing = AsyncExitStack()
         self.places = {
             "folder": str(self.workspace.directory),
@@ -160,7 +161,7 @@ class RealStage:
 
     def services(self, record: DemoRecord) -> list[Coroutine[Any, Any, None]]:
         """Return what runs beside the story: it is heard, and each death of a process is seen."""
-        return [self._household.watch(), follow_drive(self._broker.mqtt, record)]
+        return [self._household.watch(), follow_drive(self._broker, record)]
 
     async def panel(self) -> str:
         """Serve the panel, and return its address.
@@ -200,7 +201,7 @@ class RealStage:
         end_s = self.time_s + longest_s
         while True:
             try:
-                async with conversation(self._broker.mqtt, self.drive_name, end_of(longest_s)):
+                async with conversation(self._broker, self.drive_name, end_of(longest_s)):
                     return
             except NoAnswerError as silence:
                 if self.time_s >= end_s or self._settings.broker is not None:

@@ -15,10 +15,10 @@ from typing import Any
 import aiomqtt
 import msgspec
 
+from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import RefusedError
 from adaptdrive.operation.simulator import DeviceReply, simulator_topic
 from adaptdrive.operation.steady import SteadyClient
-from adaptdrive_sim.broker import BrokerAddress
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.disturbances import apply_request, features_of, parse_request, read_id
 
@@ -31,9 +31,7 @@ FAREWELL_s = 1.0
 class Remote:
     """Serves one simulated drive on one broker."""
 
-    def __init__(
-        self, broker: BrokerAddress, name: str, drive: SimulatedDrive, report: Report
-    ) -> None:
+    def __init__(self, broker: Mqtt, name: str, drive: SimulatedDrive, report: Report) -> None:
         self._broker = broker
         self._name = name
         self._drive = drive

@@ -19,6 +19,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptdrive.analysis.steps import judge_step
 from adaptdrive.control.discretise import held_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.pole_placement import desired_polynomial
@@ -29,7 +30,6 @@ from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 
 Array = NDArray[np.float64]
 
-SETTLED = 0.05
 CONVERGED = 0.05
 
 
@@ -124,14 +124,12 @@ def _half(
     experiment: Experiment, record: Run, first_s: float, last_s: float
 ) -> tuple[float, float]:
     """Overshoot, and settling time or infinity, of one half cycle."""
-    chosen = _between(record, first_s, last_s)
-    target = experiment.reference.value(first_s)
-    sign = 1.0 if target == experiment.reference.high else -1.0
-    excess = sign * (record["output"][chosen] - target) / experiment.step
-    outside = np.flatnonzero(np.abs(excess) > SETTLED)
-    settled = int(outside[-1]) + 1 if outside.size else 0
-    settling_s = settled * experiment.period_s if settled < excess.size else math.inf
-    return max(0.0, float(excess.max())), settling_s
+    reference, target = experiment.reference, experiment.reference.value(first_s)
+    before = reference.low + reference.high - target
+    overshoot, periods = judge_step(
+        record["output"][_between(record, first_s, last_s)], before, target
+    )
+    return overshoot, periods * experiment.period_s
 
 
 def convergence_cycles(experiment: Experiment, record: Run, change: LoadChange) -> float | None:

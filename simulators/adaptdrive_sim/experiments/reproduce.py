@@ -4,23 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import multiprocessing
 import os
-import signal
-import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import pyarrow.parquet as pq
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.course import Run
@@ -47,7 +38,9 @@ from adaptdrive_sim.experiments.sweep import (
     settings_over_tau_lambda,
     try_settings,
 )
+from adaptdrive_sim.jobs import processes, progress
 from adaptdrive_sim.parameters import SEED_MAX, check_range
+from adaptdrive_sim.recorded import table_of
 
 VARIANTS: dict[str, tuple[Variant, ...]] = {
     "motor": ("fixed", "adaptive", "direct_rls"),
@@ -55,7 +48,6 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
 }
 
 _OTHER_STEPS = 4
-_FIRST = ("time_s", "reference", "size", "output", "measured", "boost_reference_V", "applied_V")
 
 
 class OutputError(AdaptdriveError):
@@ -153,7 +145,8 @@ def run_request(request: ReproduceRequest, folder: Path) -> list[ExperimentClaim
 def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
     """Run everything in parallel, and draw each figure as soon as its data is there."""
     experiment, variants = request.experiment, VARIANTS[request.experiment.name]
-    with _pool(len(variants)) as pool, _progress(len(variants) + _OTHER_STEPS) as done:
+    workers = min(len(variants), os.cpu_count() or 1)
+    with processes(workers) as pool, progress(len(variants) + _OTHER_STEPS) as done:
         runs = {
             variant: pool.submit(run_case, request.case(variant), keep_ticks=variant == "fixed")
             for variant in variants
@@ -168,45 +161,19 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
         records: dict[Variant, Run] = {}
         for variant, run in runs.items():
             records[variant] = run.result()
-            done(f"ran the {variant} controller")
+            done(1, f"ran the {variant} controller")
         outcome = judge(experiment, request.design, request.disturbance, request.seed, records)
         draw_experiment(outcome, folder / "figure.png")
-        done("drew the experiment")
+        done(1, "drew the experiment")
         outcome = dataclasses.replace(
             outcome,
             over_forgetting=over_forgetting.result(),
             over_tau_lambda=over_tau_lambda.result(),
         )
-        done("tried other settings of the estimator")
+        done(1, "tried other settings of the estimator")
         draw_sweep(outcome, folder / "sweep.png")
-        done("drew them")
+        done(1, "drew them")
     return outcome
-
-
-def _pool(jobs: int) -> ProcessPoolExecutor:
-    """Processes of their own that inherit nothing and end quietly on Ctrl-C."""
-    return ProcessPoolExecutor(
-        max_workers=min(jobs, os.cpu_count() or 1),
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_DFL),
-    )
-
-
-@contextmanager
-def _progress(steps: int) -> Iterator[Callable[[str], None]]:
-    """Return a progress bar on a terminal, nothing in a pipe."""
-    console = Console(stderr=True)
-    columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(
-        *columns, console=console, transient=True, disable=not sys.stderr.isatty()
-    ) as bar:
-        task = bar.add_task("running", total=steps)
-
-        def done(what: str) -> None:
-            bar.update(task, advance=1.0, description=what)
-
-        yield done
 
 
 def _write_summary(folder: Path, found: dict[str, Any]) -> None:
@@ -226,15 +193,5 @@ def _write_record(path: Path, outcome: ExperimentOutcome, variant: Variant) -> N
         "dropped_at_rest": str(outcome.experiment.dropped).lower(),
         "spikes": f"{disturbance.spike_share!r},{disturbance.spike_noise!r}",
     }
-    run, decisions = outcome.records[variant], outcome.records[variant].decisions
-    columns: dict[str, Any] = {name: run[name] for name in _FIRST}
-    columns |= {name: run[name] > 0.0 for name in ("adaptive", "accepted")}
-    columns["reason"] = [one.reason for one in decisions]
-    columns["gains"] = [list(one.gains) for one in decisions]
-    columns["innovation"] = run["innovation"]
-    columns["excitation"] = [one.excitation for one in decisions]
-    names = decisions[0].estimates
-    columns |= {name: [one.estimates[name].value for one in decisions] for name in names}
-    columns |= {f"{name}_std": [one.estimates[name].std for one in decisions] for name in names}
-    table = pa.table(columns).replace_schema_metadata(metadata)
+    table = table_of(outcome.records[variant]).replace_schema_metadata(metadata)
     pq.write_table(table, path, compression="zstd")

@@ -56,7 +56,7 @@ def quality_of(
         span: Range of the set-points.
     """
     judged = [
-        _judge(output[first:last], reference[first - 1], reference[first])
+        judge_step(output[first:last], reference[first - 1], reference[first])
         for first, last in _steps(reference, span)
     ]
     settled = [periods for _, periods in judged if math.isfinite(periods)]
@@ -83,8 +83,14 @@ def _steps(reference: Array, span: float) -> list[tuple[int, int]]:
     ]
 
 
-def _judge(output: Array, before: float, after: float) -> tuple[float, float]:
-    """Return overshoot and slow periods to settle, infinite where it does not."""
+def judge_step(output: Array, before: float, after: float) -> tuple[float, float]:
+    """Return overshoot and slow periods to settle, infinite where it does not.
+
+    Args:
+        output: From the step to the next one.
+        before: Set-point before it.
+        after: Set-point after it.
+    """
     error = (output - after) / (after - before)
     outside = np.flatnonzero(np.abs(error) > _BAND)
     periods = float(outside[-1] + 1) if len(outside) else 0.0

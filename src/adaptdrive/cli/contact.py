@@ -19,13 +19,26 @@ _LONGEST_USER = 4096
 _PORT, _TLS_PORT, _HIGHEST_PORT = 1883, 8883, 65535
 
 
-def _check_address(_: object, text: str | None) -> None:
-    if text is None:
-        return
+def read_address(text: str, port: int = _PORT) -> tuple[str, int]:
+    """Return host and port of a broker.
+
+    Args:
+        text: HOST or HOST:PORT; an IPv6 address stands in brackets.
+        port: The port where none is named.
+
+    Raises:
+        ValueError: It is no such thing.
+    """
     match = _ADDRESS.fullmatch(text)
-    if match is None or not 1 <= int(match["port"] or _PORT) <= _HIGHEST_PORT:
+    number = int(match["port"] or port) if match is not None else 0
+    if match is None or not 1 <= number <= _HIGHEST_PORT:
         raise ValueError("A broker is given as HOST or HOST:PORT.")
-    check_host(match["host"].strip("[]"))
+    return check_host(match["host"].strip("[]")), number
+
+
+def _check_address(_: object, text: str | None) -> None:
+    if text is not None:
+        read_address(text)
 
 
 def _check_drive(_: object, name: str) -> None:
@@ -110,9 +123,8 @@ class Contact:
         known = Mqtt() if self.config is None else _configured(self.config)
         tls = self.tls or (known.tls and self.broker is None)
         host, port = known.host, known.port
-        if self.broker is not None and (match := _ADDRESS.fullmatch(self.broker)) is not None:
-            host = match["host"].strip("[]")
-            port = int(match["port"] or (_TLS_PORT if tls else _PORT))
+        if self.broker is not None:
+            host, port = read_address(self.broker, _TLS_PORT if tls else _PORT)
         elif self.config is None and tls:
             port = _TLS_PORT
         return Mqtt(
