@@ -9,18 +9,10 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 import adaptdrive
+from adaptdrive.cli import carry_out
 from adaptdrive.cli.contact import DriveName
 from adaptdrive.cli.integers import Integer
-from adaptdrive.cli.standard_files import (
-    FAILED,
-    complain,
-    flushed,
-    lay_out_help,
-    open_standard_files,
-    reader_has_ended,
-    unwritten,
-)
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.cli.standard_files import FAILED, complain
 from adaptdrive_sim.demo.settings import DemoSettings
 from adaptdrive_sim.device_settings import DeviceSettings
 
@@ -28,49 +20,24 @@ app = App(
     name="adaptdrive-sim",
     help="Simulated drives, loads and buses for adaptdrive.",
     version=adaptdrive.__version__,
+    print_error=False,
+    exit_on_error=False,
+    suppress_keyboard_interrupt=False,
+    result_action="return_value",
 )
-
-Action = Literal[
-    "add-disk",
-    "remove-disk",
-    "torque",
-    "volume",
-    "inflow",
-    "series-resistance",
-    "charge",
-    "sag",
-    "noise",
-    "fault",
-    "sensor-fault",
-]
 
 NO_ANSWER = 3
 ANSWER_s = 5.0
-INTERRUPTED = 130
 
 
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
-    open_standard_files()
-    lay_out_help(sys.argv[1:])
     try:
-        app()
-    except SystemExit as end:  # that of every command
-        if reader_has_ended(end):
-            sys.exit(0)
-        status = end.code if isinstance(end.code, int) else FAILED if end.code else 0
-        status = flushed(status, app.name[0])
-        sys.exit(end.code if isinstance(end.code, str) else status)
-    except OSError as problem:
-        sys.exit(unwritten(problem, app.name[0]))
+        sys.exit(carry_out(app.name[0], app, unusable=FAILED))
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise
         sys.exit(f"adaptdrive-sim: {problem.name} is missing: pip install 'adaptdrive[sim]'")
-    except AdaptdriveError as problem:
-        sys.exit(complain(app.name[0], str(problem), FAILED))
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
 
 
 @app.command
@@ -89,12 +56,12 @@ def device(config: Path, *, settings: DeviceSettings | None = None) -> None:
 @app.command
 def disturb(
     drive: DriveName,
-    action: Action,
+    action: str,
     values: Annotated[tuple[float, ...], Parameter(allow_leading_hyphen=True)] = (),
     /,
     *,
     broker: Annotated[str, Parameter(env_var="ADAPTDRIVE_BROKER")] = "127.0.0.1:1883",
-) -> None:
+) -> int:
     """Disturb a running simulated drive.
 
     The status is 0 when it was done, 1 when it was refused and 3 without an answer.
@@ -119,11 +86,13 @@ def disturb(
     try:
         reply = asyncio.run(ask(parse_address(broker), drive, request, ANSWER_s))
     except NoAnswerError as silence:
-        sys.stderr.write(f"adaptdrive-sim: {silence.problem}\n")
-        sys.exit(NO_ANSWER)
+        late = isinstance(silence.__cause__, TimeoutError)
+        text = f"no answer from {drive} at {broker}" if late else silence.problem
+        return complain(app.name[0], text, NO_ANSWER)
     if not reply.accepted:
-        sys.exit(f"adaptdrive-sim: refused: {reply.reason}")
+        return complain(app.name[0], f"refused: {reply.reason}", FAILED)
     print(f"{drive}: {' '.join([action, *(f'{value:g}' for value in values)])}: done")
+    return 0
 
 
 @app.command
@@ -155,8 +124,8 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
         keep_speed: The motor's disks turn with the shaft when they are added, so that its speed
             stays. Without it they land at rest and share its momentum, as in the paper.
     """
-    from adaptdrive_sim.experiments.case import disturbance_of  # noqa: PLC0415  # keeps --help fast
-    from adaptdrive_sim.experiments.outcome import print_claims  # noqa: PLC0415
+    from adaptdrive_sim.claims import print_claims  # noqa: PLC0415  # keeps --help fast
+    from adaptdrive_sim.experiments.case import disturbance_of  # noqa: PLC0415
     from adaptdrive_sim.experiments.reproduce import ReproduceRequest, find_experiment, run_request  # noqa: PLC0415
 
     chosen = find_experiment(experiment, keep_speed=keep_speed)
@@ -199,7 +168,7 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
 
 
 @app.command
-def demo(story: str = "motor", /, *, settings: DemoSettings | None = None) -> None:
+def demo(story: str = "motor", /, *, settings: DemoSettings | None = None) -> int:
     """Watch a simulated drive being controlled while things happen to its load.
 
     The story of the motor passes in real time: simulated drive, daemon and broker are processes on
@@ -212,4 +181,4 @@ def demo(story: str = "motor", /, *, settings: DemoSettings | None = None) -> No
     """
     from adaptdrive_sim.demo.main import run_demo  # noqa: PLC0415  # keeps --help fast
 
-    sys.exit(run_demo(story, settings or DemoSettings()))
+    return run_demo(story, settings or DemoSettings())

@@ -26,7 +26,7 @@ from typing import Any, Protocol, TypeVar
 import msgspec
 
 from adaptdrive.errors import NOT_JSON, RefusedError
-from adaptdrive.operation.simulator import Feature
+from adaptdrive.operation.simulator import DeviceReply, Feature
 from adaptdrive_sim.devices.sensor_values import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants.bath import Bath
@@ -91,14 +91,24 @@ def parse_request(payload: bytes) -> DisturbanceRequest:
     return request
 
 
-def read_id(payload: bytes) -> str | None:
-    """The id of a request that may be wrong otherwise, None where there is none."""
+def answer(payload: bytes, drive: Disturbed) -> DeviceReply:
+    """Carry out a request, and return the reply to it; a refused one has changed nothing."""
+    try:
+        request = parse_request(payload)
+        apply_request(request, drive)
+    except RefusedError as refusal:
+        return refused(payload, refusal.reason)
+    return DeviceReply(request.id, accepted=True, reason="")
+
+
+def refused(payload: bytes, reason: str) -> DeviceReply:
+    """Return the reply to a request that is not carried out; it may have no id."""
     try:
         found = msgspec.json.decode(payload)
     except NOT_JSON:
-        return None
+        found = None
     name = found.get("id") if isinstance(found, dict) else None
-    return name if isinstance(name, str) else None
+    return DeviceReply(name if isinstance(name, str) else None, accepted=False, reason=reason)
 
 
 def apply_request(request: DisturbanceRequest, drive: Disturbed) -> None:
@@ -179,8 +189,11 @@ def from_words(action: str, values: Sequence[float]) -> dict[str, float]:
     """Turn the words of a command line into a request without its id.
 
     Raises:
-        RefusedError: The action does not take that many values, or one of them is not finite.
+        RefusedError: There is no such action, it does not take that many values, or one of them is
+            not finite.
     """
+    if action not in _WORDS:
+        raise RefusedError(f"{action!r} is none of {', '.join(_WORDS)}")
     names, fixed = _WORDS[action]
     if len(values) != len(names):
         wanted = " ".join(names) or "no value"

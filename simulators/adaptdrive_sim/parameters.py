@@ -1,15 +1,13 @@
 """Parameters that describe themselves: what they mean, their unit and what they may be.
 
 A plant's parameters are a frozen dataclass whose fields are made with `quantity`. Description,
-unit and range travel in the field's metadata, so that help texts and tables need no second list,
-and `check_quantities` holds every value against them.
+unit and range travel in the field's metadata; `check_quantities` holds values against them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from typing import TYPE_CHECKING
 
 from adaptdrive.errors import AdaptdriveError
@@ -31,18 +29,6 @@ class ParameterError(AdaptdriveError):
         super().__init__(f"{place} = {value!r} {rule}")
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterRange:
-    """Meaning and permitted values of a parameter (both ends included)."""
-
-    name: str
-    description: str
-    unit: str
-    default: float
-    low: float
-    high: float
-
-
 def quantity(default: float, unit: str, description: str, low: float, high: float) -> float:
     """Make a dataclass field that carries its own documentation and range.
 
@@ -53,21 +39,8 @@ def quantity(default: float, unit: str, description: str, low: float, high: floa
         low: Smallest legal value.
         high: Largest legal value.
     """
-    metadata = {
-        "description": description,
-        "unit": unit,
-        "default": default,
-        "low": low,
-        "high": high,
-    }
+    metadata = {"unit": unit, "description": description, "low": low, "high": high}
     return field(default=default, metadata=metadata)
-
-
-def quantities(parameters: DataclassInstance | type[DataclassInstance]) -> Iterator[ParameterRange]:
-    """List the quantities of a parameter dataclass (its class or an instance of it)."""
-    for one in fields(parameters):
-        if "unit" in one.metadata:
-            yield ParameterRange(name=one.name, **one.metadata)
 
 
 def check_quantities(parameters: DataclassInstance) -> None:
@@ -76,9 +49,10 @@ def check_quantities(parameters: DataclassInstance) -> None:
     Raises:
         ParameterError: The first value that is not finite or lies outside its range.
     """
-    for one in quantities(parameters):
-        place = f"{type(parameters).__name__}.{one.name}"
-        check_range(place, getattr(parameters, one.name), one.low, one.high, one.unit)
+    for one in fields(parameters):
+        if own := one.metadata:
+            place, value = f"{type(parameters).__name__}.{one.name}", getattr(parameters, one.name)
+            check_range(place, value, own["low"], own["high"], own["unit"])
 
 
 def check_range(place: str, value: float, low: float, high: float, unit: str) -> None:

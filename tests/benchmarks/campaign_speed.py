@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from adaptdrive_sim.campaign.main import run_batch, run_seed, workers
+from adaptdrive_sim.campaign.main import run_seed, workers
 from adaptdrive_sim.campaign.settings import Campaign
 
 _BATCH = 4
@@ -63,5 +63,6 @@ def _run(campaign: Campaign, executor: Executor, runs: int) -> Round:
 
 def _cpu_time_of(campaign: Campaign, seeds: range) -> float:
     began_s = time.process_time()
-    run_batch(campaign, seeds)
+    for seed in seeds:
+        run_seed(campaign, seed)
     return time.process_time() - began_s

@@ -82,7 +82,7 @@ def test_a_run_that_ended_early_costs_infinitely_much_and_is_a_failure() -> None
     assert row["ratio"] == math.inf
     causes = {failure.cause for failure in failures([row])}
     assert causes == {"unstable", "worse than fixed"}
-    assert not all(claim.holds for claim in claims([row]))
+    assert not all(claim.met for claim in claims([row]))
 
 
 def test_a_run_that_fixed_control_does_not_hold_either_is_listed_apart_with_its_reason() -> None:
@@ -99,8 +99,8 @@ def test_a_run_that_fixed_control_does_not_hold_either_is_listed_apart_with_its_
     assert shared.cause == "unstable, fixed too"
     assert shared.reason == "V_c at a limit for 50% of the time"
     claim = claims([row])[0]
-    assert claim.holds
-    assert claim.found == "0 of 1; 1 with fixed control too"
+    assert claim.met
+    assert claim.measured == "0 of 1; 1 with fixed control too"
     alone = row | {"unstable_fixed": False}
     assert shared_failures([alone]) == []
     assert {failure.cause for failure in failures([alone])} == {"unstable"}

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import tomlkit
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.commission.experiment import LoadExperiment
@@ -17,7 +18,6 @@ from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.target import Target, build_target
 from adaptdrive.config.root import Configuration
 from adaptdrive.recording.what_if import reconfigured
-from adaptdrive_sim.demo.toml_text import toml_text
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
@@ -162,7 +162,7 @@ def configuration_text(name: str, reference_max: float, **changes: dict[str, flo
     tables["interlocks"]["output_max"] = 1.2 * reference_max
     for section, values in changes.items():
         tables["load"][section].update(values)
-    return toml_text(tables)
+    return tomlkit.dumps(tables)
 
 
 class Rig:

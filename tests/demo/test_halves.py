@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from adaptdrive_sim.demo.halves import Halves
+from adaptdrive_sim.demo.record import Halves
 
 LONG = 20
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import string
 import tomllib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from adaptdrive.config.file import load_configuration
 from adaptdrive.household.ports import Ports
@@ -19,17 +16,6 @@ from adaptdrive_sim.demo.bus import choose_bus
 from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import read_story
-from adaptdrive_sim.demo.toml_text import toml_text
-
-KEYS = st.text(string.ascii_letters + string.digits + "_-", min_size=1)
-# TOML has no surrogates, and JSON's escapes end at the basic plane.
-TEXTS = st.text(st.characters(exclude_categories=["Cs"], max_codepoint=0xFFFF))
-SCALARS = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | TEXTS
-VALUES = SCALARS | st.lists(SCALARS, max_size=3)
-DOCUMENTS = st.dictionaries(
-    KEYS,
-    st.recursive(VALUES, lambda inner: st.dictionaries(KEYS, inner, max_size=3), max_leaves=8),
-)
 
 
 @contextmanager
@@ -37,11 +23,6 @@ def stage(directory: Path | None = None, broker: str | None = None) -> Iterator[
     settings = DemoSettings(directory=directory, broker=broker)
     with closing(RealStage(read_story("motor"), settings)) as made:
         yield made
-
-
-@given(DOCUMENTS)
-def test_what_is_written_as_toml_reads_back(document: dict[str, object]) -> None:
-    assert tomllib.loads(toml_text(document)) == document
 
 
 def test_the_configuration_is_valid_and_has_this_bus_and_broker(tmp_path: Path) -> None:

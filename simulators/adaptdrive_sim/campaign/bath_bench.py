@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import realise
-from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive_sim.campaign.bath_settings import (
     BathCampaign,
@@ -33,12 +31,10 @@ from adaptdrive_sim.campaign.drawn import (
     whole,
 )
 from adaptdrive_sim.campaign.life import moving
-from adaptdrive_sim.course import Course
+from adaptdrive_sim.course import Array
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.world import World, WorldParameters
-
-Array = NDArray[np.float64]
 
 _STREAM = 4
 
@@ -162,6 +158,10 @@ class BathStand(DrawnRun):
         ramps_s = (scenario.fill_s,) * len(self.change_times_s)
         self.sizes = moving(self.times_s, self.change_times_s, scenario.volumes_gal, ramps_s)
         self.inflows = scenario.inflows_at(self.times_s)
+        self.targets = scenario.targets_gal_at(self.times_s) / scenario.volumes_gal[0]
+        self.over_s = scenario.fill_s
+        moved = bool(scenario.inflow_times_s)
+        self.burdens = self.inflows / scenario.inflows[0] if moved else np.empty(0)
         self.references = scenario.references_at(self.times_s)
         self.disturbances = scenario.disturbances(self.ticks + 1, self.offset)
         flows = scenario.inflows
@@ -172,22 +172,6 @@ class BathStand(DrawnRun):
         """Return the drawn values as columns of the results."""
         row = super().columns()
         return row | {"shape": "constant"} if self.scenario.constant else row
-
-    def course(self, mode: Mode) -> Course:
-        """Return what happens in the run."""
-        scenario, own = self.scenario, self.own
-        moves = scenario.inflow_times_s
-        return Course(
-            self.references,
-            scenario.targets_gal_at(self.times_s) / scenario.volumes_gal[0],
-            scenario.fill_s,
-            self.disturbances,
-            mode,
-            own.pole,
-            own.interlocks,
-            self.inflows / scenario.inflows[0] if moves else np.empty(0),
-            self.offset,
-        )
 
     def world(self) -> World:
         """Return the plant as it is at the start."""

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from adaptdrive_sim.campaign.settings import (
     CampaignFile,
     CampaignTable,
+    DriveWireRanges,
     LineRanges,
     Range,
     ShapeName,
@@ -139,14 +140,6 @@ class SensorRanges(CampaignTable):
     output_delay_ticks: Annotated[WholeRange, within(0, 20)]
 
 
-class BathWireRanges(CampaignTable):
-    """Resolution of what else is measured and commanded."""
-
-    voltage_V: Annotated[Range, within(0.0, 10.0)]
-    power_W: Annotated[Range, within(0.0, 100.0)]
-    scale_S: Annotated[Range, within(0.0, 0.01)]
-
-
 class BathCampaign(CampaignFile):
     """A whole file."""
 
@@ -157,7 +150,7 @@ class BathCampaign(CampaignFile):
     reference: BathReferenceRanges
     sensor: SensorRanges
     line: LineRanges
-    wire: BathWireRanges
+    wire: DriveWireRanges
 
     @model_validator(mode="after")
     def _leave_room(self) -> Self:

@@ -16,12 +16,10 @@ from adaptdrive_sim.campaign.battery_scenario import (
     BatteryScenario,
 )
 from adaptdrive_sim.campaign.drawn import Row, Trial, columns_of
-from adaptdrive_sim.course import Run
+from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.plants.battery import Battery
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
-
-Array = NDArray[np.float64]
 
 _BEGINS_s = 60.0
 _NEAR_LIMIT = 0.99

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive_sim.campaign.drawn import (
     Deployed,
@@ -28,13 +26,11 @@ from adaptdrive_sim.campaign.drawn import (
 )
 from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
 from adaptdrive_sim.campaign.settings import MIDDLE, NOMINAL_GAIN, Campaign, ReferenceRanges, reach
-from adaptdrive_sim.course import Course
+from adaptdrive_sim.course import Array
 from adaptdrive_sim.experiments.case import from_rest
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World, WorldParameters
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,11 +147,14 @@ def at_rest(own: Deployed) -> Deployed:
 class Stand(DrawnRun):
     """The course of one scenario of a motor; its size is the inertia in disks."""
 
+    preview = True
+
     def __init__(self, scenario: Scenario) -> None:
         life = scenario.life
         super().__init__(deployed(), scenario, life.offset, scenario.reference.value(0.0))
         self.scenario = scenario
-        self.sizes = scenario.inertias_at(self.times_s)
+        self.sizes = self.targets = scenario.inertias_at(self.times_s)
+        self.burdens = life.torques_at(self.times_s)
         self.references = scenario.references_at(self.times_s)
         self.change_times_s = scenario.change_times_s
         self.largest_movement = scenario.largest_movement
@@ -165,22 +164,6 @@ class Stand(DrawnRun):
     def columns(self) -> Row:
         """Return the drawn values as columns of the results; noise is relative to the step."""
         return super().columns() | {"sigma": self.scenario.sigma / self.step}
-
-    def course(self, mode: Mode) -> Course:
-        """Return what happens in the run."""
-        return Course(
-            self.references,
-            self.sizes,
-            0.0,
-            self.disturbances,
-            mode,
-            self.own.pole,
-            self.own.interlocks,
-            self.scenario.life.torques_at(self.times_s),
-            self.offset,
-            self.stops,
-            preview=self.preview,
-        )
 
     def world(self) -> World:
         """Return the plant as it is at the start."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
@@ -24,13 +23,12 @@ from adaptdrive.control.waveform import Waveform
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.sources import compiled_modules
 from adaptdrive_sim.compiled.wire import DELAY_MAX, Wire
-from adaptdrive_sim.course import Course, Run, TripLevels
+from adaptdrive_sim.course import Array, Course, Run, TripLevels
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World
 
-Array = NDArray[np.float64]
 Numbers = tuple[float, ...]
 Row = dict[str, Any]
 
@@ -134,9 +132,9 @@ def columns_of(drawn: Any) -> Row:  # noqa: ANN401 - any dataclass
     for one in fields(drawn):
         value, name = getattr(drawn, one.name), one.name
         if isinstance(value, tuple):
-            first, last = (value[0], value[-1]) if value else (math.nan, math.nan)
+            first, last = (value[0], value[-1]) if value else (0.0, 0.0)
             row |= {f"{name}_count": len(value), f"{name}_first": first, f"{name}_last": last}
-            row[f"{name}_largest"] = max(value, default=math.nan)
+            row[f"{name}_largest"] = max(value, default=0.0)
         elif is_dataclass(value):
             row |= columns_of(value)
         else:
@@ -252,6 +250,10 @@ class DrawnRun(Trial):
         references: r[k].
         sizes: What changes of the load.
         change_times_s: Times at which it begins to change.
+        targets: What the sizes are asked to be, relative to what the plant takes for 1.
+        over_s: How long a change of them takes.
+        preview: Whether the controller knows the references to come.
+        burdens: What disturbs the load in each slow period; empty for nothing.
         disturbances: Measurement noise of every tick, with the offset of the sensor.
         offset: Offset of the sensor of the output.
         stops: Slow periods in which the drive is off.
@@ -260,8 +262,11 @@ class DrawnRun(Trial):
     references: Array
     sizes: Array
     change_times_s: Numbers
+    targets: Array
+    burdens: Array
     disturbances: Array
-    preview = True
+    over_s = 0.0
+    preview = False
 
     def __init__(self, own: Deployed, scenario: Drawn, offset: float, shown: float) -> None:
         """Begin the course of a scenario.
@@ -286,9 +291,21 @@ class DrawnRun(Trial):
         row = columns_of(self._drawn) | {"step": self.step, "changes": len(self.change_times_s)}
         return row | {"size_largest": float(np.max(self.sizes))}
 
-    @abstractmethod
     def course(self, mode: Mode) -> Course:
         """Return what happens in the run."""
+        return Course(
+            self.references,
+            self.targets,
+            self.over_s,
+            self.disturbances,
+            mode,
+            self.own.pole,
+            self.own.interlocks,
+            self.burdens,
+            self.offset,
+            self.stops,
+            preview=self.preview,
+        )
 
     @abstractmethod
     def world(self) -> World:

@@ -8,13 +8,9 @@ that.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive_sim.campaign.drawn import Row, Trial
-from adaptdrive_sim.course import Run
-
-Array = NDArray[np.float64]
-
+from adaptdrive_sim.course import Array, Run
 
 FLOOR = 0.005
 WORSE = 1.05

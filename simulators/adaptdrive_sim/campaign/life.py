@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive_sim.campaign.drawn import Numbers, times, uniform, whole
 from adaptdrive_sim.campaign.settings import LifeRanges
+from adaptdrive_sim.course import Array
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import MotorParameters
-
-Array = NDArray[np.float64]
 
 _STREAM = 3
 

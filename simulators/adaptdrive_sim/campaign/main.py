@@ -8,8 +8,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import Executor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ _TYPES: dict[str, tuple[type[AnyCampaign], type[Trial], Callable[[Any, int], Any
     "bath": (BathCampaign, BathStand, draw_bath),
     "battery": (BatteryCampaign, BatteryTrial, draw_battery),
 }
-"""What a file may hold, what a run of it is, and what draws the scenario of one from a seed."""
+"""Contents of a file, a run of it, and the function that draws the scenario of a run."""
 
 
 def read_any_campaign(path: Path) -> AnyCampaign:
@@ -78,26 +79,11 @@ class ClusterError(AdaptdriveError):
         super().__init__(f"scheduler {address}: {reason}")
 
 
-def run_batch(campaign: AnyCampaign, seeds: range) -> list[Row]:
-    """Run some seeds, one after the other; this is what a worker is sent."""
-    return [run_seed(campaign, seed) for seed in seeds]
-
-
-def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[list[Row]]:
-    """Run every seed of a campaign; batches arrive in the order in which they are ready."""
-    end = campaign.seed + campaign.runs
+def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[Row]:
+    """Run every seed of a campaign; rows arrive in the order of their seeds."""
+    seeds = range(campaign.seed, campaign.seed + campaign.runs)
     size = _BATCH if is_compiled(campaign) else 1
-    firsts = range(campaign.seed, end, size)
-    batches = [range(first, min(first + size, end)) for first in firsts]
-    futures: list[Future[list[Row]]] = [
-        executor.submit(run_batch, campaign, batch) for batch in batches
-    ]
-    try:
-        for future in as_completed(futures):
-            yield future.result()
-    finally:
-        for future in futures:
-            future.cancel()
+    return executor.map(partial(run_seed, campaign), seeds, chunksize=size)
 
 
 @contextmanager
@@ -168,11 +154,10 @@ def run_campaign(
         started_s = time.monotonic()
         rows: list[Row] = []
         with progress(campaign.runs) as done:
-            for batch in run_all(campaign, executor):
-                rows += batch
-                done(len(batch), "")
+            for row in run_all(campaign, executor):
+                rows.append(row)
+                done(1, "")
         seconds = time.monotonic() - started_s
-    rows.sort(key=lambda row: row["seed"])
     write_results(rows, output)
     print_results(rows, seconds, path, console)
     if summary := _TYPES[campaign.type][1].summarise(rows):

@@ -10,10 +10,12 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from rich.console import Console
 
+from adaptdrive.analysis import style
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun, Trial
 from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.figure import CONTROLLERS, SYMBOLS, mark_in_force, minutes_of
 from adaptdrive_sim.recorded import table_of
 
 
@@ -34,34 +36,23 @@ def picture(stand: DrawnRun, fixed: Run, adaptive: Run) -> Figure:
     """Output, boost voltage and estimates of one run."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True)
-    times_s = stand.times_s
-    top.plot(times_s, fixed["ideal"], "k", lw=0.8, label="as designed")
-    for name, outcome, colour in (
-        ("fixed", fixed, "tab:orange"),
-        ("adaptive", adaptive, "tab:blue"),
-    ):
-        top.plot(times_s, outcome["output"], color=colour, lw=1.0, label=name)
-        voltage_V = outcome["boost_reference_V"]
-        middle.plot(times_s, voltage_V, color=colour, lw=1.0, label=name)
-    truth = np.array([stand.truth_at(k) for k in range(times_s.size)])
+    minutes = minutes_of(fixed)
+    top.plot(minutes, fixed["ideal"], label="as designed", **style.TRUTH)
+    for name, run in (("fixed", fixed), ("adaptive", adaptive)):
+        label, look = CONTROLLERS[name]
+        top.plot(minutes, run["output"], label=label, **look)
+        middle.plot(minutes, run["boost_reference_V"], label=label, **look)
+    truth = np.array([stand.truth_at(k) for k in range(minutes.size)])
     for i, name in enumerate(stand.own.load.names):
         estimates = adaptive[name] / truth[:, i]
-        bottom.plot(times_s, estimates, lw=1.0, label=name)
-    bottom.fill_between(
-        times_s,
-        0.0,
-        0.05,
-        where=(adaptive["adaptive"] > 0.0).tolist(),
-        transform=bottom.get_xaxis_transform(),
-        color="tab:green",
-        label="adaptive in force",
-    )
-    top.set(ylabel="output, V", title=f"seed {stand.seed}")
+        bottom.plot(minutes, estimates, color=style.PARAMETERS[i], label=SYMBOLS[name])
+    mark_in_force(bottom, adaptive)
+    top.set(ylabel="output", title=f"seed {stand.seed}")
     middle.set(ylabel="V_c, V")
-    bottom.set(xlabel="time, s", ylabel="estimate over truth", ylim=(0.0, 2.5))
+    bottom.set(xlabel="time, min", ylabel="estimate over truth", ylim=(0.0, 2.5))
     for axes in (top, middle, bottom):
         for time_s in stand.change_times_s:
-            axes.axvline(time_s, color="k", lw=0.6, ls=":")
+            axes.axvline(time_s / 60.0, color="k", lw=0.6, ls=":")
         axes.grid(visible=True, alpha=0.3)
         axes.legend(loc="upper right")
     return figure

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
@@ -17,6 +16,7 @@ from rich.table import Table
 from adaptdrive.analysis import style
 from adaptdrive_sim.campaign.drawn import Row
 from adaptdrive_sim.campaign.judge import WORSE
+from adaptdrive_sim.claims import Claim, print_claims
 
 BETTER_SHARE = 0.95
 
@@ -41,28 +41,8 @@ class Failure:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignClaim:
-    """One sentence about a campaign, and whether it holds."""
-
-    text: str
-    found: str
-    holds: bool
-
-
-_CAUSES: dict[str, Callable[[Row], bool]] = {
-    "interlock": lambda row: row["interlock_adaptive"] != 0 and row["interlock_fixed"] == 0,
-    "unstable": lambda row: row["unstable_adaptive"] and not row["unstable_fixed"],
-    "worse than fixed": lambda row: row["ratio"] > WORSE,
-}
-
-_SHARED: dict[str, Callable[[Row], bool]] = {
-    "interlock, fixed too": lambda row: (
-        row["interlock_adaptive"] != 0 and row["interlock_fixed"] != 0
-    ),
-    "unstable, fixed too": lambda row: row["unstable_adaptive"] and row["unstable_fixed"],
-}
-"""Runs that neither controller holds."""
+_HELD = "interlock", "unstable"
+"""Columns of each controller that say that it did not hold the load."""
 
 
 def failures(rows: list[Row]) -> list[Failure]:
@@ -70,19 +50,21 @@ def failures(rows: list[Row]) -> list[Failure]:
     found = [
         Failure(row["seed"], cause, row["ratio"])
         for row in rows
-        for cause, applies in _CAUSES.items()
-        if applies(row)
+        for cause in _HELD
+        if row[f"{cause}_adaptive"] and not row[f"{cause}_fixed"]
     ]
+    worse = (row for row in rows if row["ratio"] > WORSE)
+    found += [Failure(row["seed"], "worse than fixed", row["ratio"]) for row in worse]
     return sorted(found, key=lambda failure: (failure.cause, -failure.ratio))
 
 
 def shared_failures(rows: list[Row]) -> list[Failure]:
     """Every run that neither controller has held, with the reason that it shows."""
     return [
-        Failure(row["seed"], cause, row["ratio"], _reason(row))
-        for cause, applies in _SHARED.items()
+        Failure(row["seed"], f"{cause}, fixed too", row["ratio"], _reason(row))
+        for cause in _HELD
         for row in rows
-        if applies(row)
+        if row[f"{cause}_adaptive"] and row[f"{cause}_fixed"]
     ]
 
 
@@ -98,7 +80,7 @@ def _reason(row: Row) -> str:
     return "; ".join(named) or "none of those that are looked for"
 
 
-def claims(rows: list[Row]) -> list[CampaignClaim]:
+def claims(rows: list[Row]) -> list[Claim]:
     """Return the claims of a campaign."""
     changed = [row for row in rows if row["changes"]]
     better = sum(row["ratio"] < 1.0 for row in changed)
@@ -107,21 +89,20 @@ def claims(rows: list[Row]) -> list[CampaignClaim]:
         _none(rows, "no run is unstable that fixed control holds", "unstable"),
         _none(rows, "no run ends with an interlock that fixed control ends without", "interlock"),
         _none(rows, "adaptive never costs over 5 % more than fixed", "worse than fixed"),
-        CampaignClaim(
-            "adaptive is better in 95 % of the runs whose load changed",
+        Claim(
+            "adaptive is better in the runs whose load changed",
             f"{better} of {len(changed)}, {100.0 * share:.1f} %",
+            f"{100.0 * BETTER_SHARE:g} %",
             share >= BETTER_SHARE,
         ),
     ]
 
 
-def _none(rows: list[Row], text: str, cause: str) -> CampaignClaim:
-    count = sum(_CAUSES[cause](row) for row in rows)
-    shared = sum(
-        applies(row) for name, applies in _SHARED.items() if name.startswith(cause) for row in rows
-    )
+def _none(rows: list[Row], text: str, cause: str) -> Claim:
+    count = sum(one.cause == cause for one in failures(rows))
+    shared = sum(one.cause.startswith(cause) for one in shared_failures(rows))
     others = f"; {shared} with fixed control too" if shared else ""
-    return CampaignClaim(text, f"{count} of {len(rows)}{others}", count == 0)
+    return Claim(text, f"{count} of {len(rows)}{others}", "none", count == 0)
 
 
 _SHOWN = 20
@@ -166,25 +147,14 @@ def write_results(rows: list[Row], output: Path) -> None:
 def print_results(rows: list[Row], seconds: float, campaign: Path, console: Console) -> None:
     """Print what was found and how to repeat what failed."""
     speed = 2.0 * len(rows) / seconds
-    console.print(
-        f"{len(rows)} runs, each fixed and adaptive, in {seconds:.1f} s: "
-        f"{speed:.1f} experiments per second"
-    )
-    console.print(_claim_table(claims(rows)))
+    title = f"{len(rows)} runs, each fixed and adaptive, in {seconds:.1f} s"
+    print_claims(f"{title}: {speed:.1f} experiments per second", claims(rows))
     console.print(_cost_table(rows))
     if found := failures(rows):
         console.print(_failure_table(found, "failure", "repeat", campaign))
     if shared := shared_failures(rows):
         heading = "neither controller"
         console.print(_failure_table(shared, heading, "what the run shows", campaign))
-
-
-def _claim_table(found: list[CampaignClaim]) -> Table:
-    table = Table("claim", "found", "")
-    for claim in found:
-        mark = "[green]holds[/]" if claim.holds else "[red]fails[/]"
-        table.add_row(claim.text, claim.found, mark)
-    return table
 
 
 def _cost_table(rows: list[Row]) -> Table:

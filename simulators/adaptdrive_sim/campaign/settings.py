@@ -170,14 +170,19 @@ class LineRanges(CampaignTable):
     frequency_Hz: Annotated[Range, within(55.0, 65.0)]
 
 
-class WireRanges(CampaignTable):
-    """Resolution of what is measured and commanded, and the age of the output's samples."""
+class DriveWireRanges(CampaignTable):
+    """Resolution of what the drive measures and is commanded, beside the output."""
 
-    output_delay_ticks: Annotated[WholeRange, within(0, 20)]
-    output_V: Annotated[Range, within(0.0, 1.0)]
     voltage_V: Annotated[Range, within(0.0, 10.0)]
     power_W: Annotated[Range, within(0.0, 100.0)]
     scale_S: Annotated[Range, within(0.0, 0.01)]
+
+
+class WireRanges(DriveWireRanges):
+    """The same, with the resolution of the output and the age of its samples."""
+
+    output_delay_ticks: Annotated[WholeRange, within(0, 20)]
+    output_V: Annotated[Range, within(0.0, 1.0)]
 
 
 class Campaign(CampaignFile):

@@ -28,11 +28,6 @@ class BusChoice:
         port = f":{self.udp_port}" if self.interface == "udp_multicast" else ""
         return f"{self.interface} {self.channel}{port}"
 
-    @property
-    def section(self) -> dict[str, str | int]:
-        """The keys of `[bus]` for this bus."""
-        return {"interface": self.interface, "channel": self.channel, "udp_port": self.udp_port}
-
 
 def choose_bus(interface: InterfaceChoice | None, channel: str | None, port: int) -> BusChoice:
     """Return the bus to use.

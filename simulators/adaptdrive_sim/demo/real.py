@@ -8,6 +8,7 @@ import socket
 import time
 from collections.abc import Coroutine
 from contextlib import AsyncExitStack, suppress
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -32,7 +33,6 @@ from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story
 from adaptdrive_sim.demo.workspace import make_workspace, program
 
-BROKER_s = 60.0
 CONNECT_s = 3.0
 """Longest wait for the connection to a running broker."""
 
@@ -78,7 +78,7 @@ class RealStage:
             self._broker = parse_address(settings.broker)
             self.drive_name = f"{self.drive_name}-{os.getpid()}"  # others share that broker
         document["drive"]["name"] = self.drive_name
-        document["bus"] |= self.bus.section
+        document["bus"] |= asdict(self.bus)
         document["mqtt"] = {"host": self._broker.host, "port": self._broker.port}
         document["recording"] = {"directory": str(self.workspace.sessions)}
         self.workspace.write(document)
@@ -183,8 +183,10 @@ class RealStage:
         household, log = self._household, self.workspace.log
         if self._settings.broker is None:
             listeners = [self.broker, f"127.0.0.1:{self._websocket}"]
-            await household.start("broker", BROKER, listeners, log("broker"))
-        await self._until_broker(CONNECT_s if self._settings.broker else BROKER_s)
+            broker = await household.start("broker", BROKER, listeners, log("broker"))
+            await broker.until_listening(self._broker.port)
+        else:
+            await self._find_broker()
         configuration = str(self.workspace.configuration)
         noise = self._story.noise if self._settings.noise is None else self._settings.noise
         device = [
@@ -196,14 +198,9 @@ class RealStage:
         daemon = ["run", configuration]
         await household.start("daemon", "adaptdrive.cli", daemon, log("daemon"))
 
-    async def _until_broker(self, longest_s: float) -> None:
-        """Wait until the broker answers."""
-        end_s = self.time_s + longest_s
-        while True:
-            try:
-                async with conversation(self._broker, self.drive_name, end_of(longest_s)):
-                    return
-            except NoAnswerError as silence:
-                if self.time_s >= end_s or self._settings.broker is not None:
-                    raise DemoError(silence.problem) from silence
-            await asyncio.sleep(_LOOK_s)
+    async def _find_broker(self) -> None:
+        try:
+            async with conversation(self._broker, self.drive_name, end_of(CONNECT_s)):
+                return
+        except NoAnswerError as silence:
+            raise DemoError(silence.problem) from silence

@@ -26,7 +26,7 @@ from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story
 from adaptdrive_sim.device_main import build_world
 from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.disturbances import apply_request, features_of, parse_request
+from adaptdrive_sim.disturbances import answer, features_of
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
@@ -124,18 +124,16 @@ class VirtualStage:
     async def ask(self, command: KeyCommand) -> messages.Reply | DeviceReply:
         """Carry out a command or a disturbance."""
         content = {"id": "demo"} | dict(command.disturbance or {"value": command.value})
-        raw, device = json.dumps(content).encode(), command.disturbance is not None
-        reason = ""
+        raw, reason = json.dumps(content).encode(), ""
+        if command.disturbance is not None:
+            reply = answer(raw, self)
+            self._publish_state()
+            return reply
         try:
-            if device:
-                apply_request(parse_request(raw), self)
-            else:
-                self.drive.carry_out(Payload(raw).request(command.verb)[0])
+            self.drive.carry_out(Payload(raw).request(command.verb)[0])
         except RefusedError as refusal:
             reason = refusal.reason
         self._publish_state()
-        if device:
-            return DeviceReply("demo", not reason, reason)
         state = self.drive.machine.state
         return messages.Reply("demo", command.verb, not reason, reason, state)
 

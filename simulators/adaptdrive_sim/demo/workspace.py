@@ -11,8 +11,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import tomlkit
+
 from adaptdrive_sim.demo.settings import DemoError
-from adaptdrive_sim.demo.toml_text import toml_text
 from adaptdrive_sim.experiments.examples import FOLDER
 
 _HEAD = "# Written by `adaptdrive-sim demo`. The commented original is in deploy/examples.\n\n"
@@ -63,7 +64,7 @@ class Workspace:
         database = document["bus"]["database"]
         try:
             (self.directory / database).write_bytes((FOLDER / database).read_bytes())
-            self.configuration.write_text(_HEAD + toml_text(document), encoding="utf-8")
+            self.configuration.write_text(_HEAD + tomlkit.dumps(document), encoding="utf-8")
         except OSError as problem:
             raise DemoError(f"{self.directory}: {problem.strerror or problem}") from problem
 

@@ -16,11 +16,10 @@ import aiomqtt
 import msgspec
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import RefusedError
 from adaptdrive.operation.simulator import DeviceReply, simulator_topic
 from adaptdrive.operation.steady import SteadyClient
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
-from adaptdrive_sim.disturbances import apply_request, features_of, parse_request, read_id
+from adaptdrive_sim.disturbances import answer, features_of, refused
 
 TRUTH_PERIOD_s = 1.0
 RETRY_FIRST_s = 0.5
@@ -82,15 +81,11 @@ class Remote:
     def carry_out(self, payload: bytes, *, retained: bool) -> DeviceReply:
         """Carry out one request, or return the reason of a refusal."""
         if retained:
-            reason = "a retained request is old and is not carried out"
-            return DeviceReply(id=read_id(payload), accepted=False, reason=reason)
-        try:
-            request = parse_request(payload)
-            apply_request(request, self._drive)
-        except RefusedError as refusal:
-            return DeviceReply(id=read_id(payload), accepted=False, reason=refusal.reason)
-        self._report("disturbed", **msgspec.to_builtins(request))
-        return DeviceReply(id=request.id, accepted=True, reason="")
+            return refused(payload, "a retained request is old and is not carried out")
+        reply = answer(payload, self._drive)
+        if reply.accepted:
+            self._report("disturbed", **msgspec.json.decode(payload))
+        return reply
 
     def state(self) -> Mapping[str, Any]:
         """Return the truth, and the disturbances that the device offers."""

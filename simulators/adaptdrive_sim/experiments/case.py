@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
@@ -20,7 +19,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.course import Course, Run
+from adaptdrive_sim.course import Array, Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.noise import NoiseParameters, read_spikes, samples
@@ -133,7 +132,7 @@ def paper_settings(experiment: Experiment) -> ControllerSettings:
     tables, paper = experiment.tables(), experiment.paper
     tables["load"]["design"] = "paper"
     tables["estimator"] = {
-        "method": next(name for name, one in METHODS.items() if one is paper.method),
+        "method": paper.method,
         "forgetting": paper.forgetting,
         "tau_lambda_s": paper.tau_lambda_s,
         "initial_covariance": paper.covariance,
@@ -145,9 +144,6 @@ def paper_settings(experiment: Experiment) -> ControllerSettings:
 def _from_tables(experiment: Experiment, tables: dict[str, Any]) -> ControllerSettings:
     source = FOLDER / f"{experiment.name}.toml"
     return controller_settings(validate_configuration(tables, source))
-
-
-Array = NDArray[np.float64]
 
 
 def run_case(case: Case, *, keep_ticks: bool = False, compiled: bool = False) -> Run:

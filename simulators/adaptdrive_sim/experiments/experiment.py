@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
+
 from adaptdrive.control.load import Load
-from adaptdrive.control.method import Method
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.waveform import Waveform
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +42,7 @@ class PaperSettings:
         warm_up_s: Time under the fixed controller before the adaptive one takes over.
     """
 
-    method: Method
+    method: Literal["lm-rls", "rls"]
     forgetting: float
     tau_lambda_s: float
     covariance: float
@@ -62,11 +65,10 @@ class SweepSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Experiment:
-    """One experiment, in either design.
+class ExperimentFile:
+    """The file of an experiment.
 
     Attributes:
-        name: Its name on the command line.
         duration_s: Length.
         reference: Square wave, high half first.
         period_s: Slow period T_k.
@@ -75,14 +77,8 @@ class Experiment:
         noise: Standard deviation of each fast sample by default, as a fraction of the step.
         paper: The paper's settings.
         sweep: Further settings of the estimator to compare with them.
-        tables: Configuration of the daemon for the exact design, as TOML would give it.
-        nominal: The load that the fixed controller is designed for.
-        plant: Makes the simulated load at its nominal size.
-        true_load: The load's model at a size, by formula.
-        dropped: Whether what is added to the load is at rest, so that its speed drops.
     """
 
-    name: str
     duration_s: float
     reference: Waveform
     period_s: float
@@ -91,6 +87,22 @@ class Experiment:
     noise: float
     paper: PaperSettings
     sweep: SweepSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment(ExperimentFile):
+    """One experiment, in either design.
+
+    Attributes:
+        name: Its name on the command line.
+        tables: Configuration of the daemon for the exact design, as TOML would give it.
+        nominal: The load that the fixed controller is designed for.
+        plant: Makes the simulated load at its nominal size.
+        true_load: The load's model at a size, by formula.
+        dropped: Whether what is added to the load is at rest, so that its speed drops.
+    """
+
+    name: str
     tables: Callable[[], dict[str, Any]] = field(repr=False)
     nominal: Callable[[], Load] = field(repr=False)
     plant: Callable[[], Any] = field(repr=False)
@@ -133,6 +145,14 @@ class Experiment:
         return min(later, default=self.duration_s)
 
 
-def square(low: float, high: float, period_s: float) -> Waveform:
-    """Return a square wave that starts with its high half."""
-    return Waveform(Shape.SQUARE, low, high, period_s)
+def read_experiment(name: str, **parts: Any) -> Experiment:  # noqa: ANN401 - functions
+    """Read the file of an experiment.
+
+    Args:
+        name: Its name.
+        parts: The functions that make its loads and its configuration.
+    """
+    text = Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8")
+    data = msgspec.convert(tomllib.loads(text), ExperimentFile)
+    values: dict[str, Any] = {one.name: getattr(data, one.name) for one in fields(data)}
+    return Experiment(name=name, **values, **parts)

@@ -9,16 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from adaptdrive.analysis import style
 from adaptdrive.control.load import to_input
-from adaptdrive_sim.course import Run
+from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.case import Variant
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome
-
-Array = NDArray[np.float64]
 
 SYMBOLS = {
     "gain": r"$\hat{g}_m$",
@@ -114,6 +111,11 @@ def mark_warm_up(axes: Axes, outcome: ExperimentOutcome, record: Run) -> None:
     """Shade the warm-up, and draw a bar while the adaptive gains were in force."""
     warm_up_min = outcome.experiment.paper.warm_up_s / 60.0
     axes.axvspan(0.0, warm_up_min, label="warm-up", **WARM_UP)
+    mark_in_force(axes, record)
+
+
+def mark_in_force(axes: Axes, record: Run) -> None:
+    """Draw a bar while the adaptive gains were in force."""
     minutes, in_force = minutes_of(record), record["adaptive"] > 0.0
     axes.fill_between(
         minutes,

@@ -24,11 +24,9 @@ from adaptdrive.control.discretise import held_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.pole_placement import desired_polynomial
 from adaptdrive.control.vectors import Vector
-from adaptdrive_sim.course import Run
+from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.case import Design
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
-
-Array = NDArray[np.float64]
 
 CONVERGED = 0.05
 
@@ -64,7 +62,7 @@ def model_errors(experiment: Experiment, design: Design, record: Run) -> Array:
     return (record["output"] - ideal_output(experiment, design)) / experiment.step
 
 
-def ideal_output(experiment: Experiment, design: Design) -> NDArray[np.float64]:
+def ideal_output(experiment: Experiment, design: Design) -> Array:
     """Output of the ideal loop at every slow instant, from rest on the lower reference."""
     periods = round(experiment.duration_s / experiment.period_s)
     desired = desired_polynomial(experiment.pole, 2 * experiment.nominal().order)
@@ -133,28 +131,40 @@ def _half(
 
 
 def convergence_cycles(experiment: Experiment, record: Run, change: LoadChange) -> float | None:
+    """Return `cycles_until_right` of an adaptive run."""
+    estimates = np.column_stack([record[name] for name in experiment.nominal().names])
+    return cycles_until_right(experiment, estimates, change)
+
+
+def cycles_until_right(
+    experiment: Experiment, estimates: Array, change: LoadChange
+) -> float | None:
     """Reference cycles until every estimate is within 5 % of the truth and stays so.
 
     Args:
         experiment: What was done.
-        record: Of an adaptive run.
+        estimates: A row for each slow period.
         change: The load change after which to look; only until the next one.
 
     Returns:
         None when the estimates never get there.
     """
-    chosen = _between(record, change.time_s, experiment.until_next_change(change))
-    names = experiment.nominal().names
-    estimates = np.array([record[name] for name in names])[:, chosen]
-    times = record["time_s"][chosen]
-    truth = np.array([experiment.truth_at(time_s) for time_s in times]).T
+    ends = change.time_s, experiment.until_next_change(change)
+    first, last = (round(time_s / experiment.period_s) for time_s in ends)
     with np.errstate(invalid="ignore"):
-        good = np.all(np.abs(estimates / truth - 1.0) <= CONVERGED, axis=0)
+        good = np.all(distances(experiment, estimates, first, last) <= CONVERGED, axis=1)
     bad = np.flatnonzero(~good)
-    first = int(bad[-1]) + 1 if bad.size else 0
-    if first == good.size:
+    settled = int(bad[-1]) + 1 if bad.size else 0
+    if settled == good.size:
         return None
-    return float(times[first] - change.time_s) / experiment.reference.period_s
+    return settled * experiment.period_s / experiment.reference.period_s
+
+
+def distances(experiment: Experiment, estimates: Array, first: int, last: int) -> Array:
+    """Return the distances of estimates from the truth over some slow periods, relative to it."""
+    truth = [experiment.truth_at(k * experiment.period_s) for k in range(first, last)]
+    found: Array = np.abs(estimates[first:last] / np.array(truth) - 1.0)
+    return found
 
 
 def _between(record: Run, first_s: float, last_s: float) -> NDArray[np.bool_]:

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
+from adaptdrive_sim.claims import Claim
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Design, Disturbance, Variant
 from adaptdrive_sim.experiments.experiment import Experiment
@@ -107,32 +104,15 @@ _MOVED = 0.05
 """An estimate that moves by this share has been disturbed."""
 
 
-@dataclass(frozen=True, slots=True)
-class ExperimentClaim:
-    """One claim.
-
-    Attributes:
-        claim: What is claimed.
-        measured: What was measured.
-        target: What is expected.
-        met: Whether it holds; None where this run's noise is not the one to judge it by.
-    """
-
-    claim: str
-    measured: str
-    target: str
-    met: bool | None
-
-
-def claims(outcome: ExperimentOutcome) -> list[ExperimentClaim]:
+def claims(outcome: ExperimentOutcome) -> list[Claim]:
     """Judge every claim that the paper makes of an experiment."""
     return [make(outcome) for make in _CLAIMS[outcome.experiment.name]]
 
 
-def _fixed_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _fixed_motor(outcome: ExperimentOutcome) -> Claim:
     overshoots = _last_of_segments(outcome, "fixed")
     rising = all(a < b for a, b in pairwise(overshoots))
-    return ExperimentClaim(
+    return Claim(
         "the fixed controller overshoots more with each disk",
         _percents(overshoots),
         "rising, the last above 15 %",
@@ -140,9 +120,9 @@ def _fixed_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
     )
 
 
-def _adaptive_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _adaptive_motor(outcome: ExperimentOutcome) -> Claim:
     overshoots = _last_of_segments(outcome, "adaptive")
-    return ExperimentClaim(
+    return Claim(
         "the adaptive one does not, in the last cycle with each load",
         _percents(overshoots),
         "each below 2 %",
@@ -150,9 +130,9 @@ def _adaptive_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
     )
 
 
-def _converged(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _converged(outcome: ExperimentOutcome) -> Claim:
     found, most = outcome.converged, _CYCLES_DROPPED if outcome.experiment.dropped else 2.0
-    return ExperimentClaim(
+    return Claim(
         "its estimates are within 5 % of the truth about two cycles after each load change",
         ", ".join("never" if one is None else f"{one:.2f}" for one in found) + " cycles",
         f"at most {most:g} cycles",
@@ -160,10 +140,10 @@ def _converged(outcome: ExperimentOutcome) -> ExperimentClaim:
     )
 
 
-def _disturbed(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _disturbed(outcome: ExperimentOutcome) -> Claim:
     least = estimate_moves(outcome.experiment, outcome.records["adaptive"])
     judged = outcome.experiment.dropped and outcome.design == "paper"
-    return ExperimentClaim(
+    return Claim(
         "each load change disturbs all three estimates, the gain too, which is not changed",
         ", ".join(f"{name} {100.0 * move:.2g} %" for name, move in least.items()),
         f"each by {100.0 * _MOVED:g} % at least in the paper's design, where disks land at rest",
@@ -171,10 +151,10 @@ def _disturbed(outcome: ExperimentOutcome) -> ExperimentClaim:
     )
 
 
-def _direct_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _direct_motor(outcome: ExperimentOutcome) -> Claim:
     ratio = outcome.model_error("direct_rls") / outcome.model_error("adaptive")
     judged = outcome.disturbance == NOISY and outcome.design == "paper"
-    return ExperimentClaim(
+    return Claim(
         "where there are spikes, direct RLS is erratic: its model error over that of LM-RLS",
         f"{ratio:.2f}",
         f"at least 1.8 with --spikes {NOISY.spike_share},{NOISY.spike_noise}",
@@ -182,10 +162,10 @@ def _direct_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
     )
 
 
-def _fixed_bath(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _fixed_bath(outcome: ExperimentOutcome) -> Claim:
     last = outcome.experiment.changes[-1].size
     overshoots = [one.overshoot for one in outcome.cycles["fixed"] if one.load == last]
-    return ExperimentClaim(
+    return Claim(
         "the fixed controller overshoots in each cycle after the change of volume",
         _percents(overshoots),
         "each above 7 %",
@@ -193,9 +173,9 @@ def _fixed_bath(outcome: ExperimentOutcome) -> ExperimentClaim:
     )
 
 
-def _adaptive_bath(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _adaptive_bath(outcome: ExperimentOutcome) -> Claim:
     overshoots = [one.overshoot for one in outcome.cycles["adaptive"]]
-    return ExperimentClaim(
+    return Claim(
         "the adaptive one hardly does, in any cycle",
         _percents(overshoots),
         "each below 3.5 %",
@@ -203,11 +183,11 @@ def _adaptive_bath(outcome: ExperimentOutcome) -> ExperimentClaim:
     )
 
 
-def _forgetting(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _forgetting(outcome: ExperimentOutcome) -> Claim:
     method = outcome.experiment.sweep.methods[0]
     points = [one for one in outcome.over_forgetting if one.setting.method == method]
     first, last = points[0], points[-1]
-    return ExperimentClaim(
+    return Claim(
         "forgetting faster brings speed and costs noise",
         f"ρ = {first.setting.forgetting:g}: {_speed_and_noise(first)}; "
         f"ρ = {last.setting.forgetting:g}: {_speed_and_noise(last)}",
@@ -216,7 +196,7 @@ def _forgetting(outcome: ExperimentOutcome) -> ExperimentClaim:
     )
 
 
-def _tau_lambda(outcome: ExperimentOutcome) -> ExperimentClaim:
+def _tau_lambda(outcome: ExperimentOutcome) -> Claim:
     experiment = outcome.experiment
     limit_s = settling_time_s(experiment.nominal(), 0.1 * experiment.period_s)
     points = outcome.over_tau_lambda
@@ -227,7 +207,7 @@ def _tau_lambda(outcome: ExperimentOutcome) -> ExperimentClaim:
     beyond = min(
         (one for one in points if one.setting.tau_lambda_s > limit_s), key=lambda one: one.deviation
     )
-    return ExperimentClaim(
+    return Claim(
         f"λ filters slower than the load's settling time of {limit_s:.0f} s gain nothing",
         f"noise in the estimates at best {100.0 * beyond.deviation:.2g} %",
         f"no more than a tenth below the {100.0 * below.deviation:.2g} % of faster ones",
@@ -259,36 +239,10 @@ def _speed_and_noise(point: SweepPoint) -> str:
     return f"{speed}, {100.0 * point.deviation:.2g} %"
 
 
-_CLAIMS: dict[str, tuple[Callable[[ExperimentOutcome], ExperimentClaim], ...]] = {
+_CLAIMS: dict[str, tuple[Callable[[ExperimentOutcome], Claim], ...]] = {
     "motor": (
         *(_fixed_motor, _adaptive_motor, _converged, _disturbed, _direct_motor),
         *(_forgetting, _tau_lambda),
     ),
     "bath": (_fixed_bath, _adaptive_bath, _forgetting, _tau_lambda),
 }
-
-
-_VERDICTS = {True: "holds", False: "FAILS", None: "not judged"}
-_STYLES = {True: "green", False: "bold red", None: "dim"}
-
-
-def print_claims(title: str, claims: list[ExperimentClaim]) -> None:
-    """Print the verdict on every claim."""
-    if sys.stdout.isatty():
-        Console().print(_table(title, claims))
-        return
-    lines = [
-        f"{_VERDICTS[one.met]}: {one.claim}: {one.measured} (target: {one.target})"
-        for one in claims
-    ]
-    sys.stdout.write("\n".join((title, *lines)) + "\n")
-
-
-def _table(title: str, claims: list[ExperimentClaim]) -> Table:
-    table = Table(title=title, title_justify="left", show_lines=True)
-    for heading in ("claim", "measured", "target", "verdict"):
-        table.add_column(heading)
-    for one in claims:
-        verdict = f"[{_STYLES[one.met]}]{_VERDICTS[one.met]}[/]"
-        table.add_row(one.claim, one.measured, one.target, verdict)
-    return table

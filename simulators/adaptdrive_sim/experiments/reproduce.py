@@ -14,6 +14,7 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive_sim.claims import Claim
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import (
     Case,
@@ -25,7 +26,6 @@ from adaptdrive_sim.experiments.case import (
 )
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import (
-    ExperimentClaim,
     ExperimentOutcome,
     claims,
     judge,
@@ -112,7 +112,7 @@ def find_experiment(name: str, *, keep_speed: bool) -> Experiment:
     return MOTOR if keep_speed else DROPPED
 
 
-def run_request(request: ReproduceRequest, folder: Path) -> list[ExperimentClaim]:
+def run_request(request: ReproduceRequest, folder: Path) -> list[Claim]:
     """Run an experiment, and write its figures, its summary and its recorded runs.
 
     Args:

@@ -15,7 +15,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import regression as reg
@@ -27,13 +26,11 @@ from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, shift_in
-from adaptdrive_sim.course import Run
+from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.case import Case
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.metrics import CONVERGED
+from adaptdrive_sim.experiments.metrics import cycles_until_right, distances
 from adaptdrive_sim.noise import samples
-
-Array = NDArray[np.float64]
 
 SETTLED = 0.02
 
@@ -242,15 +239,10 @@ class _Chain:
 def _speed(experiment: Experiment, estimates: Array) -> float | None:
     slowest = 0.0
     for change in experiment.changes:
-        first = round(change.time_s / experiment.period_s)
-        last = round(experiment.until_next_change(change) / experiment.period_s)
-        truth = np.array([experiment.truth_at(k * experiment.period_s) for k in range(first, last)])
-        with np.errstate(invalid="ignore"):
-            good = np.all(np.abs(estimates[first:last] / truth - 1.0) <= CONVERGED, axis=1)
-        if not good[-1]:
+        cycles = cycles_until_right(experiment, estimates, change)
+        if cycles is None:
             return None
-        settled = int(np.flatnonzero(~good)[-1]) + 1 if not good.all() else 0
-        slowest = max(slowest, settled * experiment.period_s / experiment.reference.period_s)
+        slowest = max(slowest, cycles)
     return slowest
 
 
@@ -266,11 +258,7 @@ def _spread(heard: Heard, quiet: Array, noisy: list[Array]) -> float:
 
 
 def _transient(experiment: Experiment, estimates: Array) -> float:
-    largest, period_s = 0.0, experiment.period_s
-    for change in experiment.changes:
-        first = round(change.time_s / period_s)
-        last = first + round(experiment.reference.period_s / period_s)
-        truth = np.array([experiment.truth_at(k * period_s) for k in range(first, last)])
-        distances = np.abs(estimates[first:last] / truth - 1.0)
-        largest = max(largest, float(np.nanmax(distances)))
-    return largest
+    cycle = round(experiment.reference.period_s / experiment.period_s)
+    firsts = [round(change.time_s / experiment.period_s) for change in experiment.changes]
+    found = (distances(experiment, estimates, first, first + cycle) for first in firsts)
+    return max((float(np.nanmax(one)) for one in found), default=0.0)

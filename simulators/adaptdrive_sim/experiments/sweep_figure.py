@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -86,16 +87,7 @@ def _curves(
         heights = [_NEVER] * len(never)
         (marks,) = speed.plot(never, heights, transform=speed.get_xaxis_transform(), **look)
         marks.set(markerfacecolor="none", linestyle="none", markersize=_OPEN[look["marker"]])
-        speed.annotate(
-            "never",
-            (never[0], _NEVER),
-            xycoords=speed.get_xaxis_transform(),
-            xytext=(-6.0, 0.0),
-            textcoords="offset points",
-            ha="right",
-            va="center",
-            fontsize=8.0,
-        )
+        _annotate(speed, "never", (never[0], _NEVER), shift=-6.0, ha="right", va="center")
 
 
 def _name(axes: Grid, experiment: Experiment) -> None:
@@ -136,22 +128,19 @@ def _mark(axes: Grid, experiment: Experiment) -> None:
         last = row[1].get_xlim()[1]
         row[1].axvspan(settled_s, last, color="0.93", linewidth=0.0, zorder=0)
         row[1].set_xlim(right=last)
-    axes[0][0].annotate(
-        "as used",
-        (_memory(paper.forgetting), 0.03),
-        xycoords=axes[0][0].get_xaxis_transform(),
-        xytext=(-4.0, 0.0),
-        textcoords="offset points",
-        rotation=90.0,
-        ha="right",
-        va="bottom",
-        fontsize=8.0,
-    )
-    axes[0][1].annotate(
-        "slower than the\nload settles",
-        (math.sqrt(settled_s * last), 0.03),
-        xycoords=axes[0][1].get_xaxis_transform(),
-        ha="center",
-        va="bottom",
-        fontsize=8.0,
-    )
+    place = _memory(paper.forgetting), 0.03
+    _annotate(axes[0][0], "as used", place, -4.0, rotation=90.0, ha="right", va="bottom")
+    place, text = (math.sqrt(settled_s * last), 0.03), "slower than the\nload settles"
+    _annotate(axes[0][1], text, place, ha="center", va="bottom")
+
+
+def _annotate(
+    axes: Axes,
+    text: str,
+    place: tuple[float, float],
+    shift: float = 0.0,
+    **look: Any,  # noqa: ANN401 - of matplotlib
+) -> None:
+    """Write at an abscissa and a share of the height, shifted by so many points."""
+    look |= {"xycoords": axes.get_xaxis_transform(), "textcoords": "offset points"}
+    axes.annotate(text, place, (shift, 0.0), fontsize=8.0, **look)

@@ -59,15 +59,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         configuration, 3 no answer, 4 the end of a session is not recorded, 130 interrupted.
     """
     heed_signals()
+    return carry_out("adaptdrive", _app(), arguments)
+
+
+def carry_out(
+    program: str, app: App, arguments: Sequence[str] | None = None, unusable: int = UNUSABLE
+) -> int:
+    """Run one command of a program, and return its exit status.
+
+    Args:
+        program: Its name, which begins each line about an error.
+        app: Its commands.
+        arguments: Words after its name; those of this process when None.
+        unusable: Status where its arguments or its configuration cannot be used.
+    """
     open_standard_files()
     lay_out_help(sys.argv[1:] if arguments is None else arguments)
     try:
-        outcome = _app()(arguments)
+        outcome = app(arguments)
     except CycloptsError as problem:
-        return _complain(_misuse(problem), UNUSABLE)
+        return complain(program, _misuse(program, problem), unusable)
     except AdaptdriveError as problem:
-        unusable = isinstance(problem, ConfigurationError)
-        return _complain(str(problem), UNUSABLE if unusable else FAILED)
+        configured = isinstance(problem, ConfigurationError)
+        return complain(program, str(problem), unusable if configured else FAILED)
     except KeyboardInterrupt:
         return INTERRUPTED
     except SystemExit as end:
@@ -75,18 +89,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return 0
     except OSError as problem:
-        return unwritten(problem, "adaptdrive")
-    return flushed(outcome if isinstance(outcome, int) else 0, "adaptdrive")
+        return unwritten(problem, program)
+    return flushed(outcome if isinstance(outcome, int) else 0, program)
 
 
-def _misuse(problem: CycloptsError) -> str:
+def _misuse(program: str, problem: CycloptsError) -> str:
     """Return what is wrong with the words of a command."""
     words = " ".join(problem.unused_tokens or ())
     if isinstance(problem, UnknownCommandError):
         from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - no command needs it
 
         hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
-        return f"unknown command {words!r}{hint}; see adaptdrive --help"
+        return f"unknown command {words!r}{hint}; see {program} --help"
     if isinstance(problem, UnusedCliTokensError):
         return f"the command takes no {words!r}; see its --help"
     return " ".join(str(problem).split())
@@ -123,7 +137,3 @@ def _app() -> App:
 
 def _first_line(request: type[Request]) -> str:
     return (request.__doc__ or "").partition("\n")[0]
-
-
-def _complain(text: str, status: int) -> int:
-    return complain("adaptdrive", text, status)

@@ -16,7 +16,7 @@ from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.target import Target
 from adaptdrive.watch.plot import Mark, PlotPoint, plot
-from adaptdrive.watch.tables import DIM, boxed, cut, figure
+from adaptdrive.watch.tables import DIM, cut, figure, titled
 
 KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
 _POINTS = 6000
@@ -79,13 +79,13 @@ def screen(picture: Picture, size: tuple[int, int]) -> Layout:
     now_s = points[-1].time_s if points else 0.0
     since_s = now_s - points[0].time_s if points else 0.0
     window_s = min(max(since_s, _SHORTEST_WINDOW_S), _LONGEST_WINDOW_S)
-    canvas = (width - 4, height - _HEADER_ROWS - 3)
+    canvas = (width - 1, height - _HEADER_ROWS - 2)
     target = picture.target
     content = plot(points, list(picture.marks), now_s, window_s, canvas)
     layout = Layout()
     layout.split_column(
         Layout(_header(picture, points), size=_HEADER_ROWS),
-        Layout(boxed(Text(f"{target.name} in {target.unit or '1'}"), content)),
+        Layout(titled(Text(f"{target.name} in {target.unit or '1'}"), content)),
         Layout(cut(Text(f" {KEYS}", DIM)), size=1),
     )
     return layout

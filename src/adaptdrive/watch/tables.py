@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable, Sequence
 from textwrap import wrap
 
-from rich.box import ROUNDED
-from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
@@ -61,26 +59,13 @@ def flow(items: Iterable[str], width: int) -> list[str]:
 
 
 def titled(title: str | Text, content: Table | Text) -> Table:
-    """Return content below its title and a line, for terminals without room for frames."""
+    """Return content below its title and a line."""
     grid = Table.grid(expand=True)
     head = Text.assemble(("─ ", DIM), title, (" " + "─" * 200, DIM))
     head.no_wrap, head.overflow = True, "crop"
     grid.add_row(head)
     grid.add_row(content)
     return grid
-
-
-def boxed(title: str | Text, content: Table | Text, rows: int | None = None, pad: int = 1) -> Panel:
-    """Return a frame with a title, as high as its content or as so many rows."""
-    return Panel(
-        content,
-        title=title,
-        box=ROUNDED,
-        border_style=DIM,
-        title_align="left",
-        height=rows,
-        padding=(0, pad),
-    )
 
 
 def event_line(time: str, kind: str, detail: str, severity: str) -> Text:

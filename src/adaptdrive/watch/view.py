@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rich.layout import Layout
-from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
@@ -18,7 +17,6 @@ from adaptdrive.watch.record import Payload, WatchRecord
 from adaptdrive.watch.tables import (
     DIM,
     STATE_STYLES,
-    boxed,
     event_line,
     event_lines,
     figure,
@@ -34,7 +32,8 @@ KEYS = (
 )
 _ROWS = 6
 _SHORTEST_WINDOW_S = 30.0
-_EVENTS, _TALL, _WIDE = 6, 32, 110
+_EVENTS, _WIDE = 6, 110
+_LEAST_PLOT = 9
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
 
 
@@ -78,17 +77,16 @@ def screen(record: WatchRecord, size: tuple[int, int], around: Surroundings = WA
         around: What is shown around the drive.
     """
     width, height = size
-    tall = height >= _TALL
     header = [*_header(record), *around.lead]
     footer = _footer(record, around, width)
     middle = _middle(record, around, size)
-    rows = _ROWS + 2 if tall else _ROWS + 1
-    events = _EVENTS if tall else max(1, min(3, height - rows - len(header) - len(footer) - 9))
+    rows = _ROWS + 1
+    events = min(_EVENTS, max(1, height - rows - len(header) - len(footer) - _LEAST_PLOT))
     fixed = len(header) + rows + events + len(footer)
     layout = Layout()
     layout.split_column(
         Layout(lines(header), size=len(header)),
-        Layout(_plot(record, around.longest_s, (width, height - fixed), tall=tall)),
+        Layout(_plot(record, around.longest_s, (width, height - fixed))),
         Layout(middle, size=rows),
         Layout(_events(record, events), size=events),
         Layout(lines(footer), size=len(footer)),
@@ -125,9 +123,7 @@ def _add_controller(line: Text, state: Payload) -> None:
         line.append(f", {mode} asked for: {printable(state.get('reason'))}", "yellow")
 
 
-def _plot(
-    record: WatchRecord, longest_s: float, size: tuple[int, int], *, tall: bool
-) -> Panel | Table:
+def _plot(record: WatchRecord, longest_s: float, size: tuple[int, int]) -> Table:
     points, now_s = list(record.points), record.now_s
     since_s = now_s - points[0].time_s if points else 0.0
     window_s = min(max(since_s, _SHORTEST_WINDOW_S), longest_s)
@@ -136,33 +132,25 @@ def _plot(
     for name, form in {**FORMS, "off": OFF, "reference": REFERENCE}.items():
         title.append(f"  {form.sign * 2} {name}", form.style)
     title.append(" ")
-    room = (size[0] - 4, size[1] - 2) if tall else (size[0] - 1, size[1] - 1)
-    content = plot(points, list(record.marks), now_s, window_s, room)
-    return boxed(title, content) if tall else titled(title, content)
+    room = size[0] - 1, size[1] - 1
+    return titled(title, plot(points, list(record.marks), now_s, window_s, room))
 
 
 def _middle(record: WatchRecord, around: Surroundings, size: tuple[int, int]) -> Table | Text:
     """Return the tables, side by side, or what covers them."""
     if around.cover is not None:
         return around.cover
-    width, height = size
-    wide = width >= _WIDE
+    wide = size[0] >= _WIDE
     ranges = wide or not around.tables
     contents = {
         "drive": _drive(record, ranges=ranges),
         "estimates": _estimates(record, wide=wide),
         **around.tables,
     }
-    tall = height >= _TALL
-    grid = Table.grid(expand=True, padding=(0, 0 if tall else 1))
+    grid = Table.grid(expand=True, padding=(0, 1))
     for _, ratio in zip(contents, (20, 36, 22), strict=False):
         grid.add_column(ratio=ratio)
-    grid.add_row(
-        *(
-            boxed(name, one, _ROWS + 2, 0) if tall else titled(name, one)
-            for name, one in contents.items()
-        )
-    )
+    grid.add_row(*(titled(name, one) for name, one in contents.items()))
     return grid
 
 
