@@ -92,7 +92,7 @@ def claims(rows: list[Row]) -> list[Claim]:
         Claim(
             "adaptive is better in the runs whose load changed",
             f"{better} of {len(changed)}, {100.0 * share:.1f} %",
-            f"{100.0 * BETTER_SHARE:g} %",
+            f"at least {100.0 * BETTER_SHARE:g} %",
             share >= BETTER_SHARE,
         ),
     ]

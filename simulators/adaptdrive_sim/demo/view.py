@@ -78,5 +78,5 @@ def story_table(record: DemoRecord) -> tuple[str, Table]:
     table.add_row("", *(Text(name, form.style) for name, form in CONTROLLERS.items()))
     for k, name in enumerate(known.names):
         found = (record.halves.overshoot(controller, k) for controller in CONTROLLERS)
-        table.add_row(name, *("·" if one is None else f"{100.0 * one:.1f} %" for one in found))
-    return "overshoot", table
+        table.add_row(name, *("·" if one is None else f"{100.0 * one:.1f}" for one in found))
+    return "overshoot, %", table
