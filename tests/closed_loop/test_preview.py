@@ -20,7 +20,7 @@ from adaptdrive.control.waveform import Shape, Waveform, heard
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay
-from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.noise import NoiseParameters
@@ -106,7 +106,7 @@ def test_a_set_point_ends_what_the_controller_is_told() -> None:
 def test_it_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     drive = run(Shape.SQUARE, True)
     batch = make_batch(drive.kept.ticks, drive.kept.slow, last=True)
-    directory = create_session(NewSession(tmp_path, INFO, ""))
+    directory = create_session(tmp_path, INFO, "")
     record_messages(directory, Header(INFO, ""), batch)
     own = configuration()
     report = replay(read_session(directory), Controller(controller_settings(own), build_load(own)))
