@@ -24,7 +24,9 @@ _POLLED = ("modbus-tcp", "modbus-rtu")
 _EDS = "cia402.eds"
 _POLL_TICKS = 12  # as in the examples of polled drives
 _LONG_STRIDE = 2  # the examples' six ticks are three readings of such a drive
-_THREE_TICKS_S = 3.0 / 120.0
+_TICK_S = 1.0 / 120.0
+_THREE_TICKS_S = 3.0 * _TICK_S
+_LEAST_READINGS = 10  # of a drive in one slow period
 _CURRENT_REGISTERS: Mapping[str, str] = {
     "modbus-tcp": 'address = 19, table = "holding", type = "int32", scale = 1.0e-4',
     "modbus-rtu": 'address = 4, table = "input", type = "float32", word_order = "little"',
@@ -161,6 +163,10 @@ def _load_part(load_text: str, stride: int) -> str:
     section = _between(load_text, "[load]", "[interlocks]")
     if stride == 1:
         return section
+    period_s = float(re.search(r"(?m)^period_s = ([\d.]+)", section)[1])  # type: ignore[index]
+    if period_s < _LEAST_READINGS * stride * _TICK_S:
+        longer = f"period_s = {_LEAST_READINGS * stride * _TICK_S:<20.4g}# ten readings"
+        section = re.sub(r"(?m)^period_s = .*$", longer, section)
     latency = f"latency_ticks = {stride:<20}# one reading from the slow sample to its effect"
     return section.replace("\nreference_min", f"\n{latency}\nreference_min", 1)
 

@@ -18,7 +18,15 @@ from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.files import replace_regular
-from adaptdrive.hardware.proposal import NO_PROPOSAL, OUTPUTS, QUANTITIES, Candidate, propose
+from adaptdrive.hardware.proposal import (
+    NO_PROPOSAL,
+    OUTPUTS,
+    QUANTITIES,
+    Candidate,
+    Wanted,
+    is_doubtful,
+    propose,
+)
 
 _SHOWN = 3
 _NODE_ID = 1
@@ -49,7 +57,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
         directory: Folder for the files.
         dbc: DBC file of the drive.
         eds: EDS file of the drive.
-        yes: Take each proposal without asking.
+        yes: Take each proposal without asking; end where two are equally likely.
 
     Returns:
         0 when the file passes `check`, 2 when something is left to fill in.
@@ -60,7 +68,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
         starter = of_device(load, device, drive)
     else:
         known = _refuse_misfits(bus, dbc, eds)
-        part = _described(load, directory, dbc, eds, ask=sys.stdin.isatty() and not yes)
+        part = _described(load, directory, dbc, eds, ask=_way_to_choose(yes=yes))
         described = part or ""
         stride, unit = clock_ticks(described), output_unit(described)
         starter = compose(load, known, drive, part, stride=stride, output_unit=unit)
@@ -112,7 +120,7 @@ def _refuse_misnamed(name: str) -> str:
 
 
 def _described(
-    load: LoadName, directory: Path, dbc: Path | None, eds: Path | None, *, ask: bool
+    load: LoadName, directory: Path, dbc: Path | None, eds: Path | None, *, ask: bool | None
 ) -> str | None:
     """Return the bus part that a DBC or EDS gives, None for the reference drive."""
     if dbc is not None:
@@ -129,19 +137,36 @@ def _described(
     return None
 
 
+def _way_to_choose(*, yes: bool) -> bool | None:
+    """Return whether each signal is asked for; None to refuse a doubt."""
+    return None if yes else sys.stdin.isatty()
+
+
 def _place(file: Path, directory: Path) -> str:
     """Return how the configuration names a file: one in its own folder by its name alone."""
     beside = file.resolve().parent == directory.resolve()
     return file.name if beside else str(file.resolve())
 
 
-def _choose(load: LoadName, found: Iterable[Candidate], *, ask: bool) -> Choices:
+def _choose(load: LoadName, found: Iterable[Candidate], *, ask: bool | None) -> Choices:
     known = list(found)
     wanted = {"output": OUTPUTS.get(load, NO_PROPOSAL), **QUANTITIES}
     return {
-        quantity: _confirm(quantity, propose(one, known), known, ask=ask)
+        quantity: _confirm(quantity, _proposed(quantity, one, known, ask=ask), known, ask=bool(ask))
         for quantity, one in wanted.items()
     }
+
+
+def _proposed(
+    quantity: str, wanted: Wanted, known: list[Candidate], *, ask: bool | None
+) -> tuple[Candidate, ...]:
+    """Return the proposals of a quantity, the likeliest first; refuse a doubt nobody is asked."""
+    proposed = propose(wanted, known)
+    if ask is None and is_doubtful(wanted, proposed):
+        first, second = (one.reference for one in proposed[:2])
+        flaw = Flaw(quantity, f"{first} or {second}? leave out --yes, and choose")
+        raise ConfigurationError("init", [flaw])
+    return proposed
 
 
 def _confirm(

@@ -14,6 +14,10 @@ _WATT = ("W", "kW")
 
 _NAME_POINTS = 2  # one word that names a quantity outweighs one that contradicts it
 _UNIT_POINTS = 3  # a unit counts more than one word of a name
+_LEAST_BITS = 8  # shorter values are flags and states, no quantities
+
+_OF_THE_BUS = ("node", "id", "baud", "address", "version", "lockout", "discharge")
+_OPPOSITES = (*_OF_THE_BUS, "disable", "disabled", "inhibit", "off", "not")
 
 _ON = ("run", "on", "enabled", "enable", "operation", "active", "start")
 _OFF = ("stop", "off", "disabled", "disable", "standby", "idle", "ready")
@@ -30,6 +34,7 @@ class Candidate:
         range: Range as text, such as `0…600`.
         commanded: True for a value that the daemon sends.
         names: Names of its values, as a value table has them.
+        bits: Length.
     """
 
     reference: str
@@ -38,6 +43,7 @@ class Candidate:
     range: str
     commanded: bool
     names: tuple[str, ...] = ()
+    bits: int = 16
 
     @property
     def on(self) -> str | None:
@@ -58,12 +64,14 @@ class Wanted:
         words: Parts of a name that count for it.
         against: Parts of a name that count against it.
         units: Units of which it must have one; none for a value without a unit.
+        never: Parts of a name that no such value has.
         commanded: True for a value that the daemon sends.
     """
 
     words: tuple[str, ...]
     against: tuple[str, ...]
     units: tuple[str, ...]
+    never: tuple[str, ...] = ()
     commanded: bool = False
 
 
@@ -78,18 +86,26 @@ QUANTITIES: Mapping[str, Wanted] = {
     "counter": Wanted(("half", "cycle", "count", "tick"), ("alive", "crc", "hours"), ()),
     "fault": Wanted(("fault", "error", "alarm", "trip"), ("crc", "alive"), ()),
     "bridge": Wanted(
-        ("bridge", "run", "state", "status", "enabled", "on"), ("fault", "alive", "crc"), ()
+        ("bridge", "run", "state", "status", "enabled", "on"),
+        ("fault", "alive", "crc"),
+        (),
+        _OPPOSITES,
     ),
     "command.current_scale_S": Wanted(
         ("current", "scale", "k", "conductance"), (), ("S",), commanded=True
     ),
     "command.boost_reference_V": Wanted(
-        ("boost", "dc", "link", "voltage", "set", "ref"), ("line", "mains"), _VOLT, commanded=True
+        ("boost", "dc", "link", "voltage", "set", "ref"),
+        ("line", "mains"),
+        _VOLT,
+        _OF_THE_BUS,
+        commanded=True,
     ),
     "command.bridge": Wanted(
         ("bridge", "enable", "run", "request", "start"),
         ("alive", "crc", "page", "mode"),
         (),
+        _OPPOSITES,
         commanded=True,
     ),
 }
@@ -117,6 +133,12 @@ def propose(wanted: Wanted, candidates: Iterable[Candidate]) -> tuple[Candidate,
     return tuple(one for _, one in fitting)
 
 
+def is_doubtful(wanted: Wanted, proposed: tuple[Candidate, ...]) -> bool:
+    """Return whether nothing tells the likeliest candidate from the next one."""
+    best = [_points(wanted, one) for one in proposed[:2]]
+    return len(best) == 2 and best[0] == best[1]
+
+
 def _points(wanted: Wanted, candidate: Candidate) -> int:
     """Return the score of a candidate; 0 for one that it cannot be."""
     if candidate.commanded is not wanted.commanded:
@@ -124,6 +146,9 @@ def _points(wanted: Wanted, candidate: Candidate) -> int:
     if candidate.unit and candidate.unit not in wanted.units:
         return 0
     parts = _parts(candidate.words)
+    short = bool(wanted.units) and candidate.bits < _LEAST_BITS
+    if short or any(word in parts for word in wanted.never):
+        return 0
     named = sum(1 for word in wanted.words if _speaks(word, parts))
     against = sum(1 for word in wanted.against if _speaks(word, parts))
     fits = _UNIT_POINTS if candidate.unit else 0

@@ -51,10 +51,12 @@ TRIPS = (
         "compare the setting that the text names; `adaptdrive probe` shows the frames",
     ),
     Trip(
-        r"^stale: .*; the polls give no reading: no reply (within \S+ s|has come .*)$",
+        r"^stale: .*; the polls give no reading: (no reply (within \S+ s($|; bytes)|has come .*$)"
+        r"|the connection was closed|the device closed the connection)",
         f"{_STALE}; the polls give no reading: no reply within 0.05 s",
         "the Modbus device does not answer, or answers later than `bus.timeout_s`",
-        "check the device's supply, the cable and the address of the device; on a busy machine "
+        "check the device's supply, the cable, the address of the device, and where other bytes "
+        "come the bit rate and the parity; on a busy machine "
         "set longer `bus.timeout_s` and `interlocks.stale_s`, or `realtime.priority`",
     ),
     Trip(

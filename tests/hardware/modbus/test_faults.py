@@ -224,6 +224,15 @@ async def test_replies_that_are_always_late_are_never_taken_for_later_ones(
         one.check_honesty()
 
 
+async def test_bytes_that_are_no_reply_are_shown(tmp_path: Path, free_tcp_port: int) -> None:
+    async with watched("rtu", tmp_path, free_tcp_port) as one:
+        one.peer.spoil = lambda _: [(0.0, bytes((0, 1, 4)))]
+        shown = "no reply within 0.04 s; bytes that are no reply: 00 01 04"
+        await until(lambda: shown in one.port.explain_age())
+        HEALTHY(one.peer)
+        await one.hears(1)
+
+
 async def test_a_drive_that_does_not_answer_is_reported_and_its_return_too(
     tmp_path: Path, free_tcp_port: int
 ) -> None:

@@ -40,4 +40,5 @@ def candidates(path: Path, node_id: int) -> Iterator[Candidate]:
                     unit="",
                     range="",
                     commanded=entry.writable,
+                    bits=entry.bits,
                 )

@@ -55,6 +55,7 @@ def _candidate(message: Message, signal: Signal, *, commanded: bool) -> Candidat
         range=limits,
         commanded=commanded,
         names=tuple(str(name) for name in (signal.choices or {}).values()),
+        bits=signal.length,
     )
 
 

@@ -30,6 +30,9 @@ from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
 from adaptdrive.hardware.modbus.replies import answers, explain_exception, explain_other
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 
+_SHOWN_BYTES = 16
+"""Bytes of what came in place of a reply that a message shows."""
+
 _PATIENCE = 3
 """Replies that may be missing in a row before a TCP connection is taken to be half open."""
 
@@ -241,9 +244,12 @@ class ModbusConnection:
             self.lost = f"no reply to {self._missed} requests in a row"
 
     def _came_instead(self, exchange: Exchange) -> str:
-        """Return what came on TCP in place of a reply, empty where nothing came."""
-        if not (self._numbered and self._heard):
+        """Return what came in place of a reply, empty where nothing came."""
+        if not self._heard:
             return ""
+        if not self._numbered:
+            more = "…" if len(self._heard) > _SHOWN_BYTES else ""
+            return f"; bytes that are no reply: {self._heard[:_SHOWN_BYTES].hex(' ')}{more}"
         transaction = int.from_bytes(self._transaction)
         return f"; {explain_other(self._heard, transaction, self._device_of(exchange))}"
 
