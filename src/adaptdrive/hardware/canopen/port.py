@@ -33,6 +33,7 @@ from adaptdrive.hardware.canopen.unseen import UnseenStop
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
 from adaptdrive.hardware.link.connection import CanConnection
+from adaptdrive.hardware.obedience import Obedience
 from adaptdrive.hardware.port import Listener, PortStatistics
 from adaptdrive.hardware.rival import Rival
 
@@ -76,9 +77,8 @@ class CanOpenPort:
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(timing.half_cycle_s, clock, self._send_sync)
         self._half_cycle_s = timing.half_cycle_s
-        self._obey_s = timing.obeyed_s(0.0)
+        self._obedience = Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
-        self._safe_s = math.inf
         self._been_up = False
         self._takers = self._make_takers()
         self._rival = Rival(clock)
@@ -113,7 +113,7 @@ class CanOpenPort:
     @property
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
-        return self._safe_s
+        return self._obedience.heard_s
 
     @property
     def stop_slack_s(self) -> float | None:
@@ -158,7 +158,7 @@ class CanOpenPort:
         self._unseen.note(word)
         frames = list(command_frames(self._mapping, command, word))
         if command != SAFE_COMMAND:
-            self._safe_s = math.inf
+            self._obedience.forget()
         if not self._master.ready:
             self._counts["send_drops"] += 1
             if command == SAFE_COMMAND:
@@ -168,10 +168,10 @@ class CanOpenPort:
         self._connection.uptake.note(taken=all(taken))
         if not all(taken):
             return False
-        if not self._disobeyed:
+        if self._obedience.overdue_s(powered=self._control.powered) <= 0.0:
             self._beat()
-        if command == SAFE_COMMAND and self._safe_s == math.inf:
-            self._safe_s = self._clock()
+        if command == SAFE_COMMAND:
+            self._obedience.hear()
         return True
 
     def catch_up(self) -> None:
@@ -259,7 +259,7 @@ class CanOpenPort:
         if not self._master.ready:
             return  # whatever it carries, it is not what the drive has been set up for
         waited_s = self._arrivals.waited_s(frame)
-        at_rest = self._safe_s < math.inf
+        at_rest = self._obedience.awaited
         arrival_s = self._clock() - waited_s
         whole = self._reports.take(status, bytes(frame.data), arrival_s, at_rest=at_rest)
         if whole and frame.timestamp and waited_s < PROMPT_S:
@@ -277,11 +277,6 @@ class CanOpenPort:
         if self._master.ready:
             self._reports.assembly.begin(self._clock())
             self._put(SYNC_COB_ID, b"")
-
-    @property
-    def _disobeyed(self) -> bool:
-        """True if the drive is still energised long after it was commanded safe."""
-        return self._clock() - self._safe_s > self._obey_s and self._control.powered
 
     def _disable_lost(self) -> None:
         """Send the safe command, and no heartbeat, to a lost node that may still take it."""
@@ -338,6 +333,6 @@ class CanOpenPort:
         """Forget all values that were received before the node came up or was lost."""
         if not up:
             self._control.fall(detail)
-            self._safe_s = math.inf
+            self._obedience.forget()
         self._control.forget()
         self._reports.forget()

@@ -33,6 +33,7 @@ from adaptdrive.hardware.link.bus import as_received, describe_bus
 from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
+from adaptdrive.hardware.obedience import Obedience
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.relink import LEAPT, Relink
 from adaptdrive.hardware.rival import Rival
@@ -75,11 +76,11 @@ class CanPort:
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._stopping = bridge_first(mapping.orders)
-        self._obey_s = mapping.timing.obeyed_s(self._assembly.bridge_cycle_s)
+        limit_s = mapping.timing.obeyed_s(self._assembly.bridge_cycle_s)
+        self._obedience = Obedience(limit_s, clock)
         self._bridge_sent = False
         self._relink = Relink()
         self._leapt_s = -math.inf
-        self._safe_s = math.inf
         self._newest: Reading | None = None
         self._made_up = list(_made_up(config, mapping))
 
@@ -111,7 +112,7 @@ class CanPort:
     @property
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
-        return self._safe_s
+        return self._obedience.heard_s
 
     @property
     def stop_slack_s(self) -> float | None:
@@ -158,7 +159,7 @@ class CanPort:
         frames = [self._frame(order, command) for order in orders]
         safe = not bridge and command == SAFE_COMMAND
         if not safe:
-            self._safe_s = math.inf
+            self._obedience.forget()
         self._relink.note(bridge=bridge, safe=safe)
         if self._disobeyed or self._must_report(bridge=bridge):
             self._counts["withheld_commands"] += 1
@@ -171,8 +172,8 @@ class CanPort:
             self._bridge_sent = self._bridge_sent or (bridge and taken > 0)
             return False
         self._bridge_sent = bridge
-        if safe and self._safe_s == math.inf:
-            self._safe_s = self._clock()
+        if safe:
+            self._obedience.hear()
         return True
 
     def catch_up(self) -> None:
@@ -260,14 +261,14 @@ class CanPort:
                 self._doubt(arrival_s)
             if decoded.words:
                 alive = decoded.verdict is FrameVerdict.OUT_OF_RANGE
-                stopped = self._safe_s < math.inf
+                stopped = self._obedience.awaited
                 self._assembly.keep_words(
                     status, decoded.words, arrival_s, alive=alive, stopped=stopped
                 )
             if decoded.verdict is not FrameVerdict.OUT_OF_RANGE or not self._awaits_bridge:
                 return
         if status is self._clocking:
-            stopped = self._safe_s < math.inf
+            stopped = self._obedience.awaited
             reading = self._assembly.reading(
                 arrival_s, bridge_sent=self._bridge_sent, stopped=stopped
             )
@@ -295,7 +296,7 @@ class CanPort:
     @property
     def _awaits_bridge(self) -> bool:
         """True if the safe command is in force, and the drive reports whether it obeys."""
-        return self._safe_s < math.inf and self._assembly.bridge_slack_s is not None
+        return self._obedience.awaited and self._assembly.bridge_slack_s is not None
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""
@@ -314,8 +315,8 @@ class CanPort:
     @property
     def _disobeyed(self) -> bool:
         """True in every other second of a drive that is energised long after the safe command."""
-        seconds = (self._clock() - self._safe_s - self._obey_s) / OBEY_S
-        return self._assembly.powered and seconds >= 0.0 and int(seconds) % 2 == 0
+        seconds = self._obedience.overdue_s(powered=self._assembly.powered) / OBEY_S
+        return seconds >= 0.0 and int(seconds) % 2 == 0
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         codec = order.codec
@@ -329,7 +330,8 @@ class CanPort:
 
     def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
         """Use the open bus until it is lost; return the reason."""
-        self._newest, self._safe_s = None, math.inf
+        self._newest = None
+        self._obedience.forget()
         if self._bridge_sent and self._assembly.powered:
             self._relink.glimpse_on()
         self._relink.open(bridge=self._bridge_sent)

@@ -16,6 +16,7 @@ from adaptdrive.hardware.modbus.pace import WritePace
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
 from adaptdrive.hardware.modbus.validity import CommandValidity
+from adaptdrive.hardware.obedience import Obedience
 
 
 class Commander:
@@ -60,7 +61,7 @@ class Commander:
         self._stopped_s = math.inf
         self._begun_s = -math.inf
         self._taken_s = timing.taken_s
-        self._obeyed_s = max(timing.taken_s, timing.obeyed_s(timing.reading_s))
+        self._obedience = Obedience(timing.obeyed_s(timing.reading_s), clock)
         self._tried_bridge = False
         self.bridge = False
         self.safe_s = math.inf
@@ -85,7 +86,7 @@ class Commander:
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
         now_s = self._clock()
-        on = self._validity.may_be_on and now_s - self._stopped_s > self._obeyed_s
+        on = self._obedience.overdue_s(powered=self._validity.may_be_on) > 0.0
         untaken_s = now_s - max(self._stopped_s, self._begun_s)
         return on or (not self._safe and untaken_s > self._taken_s)
 
@@ -104,6 +105,7 @@ class Commander:
             block_words(block, sinks, command, 0)
         if command != SAFE_COMMAND:
             self._stopped_s = math.inf
+            self._obedience.forget()
         elif self._stopped_s == math.inf:
             self._stopped_s = self._clock()
         self._validity.renew(command)
@@ -361,6 +363,8 @@ class Commander:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
         self._tried_bridge = command.bridge
+        if command == SAFE_COMMAND:
+            self._obedience.hear()
         self._safe = self._safe and command == SAFE_COMMAND
         if command != SAFE_COMMAND:
             self.safe_s = math.inf
