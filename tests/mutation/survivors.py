@@ -124,8 +124,9 @@ CONTROL: dict[str, str] = {
     "control.certainty:: _TINY = 1e-12 -> _TINY = 2e-12": _SMALL,
     "control.certainty:is_sure: if not abs(denominator[load.order]) > _TINY: -> "
     "if not abs(denominator[load.order]) >= _TINY:": _SMALL,
-    "control.certainty:is_sure: if not deviations[i] <= PRIOR_SHARE * abs(values[i]): -> "
-    "if not deviations[i] < PRIOR_SHARE * abs(values[i]):": _DOUBT_BOUND,
+    "control.certainty:is_sure: return all((deviations[i] <= PRIOR_SHARE * abs(values[i]) for i in "
+    "range(len(values)))) -> return all((deviations[i] < PRIOR_SHARE * abs(values[i]) for i in "
+    "range(len(values))))": _DOUBT_BOUND,
     "control.certainty:deviations_of: if not abs(denominator[load.order]) > _TINY: -> "
     "if not abs(denominator[load.order]) >= _TINY:": _SMALL,
     "control.certainty:deviations_of: jacobian = [0.0] * (len(values) * count) -> "
@@ -138,8 +139,8 @@ CONTROL: dict[str, str] = {
     "control.fast_half:limit_power: if state.ceiling_V < stage.boost_reference_max_V: -> "
     "if state.ceiling_V <= stage.boost_reference_max_V:": "a ceiling above the highest V_c "
     "lowers none",
-    "control.ud_factors:given: unit, gain = ([0.0] * size, [0.0] * size) -> "
-    "unit, gain = ([0.0] * size, [1.0] * size)": _OVERWRITTEN,
+    "control.ud_factors:given: gain, known, weights = ([0.0] * size, list(upper), list(diagonal)) "
+    "-> gain, known, weights = ([1.0] * size, list(upper), list(diagonal))": _OVERWRITTEN,
     "control.ud_factors:bound: gain = [0.0] * size -> gain = [1.0] * size": _OVERWRITTEN,
     "control.controller:Controller.__init__: self._fast = fast.FastState(tick=0, "
     "boost_reference_V=0.0, error_sum=0.0) -> pass": _SET_BEFORE_USE,
@@ -154,13 +155,8 @@ CONTROL: dict[str, str] = {
     "sign = -1.0 if (j + i) % 2 else 1.0": "sum and difference of two numbers are odd together",
     "control.lambda_filter:: _SERIES_TERMS = 40 -> _SERIES_TERMS = 80": "the terms that are left "
     "out are below the rounding of a double",
-    "control.lambda_filter:step_gains: gains = [0.0] * order -> "
-    "gains = [1.0] * order": _OVERWRITTEN,
-    "control.pole_placement:closed_loop_polynomial: result = [0.0] * length -> "
-    "result = [1.0] * length": _OVERWRITTEN,
     "control.noise_limit:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
     "a, b = (list(denominator), [0.0] * (degree + 2))": _NOT_READ,
-    "control.noise_limit:_reduce: last = [0.0] * (k + 1) -> last = [0.0] * (k + 2)": _NOT_READ,
     "control.rivals:_likeliest: if branch.score > rivals.branches[best].score: "
     "-> if branch.score >= rivals.branches[best].score:": "of explanations that "
     "are equal to the last digit, either may lead",
