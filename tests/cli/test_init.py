@@ -149,6 +149,56 @@ def test_each_proposal_can_be_changed(tmp_path: Path, monkeypatch: pytest.Monkey
     assert "# load_power_W = " in text
 
 
+def test_limits_range_line_and_broker_are_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What nobody has changed is named by `check`; what is no number is asked for again."""
+    answers = iter(["50", "230", "340", "", "", "many", "4.4", "", "drives.example.org"])
+    questions: list[str] = []
+
+    def answer(question: str) -> str:
+        questions.append(question)
+        return next(answers)
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", answer)
+    init("motor", "--bus", "can", "--directory", tmp_path)
+    assert "frequency of the line in Hz [60]: " in questions
+    configuration = load_configuration(tmp_path / "motor.toml")
+    assert configuration.drive.line_frequency_Hz == 50
+    assert configuration.drive.line_voltage_V == 230
+    assert configuration.load.reference_max == 4.4
+    assert configuration.mqtt.host == "drives.example.org"
+    capsys.readouterr()
+    main(["check", str(tmp_path / "motor.toml")])
+    warning = capsys.readouterr().err.partition("values of the example: ")[2]
+    assert "interlocks.output_max = 5.0" in warning
+    assert "reference_max" not in warning.replace("boost_reference_max", "")
+    assert "line_voltage_V" not in warning
+
+
+def test_a_changed_example_is_named_no_more(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert init("motor", "--bus", "can", "--directory", tmp_path) == 0
+    path = tmp_path / "motor.toml"
+    path.write_text(path.read_text().replace("# example: ", "# "))
+    capsys.readouterr()
+    assert main(["check", str(path)]) == 0
+    assert "values of the example" not in capsys.readouterr().err
+
+
+def test_a_simulated_drive_gets_limits_for_a_shared_machine(tmp_path: Path) -> None:
+    """A real drive's own time-out decides; that of a simulated one is longer than any delay."""
+    assert init("bath", "--bus", "can", "--directory", tmp_path) == 0
+    shared = load_configuration(tmp_path / "bath.toml")
+    assert isinstance(shared.bus, CanBus)
+    assert (shared.interlocks.stale_s, shared.bus.command_timeout_s) == (0.5, 1.0)
+    database = EXAMPLES / "inverter.dbc"
+    assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 0
+    assert load_configuration(tmp_path / "motor.toml").interlocks.stale_s < 0.1
+
+
 def test_an_end_of_the_input_is_one_clear_error_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
+from adaptdrive.app.example_values import marked
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.services import LONGEST_STALE_S
@@ -27,6 +28,10 @@ _LONG_STRIDE = 2  # the examples' six ticks are three readings of such a drive
 _TICK_S = 1.0 / 120.0
 _THREE_TICKS_S = 3.0 * _TICK_S
 _LEAST_READINGS = 10  # of a drive in one slow period
+_SHARED = (
+    ("command_timeout_s", "1.0", "of the simulated drive; a real one: its own parameter"),
+    ("stale_s", "0.5", "a shared machine is late by this much; on a real bus 0.05"),
+)
 _CURRENT_REGISTERS: Mapping[str, str] = {
     "modbus-tcp": 'address = 19, table = "holding", type = "int32", scale = 1.0e-4',
     "modbus-rtu": 'address = 4, table = "input", type = "float32", word_order = "little"',
@@ -86,6 +91,7 @@ def compose(  # noqa: PLR0913 - what the user and the drive's own description sa
             _with_stale_limit(load_text[load_text.index("[interlocks]") :], bus_text, stride),
         )
     )
+    text = marked(_for_a_shared_machine(text))
     description = None if bus in _POLLED or bus_part else _description(load, bus)
     return Starter(text, description, _read(description) if description else b"")
 
@@ -118,6 +124,18 @@ def of_device(load: LoadName, device: str, name: str) -> Starter:
         raise ConfigurationError("--device", [Flaw(device, problem)])
     file = tables["bus"].get("database") or tables["bus"].get("eds")
     return Starter(_named(text, name), file, _read(file, "devices") if file else b"")
+
+
+def _for_a_shared_machine(text: str) -> str:
+    """Return a configuration whose drive is simulated on this machine with limits that fit it.
+
+    A real drive on a real bus has the limits of the examples.
+    """
+    if '\ninterface = "udp_multicast"' not in text:
+        return text
+    for key, value, remark in _SHARED:
+        text = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value:<{24 - len(key)}}# {remark}", text)
+    return text
 
 
 def _description(load: LoadName, bus: BusName) -> str:

@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanLink
+from adaptdrive.config.file import read_text
 from adaptdrive.errors import ConfigurationError
 
 Json = Annotated[bool, Parameter(name="--json", negative=())]
@@ -35,6 +36,7 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
         return _check_for_programs(config)
     from adaptdrive.app.advice import advice  # noqa: PLC0415 - `schema` needs no bus
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415
+    from adaptdrive.app.example_values import examples  # noqa: PLC0415
     from adaptdrive.app.interlocks import response_limits  # noqa: PLC0415
     from adaptdrive.app.reach_table import pole_line, reach_table, response_table  # noqa: PLC0415
     from adaptdrive.app.settings import tick_s  # noqa: PLC0415
@@ -42,6 +44,12 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     from adaptdrive.hardware.link.bus import missing_here  # noqa: PLC0415
 
     configuration = load_examined(config)
+    if left := [f"{key} = {value}" for key, value in examples(read_text(config))]:
+        print(
+            f"adaptdrive: {config}: warning: values of the example: {', '.join(left)}; adapt each, "
+            "then delete `example:` from its comment",
+            file=sys.stderr,
+        )
     for one in advice(configuration):
         print(f"adaptdrive: {config}: warning: {one}", file=sys.stderr)
     if isinstance(configuration.bus, CanLink) and (problem := missing_here(configuration.bus)):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import shlex
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +16,7 @@ from cyclopts import Parameter
 from pydantic import ValidationError
 
 from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
+from adaptdrive.app.example_values import QUESTIONS, answered, asked
 from adaptdrive.app.starter import BusName, Starter, compose, device_names, of_device
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
@@ -72,6 +76,8 @@ def init(  # noqa: PLR0913 - one parameter for each option
         described = part or ""
         stride, unit = clock_ticks(described), output_unit(described)
         starter = compose(load, known, drive, part, stride=stride, output_unit=unit)
+    if sys.stdin.isatty() and not yes:
+        starter = replace(starter, text=answered(starter.text, _values(starter.text)))
     path = _write(starter, directory, drive)
     return _name_next_steps(path, _check(path))
 
@@ -86,7 +92,8 @@ def _name_next_steps(path: Path, problem: str) -> int:
     print(
         f"\nnext:\n  adaptdrive check {file}    # after each change\n"
         f"  adaptdrive probe {file}    # show what the drive sends; command nothing\n"
-        f"  adaptdrive run {file}      # the daemon; the drive stays off until `enable`"
+        f"  adaptdrive start {file}    # broker, daemon, panel and view; off until `enable`\n"
+        f"  adaptdrive run {file}      # the daemon alone, as a service runs it"
     )
     return 0
 
@@ -187,6 +194,29 @@ def _confirm(
             return None
         if (answer or usual) in choices:
             return choices[answer or usual]
+
+
+def _values(text: str) -> dict[str, str]:
+    """Ask for each value of the example; one that is confirmed by Enter alone stays marked."""
+    print("\nEnter keeps the value of the example, and `check` names it.")
+    found = {}
+    for key, value in asked(text).items():
+        while answer := _answer(f"{QUESTIONS[key]} [{value}]: ", key):
+            if (written := _as_toml(answer, value)) is not None:
+                found[key] = written
+                break
+    return found
+
+
+def _as_toml(answer: str, like: str) -> str | None:
+    """Return an answer as TOML, None where it is not of the kind of another value."""
+    if like.startswith('"'):
+        return json.dumps(answer)
+    try:
+        number = float(answer)
+    except ValueError:
+        return None
+    return repr(number) if math.isfinite(number) else None
 
 
 def _answer(question: str, quantity: str) -> str:
