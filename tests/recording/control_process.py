@@ -13,7 +13,7 @@ from pathlib import Path
 
 from adaptdrive.app.log import log_events
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.recorder_settings import Clocks, Place, WritePace
+from adaptdrive.recording.recorder_settings import Clocks, Place, RecordingPace
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, Severity
@@ -31,7 +31,7 @@ async def publish(hub: Hub) -> None:
 async def main(sessions: Path) -> None:
     hub = Hub()
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
-    pace = WritePace(flush_s=0.1, keep_s=60.0)
+    pace = RecordingPace(flush_s=0.1, keep_s=60.0)
     place = Place(sessions.with_name("motor.log"), sessions)
     recorder = Recorder(place, Header(INFO, ""), hub, clocks, pace)
     hub.keep_with(recorder.kept)

@@ -20,7 +20,7 @@ from adaptdrive.recording.log_writer import LogWriter
 from adaptdrive.recording.notes import session_notes
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.recorder import EVENT_KIND, Recorder
-from adaptdrive.recording.recorder_settings import Clocks, Place, WritePace
+from adaptdrive.recording.recorder_settings import Clocks, Place, RecordingPace
 from adaptdrive.recording.records import EventRow, Header, Keep
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories
@@ -55,7 +55,7 @@ class Bench:
         self.sessions = sessions
         self.published = 0
         self.told = self.hub.subscribe(Event, size=100)
-        pace = WritePace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s, trip_s=0.5)
+        pace = RecordingPace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s, trip_s=0.5)
         place, header = Place(log_of(sessions), sessions), Header(INFO, "# as configured\n")
         self.recorder = Recorder(place, header, self.hub, CLOCKS, pace)
         self.running: asyncio.Task[None] | None = None
@@ -198,7 +198,7 @@ async def test_an_event_during_the_end_is_in_the_session_once(sessions: Path) ->
 
 async def test_an_event_is_on_disk_before_the_next_flush(sessions: Path) -> None:
     hub = Hub()
-    pace = WritePace(flush_s=10 * PATIENCE_S, close_s=4 * PATIENCE_S)
+    pace = RecordingPace(flush_s=10 * PATIENCE_S, close_s=4 * PATIENCE_S)
     place, header = Place(log_of(sessions), sessions), Header(INFO, "")
     recorder = Recorder(place, header, hub, CLOCKS, pace)
     hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", 77))

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.aside import in_thread
-from adaptdrive.recording.recorder_settings import WritePace
+from adaptdrive.recording.recorder_settings import RecordingPace
 from adaptdrive.recording.records import Header, News
 from adaptdrive.recording.session import create_session, session_of
 from adaptdrive.runtime.reports import Severity
@@ -34,7 +34,7 @@ class Archiving:
         sessions: Path,
         header: Header,
         report: Callable[[Severity, str], None],
-        pace: WritePace,
+        pace: RecordingPace,
     ) -> None:
         """Start nothing yet.
 

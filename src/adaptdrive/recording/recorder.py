@@ -16,7 +16,7 @@ from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_syncs import SYNC, LogNews
 from adaptdrive.recording.memory import TRIP, Recalled
-from adaptdrive.recording.recorder_settings import DEFAULT_PACE, Clocks, Place, WritePace
+from adaptdrive.recording.recorder_settings import DEFAULT_PACE, Clocks, Place, RecordingPace
 from adaptdrive.recording.records import (
     Header,
     TickTable,
@@ -71,7 +71,7 @@ class Recorder:
         header: Header,
         hub: Hub,
         clocks: Clocks,
-        pace: WritePace = DEFAULT_PACE,
+        pace: RecordingPace = DEFAULT_PACE,
         recalled: Recalled = Recalled(),  # noqa: B008 - frozen
     ) -> None:
         """Prepare to record.

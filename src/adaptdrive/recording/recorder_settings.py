@@ -40,7 +40,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class WritePace:
+class RecordingPace:
     """Intervals and time-outs of the recorder's writes.
 
     Attributes:
@@ -61,7 +61,7 @@ class WritePace:
     start_thread: Callable[[], None] = lambda: None
 
 
-DEFAULT_PACE = WritePace()
+DEFAULT_PACE = RecordingPace()
 
 
 @dataclass(frozen=True, slots=True)

@@ -187,7 +187,7 @@ class DriveReport:
 EVENT_KINDS = (
     *("trip", "state", "controller", "mode", "fallback", "complete", "stop", "refused", "bus"),
     *("latency", "realtime", "checkpoint", "recording", "state directory"),
-    *("broker", "command", "outbox"),
+    *("broker", "command", "outbox", "configuration"),
 )
 """Kinds of events: of the drive, of the daemon's machine, and of the operators' side."""
 
