@@ -16,6 +16,7 @@ from adaptdrive.control.design import (
     window_ticks,
 )
 from adaptdrive.control.discretise import impulse_invariant_pair
+from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import ControllerSettings
 from tests.closed_loop.bench import EXACT, MOTOR, PAPER, RATES, TICK_s
 from tests.control.systems import Array, System, distance, motor_system
@@ -125,3 +126,8 @@ def test_a_zero_slower_than_the_pole_is_cancelled_and_the_gains_stay_small() -> 
     roots = np.sort(np.abs(np.roots(closed)))
     assert roots[-2:] == pytest.approx([0.7, 0.9674], abs=1e-9)
     assert max(abs(gain) for gain in s) < 2.0 / 0.208
+
+
+def test_what_responds_at_once_needs_no_lead() -> None:
+    assert reference_lead(EXACT, battery_load(0.25, 1.2, 0.4, 30.0)) == 0.0
+    assert reference_lead(EXACT, MOTOR) > 0.0

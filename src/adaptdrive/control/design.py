@@ -28,8 +28,11 @@ def loop_delay_ticks(rates: Rates) -> float:
 
 
 def reference_lead(settings: ControllerSettings, load: Load) -> float:
-    """Delay from a decision to its mean effect, in slow periods; the paper leaves it out."""
-    if not settings.exact:
+    """Delay from a decision to its mean effect, in slow periods; the paper leaves it out.
+
+    What responds at once has responded by the next slow instant, whenever in between it began.
+    """
+    if not settings.exact or load.numerator[0] != 0.0:
         return 0.0
     rates = settings.rates
     delay_ticks = rates.latency_ticks + rates.lag_ticks + load.delay_s / rates.nominal_tick_s
