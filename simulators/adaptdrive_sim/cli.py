@@ -119,7 +119,7 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
         seed: Seed of the noise: the same seed gives the same data.
         noise: Standard deviation of each fast sample, as a fraction of the reference step; that
             of the published experiment when left out.
-        spikes: RATE,SIGMA: share of samples that carry a spike, and its deviation, likewise.
+        spikes: RATE,SIGMA: share of samples that carry a spike, and its deviation, as above.
         design: paper is the controller as printed and corrected; exact is the daemon's default.
         keep_speed: The motor's disks turn with the shaft when they are added, so that its speed
             stays. Without it they land at rest and share its momentum, as in the paper.

@@ -46,7 +46,7 @@ class Course:
         interlocks: What ends the run early.
         burdens: What the load is disturbed by in each slow period, as its `disturb` takes it:
             torque in N m, or an inflow relative to that at the start. Empty for nothing.
-        offset: What the sensor of the output shows beside the output.
+        offset: What the sensor of the output shows in addition to the output.
         stops: Slow periods in which the drive is off; it precharges in the last of each. Compiled
             code knows no stops.
         steady: Whether the reference counts as a constant set-point, which may be probed.

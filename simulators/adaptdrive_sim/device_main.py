@@ -141,7 +141,7 @@ def build_node(
 def build_sensors(
     configuration: Configuration, drive: SimulatedDrive, path: Path
 ) -> list[SensorNode]:
-    """Put sensors beside the drive on the buses that its configuration names.
+    """Put sensors on the buses that its configuration names.
 
     Raises:
         ConfigurationError: They are to measure what the plant does not have.

@@ -7,7 +7,7 @@ A request is a JSON object with an `id` and exactly one disturbance:
     {"id": "3", "sag": 0.2, "duration_s": 1.0}  take 20 % off the line for a second
     {"id": "4", "noise_V": 0.0004}              noise of the output from now on
     {"id": "5", "fault": 1}                     fault word of the drive (0: clear)
-    {"id": "6", "sensor_fault": 1}              sensors beside the drive: 1 broken wire, 2 values
+    {"id": "6", "sensor_fault": 1}              separate sensors: 1 broken wire, 2 values
                                                 that stand still, 3 unplugged (0: none)
     {"id": "7", "volume_gal": 1.5, "duration_s": 60.0}
                                                 fill or drain the bath within a minute
@@ -144,7 +144,7 @@ def _set_noise(drive: Disturbed, noise_V: float, _: float) -> None:
 
 def _spoil_sensors(drive: Disturbed, sensor_fault: int, _: float) -> None:
     if not drive.has_sensors:
-        raise RefusedError("no sensor module is beside this drive")
+        raise RefusedError("this drive has no sensor modules")
     check_range("sensor_fault", sensor_fault, 0, max(SensorFault), "")
     drive.world.sensor_fault = sensor_fault
 

@@ -251,7 +251,7 @@ class Drive:
         Args:
             verb: Last part of its topic.
             value: Its value, None for a verb without one.
-            fields: Fields of the payload beside the value.
+            fields: Fields of the payload other than the value.
 
         Raises:
             RefusedError: The drive refused it.

@@ -144,7 +144,7 @@ async def test_an_id_of_another_verb_is_refused_and_does_nothing(office: Office)
     await office.send("enable", {"id": "a"})
     other = await office.send("reset", {"id": "a"})
     assert not other.accepted
-    assert other.reason == "id 'a' was used by 'enable'; give each command an id of its own"
+    assert other.reason == "id 'a' was used by 'enable'; give each command its own id"
     assert other.state is State.RUNNING
     assert office.host.done == ["enable"]
 
@@ -158,7 +158,7 @@ async def test_an_id_of_another_value_is_refused_and_does_nothing(
     first = await office.send("voltage", {"id": "a", "value": 3})
     reply = await office.send("voltage", {"id": "a"} | other)
     assert not reply.accepted
-    assert reply.reason == "id 'a' was used with another value; give each command an id of its own"
+    assert reply.reason == "id 'a' was used with another value; give each command its own id"
     assert office.host.done == ["voltage"]
     again = {"id": "a", "value": 3.0, "user": "b", "expires": "2030-01-01T00:00:00Z"}
     assert await office.send("voltage", again) == first

@@ -107,7 +107,7 @@ def test_a_battery_ages_and_is_charged() -> None:
 
 def test_only_sensors_that_are_there_fail() -> None:
     remote, example = of(Bath(BathParameters())), EXAMPLE.with_name("bath-thermocouples.toml")
-    assert ask(remote, sensor_fault=1) == (False, "no sensor module is beside this drive")
+    assert ask(remote, sensor_fault=1) == (False, "this drive has no sensor modules")
     build_sensors(load_configuration(example), remote._drive, example)
     assert ask(remote, sensor_fault=1) == (True, "")
     assert remote._drive.world.sensor_fault == 1

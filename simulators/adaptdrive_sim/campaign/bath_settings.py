@@ -36,7 +36,7 @@ def bath_reach(
 
     Args:
         inflows: Flows of the run, relative to the model's.
-        resistances: Of the heater in the run, likewise.
+        resistances: Of the heater in the run, relative to the nominal one.
         shift_K: How far inflow and sensor may shift the temperature, up or down.
     """
     baths = [held_K(inflow, one) for inflow in inflows for one in resistances]

@@ -117,7 +117,7 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
 
 
 def _low_above(reference: ReferenceRanges, seed: int) -> float:
-    """Draw from a stream of its own, so that a file without it draws what it always drew."""
+    """Draw from a separate stream, so that a file without it draws the same as ever."""
     return uniform(np.random.default_rng([seed, 2]), reference.low_above)
 
 

@@ -57,7 +57,7 @@ class LifeRanges(CampaignTable):
         off_s: For how long.
         coulomb_V: Dry friction, in volts of V_c.
         drag_V: Quadratic friction in the middle of the range of set-points, in volts of V_c.
-        offset: What the sensor shows beside the output, in the unit of the output.
+        offset: What the sensor shows in addition to the output, in the unit of the output.
     """
 
     torque_changes: Annotated[WholeRange, within(0, 1000)] = (0, 0)
@@ -96,7 +96,7 @@ def reach(gain: float, brake_V: float, drag_V: float) -> tuple[float, float]:
     Args:
         gain: Of the tachometer, relative to the model's.
         brake_V: Largest torque and dry friction, in volts of V_c.
-        drag_V: Drag in the middle of the range, likewise.
+        drag_V: Drag in the middle of the range, as above.
     """
     least = (1.0 + _EDGE) * max(1.0, gain) * NOMINAL_REACH[0]
     most = (1.0 - _EDGE) * min(1.0, gain) * NOMINAL_REACH[1]

@@ -160,7 +160,7 @@ class RealStage:
         return await self._ask(command)
 
     def services(self, record: DemoRecord) -> list[Coroutine[Any, Any, None]]:
-        """Return what runs beside the story: it is heard, and each death of a process is seen."""
+        """Return what runs during the story: it hears the drive and sees processes that die."""
         return [self._household.watch(), follow_drive(self._broker, record)]
 
     async def panel(self) -> str:

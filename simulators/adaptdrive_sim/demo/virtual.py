@@ -46,7 +46,7 @@ class VirtualStage:
         places: What the help shows of the surroundings.
         facts: What the summary has of them.
         session: There is no recorded session.
-        has_sensors: There are no sensors beside it.
+        has_sensors: There are no separate sensors.
     """
 
     has_sensors = False
@@ -81,7 +81,7 @@ class VirtualStage:
         """End; there is nothing to stop."""
 
     def services(self, record: DemoRecord) -> list[Coroutine[Any, Any, None]]:
-        """Publish the first messages into a record; nothing runs beside the story."""
+        """Publish the first messages into a record; nothing else runs."""
         self.record = record
         self._publish("availability", {"availability": "online"})
         self.drive.tick()
@@ -109,7 +109,7 @@ class VirtualStage:
 
     def inject(self, fault: int) -> None:
         """Refuse a fault: there is no drive that could report one."""
-        raise RefusedError(f"fault {fault}: this story has no drive of its own")
+        raise RefusedError(f"fault {fault}: this story has no drive process")
 
     async def wait(self, longest_s: float) -> None:
         """Let time pass as fast as asked for, or as this machine can."""

@@ -60,7 +60,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
             out.
         into: Folder for commission.png; it is made where it is missing.
         write: Write the settings to the configuration; the old file is kept next to it.
-        apply: Write the settings, have the daemon take them, and go on in mode adaptive.
+        apply: Write the settings, have the daemon take them, and continue in mode adaptive.
         yes: Begin without a question.
         contact: Broker.
     """

@@ -43,7 +43,7 @@ class Picture:
         progress: Share of it, where it is known.
         remaining_s: Time to the end of the experiment, NaN before it is known.
         voltage_V: V_c that is asked for.
-        points: Output, and the rest beside it, over time.
+        points: Output and the other signals over time.
         marks: Begin of each phase.
     """
 

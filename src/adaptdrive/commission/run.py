@@ -145,7 +145,7 @@ def write(path: Path, commissioned: Commissioned) -> Path:
 
 
 def reached(commissioned: Commissioned) -> float:
-    """Return an output to go on with: one that the experiment has led the load to."""
+    """Return an output to hold next: one that the experiment has led the load to."""
     outcome, load = commissioned.outcome, commissioned.before.load
     reached = float(f"{outcome.rest + outcome.moved:.4g}")
     return min(max(reached, load.reference_min), load.reference_max)

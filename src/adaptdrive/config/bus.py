@@ -276,7 +276,7 @@ class FaultSource(SignalSource):
     )
     names: dict[str, str] = Field(
         default={},
-        description="names of bits by their numbers from 0 on, beside those of a DBC's value table",
+        description="names of bits by number from 0 on, besides those of a DBC's value table",
     )
 
     @field_validator("names")

@@ -127,8 +127,6 @@ class VoltageLoop(Section):
     feed_forward: bool = Field(default=True, description="add the measured load power")
     lag_s: NonNegativeFloat | None = Field(
         default=None,
-        description="mean delay from V_c to v_bst of a drive that holds its own v_bst, which "
-        "the exact design counts: the time constant of a loop of first order, the sum of them of a "
-        "higher one; at most the load's slow period; 9 half line cycles, as the daemon's own loop "
-        "has, when left out",
+        description="mean delay from V_c to v_bst of a drive that holds its own v_bst (the sum of "
+        "its time constants); at most the load's slow period; 9 half line cycles when left out",
     )

@@ -86,18 +86,16 @@ class LoadSection(Section):
     )
     resolution: NonNegativeFloat = Field(
         default=0.0,
-        description="smallest step of the measured output, in its unit, such as 0.0049 of 10 bits "
-        "over 5 V; what rounding to it errs counts as noise for `noise_V` and in the deviations of "
-        "the estimates; 0: found in the samples (`exact` and `lm-rls` only). State it for a sensor "
-        "whose step is more than 1 % of the set-point range, also for `interlocks.stuck_distance`",
+        description="smallest step of the measured output, such as 0.0049 of 10 bits over 5 V; its "
+        "rounding error counts as noise; 0: found in the samples (`exact` and `lm-rls` only). "
+        "State one of more than 1 % of the set-point range, also for `interlocks.stuck_distance`",
     )
     noise_V: NonNegativeFloat | None = Field(
         default=None,
         description="largest standard deviation of V_c in volts that noise of the output may cause "
-        "through the adaptive gains, whose poles become slower where they would cause more, and "
-        "faster against disturbances where they cause less than a quarter of it; "
-        f"{100.0 * NOISE_SHARE:g} % of the range of V_c when left out; 0: any, with the poles that "
-        "are asked for (`exact` and `lm-rls` only)",
+        "through the adaptive gains, whose poles follow from it; "
+        f"{100.0 * NOISE_SHARE:g} % of the range of V_c when left out; 0: any, with the poles "
+        "asked for (`exact` and `lm-rls` only)",
     )
     latency_ticks: int = Field(
         default=2, ge=1, description="fast ticks from the slow sample to its effect"
@@ -113,10 +111,9 @@ class LoadSection(Section):
         default=0.0,
         ge=0.0,
         le=0.1,
-        description="largest distance by which a constant set-point is moved to learn a load that "
-        "is not known, as a share of the set-point range, while adaptive is asked for; a charging "
-        "current is lowered only, by a share of itself; 0: the set-point is never moved (`exact` "
-        "and `lm-rls` only)",
+        description="distance by which a constant set-point is moved to learn an unknown load in "
+        "mode adaptive, as a share of the set-point range; a charging current is lowered only, by "
+        "a share of itself; 0: never (`exact` and `lm-rls` only)",
     )
     probe_s: Annotated[PositiveFloat, Field(le=1e6)] = Field(
         default=300.0,
@@ -233,9 +230,9 @@ class Charge(Section):
     end_current_A: PositiveFloat = Field(description="tapering current at which charging ends")
     longest_h: PositiveFloat | None = Field(
         default=None,
-        description="longest time that the drive may be on without a break, in every mode, after "
-        "which it trips: more than the charge of an empty battery takes; when left out a charge "
-        "whose current is measured too high, by more than `end_current_A`, never ends",
+        description="longest time that the drive may be on without a break, after which it trips: "
+        "more than an empty battery needs; when left out a charge whose current is measured too "
+        "high never ends",
     )
 
 

@@ -72,10 +72,9 @@ class InterlocksSection(Section):
         default=0.05,
         ge=0.0,
         le=1.0,
-        description="trip when the output stands at exactly one value although the load model, fed "
-        "with the change of the input since then, has it move by this share of the set-point "
-        "range, and by twenty steps of `load.resolution`; 0: never; not for a battery, which takes "
-        "no current below its own voltage",
+        description="trip when the output stands at exactly one value although the load model has "
+        "it move by this share of the set-point range, and by twenty steps of `load.resolution`; "
+        "0: never; not for a battery",
     )
     stuck_s: NonNegativeFloat = Field(
         default=0.0,
@@ -88,8 +87,7 @@ class InterlocksSection(Section):
         ge=0.0,
         le=100.0,
         description="trip when the output is lower than that of a load with so many times less "
-        "gain, and lags so many times longer or shorter, than `load.model`, after the same input, "
-        "or falls faster than a load can; 0: never",
+        "gain and other lags than `load.model`, or falls faster than a load can; 0: never",
     )
     precharge_timeout_s: PositiveFloat = Field(
         default=5.0,
@@ -115,8 +113,7 @@ class InterlocksSection(Section):
         ge=0.0,
         le=1.0,
         description="trip when this share of the frames of the drive or of a sensor bus was "
-        "refused over 5 s (checksum, length, counter, range; Modbus: exceptions, time-outs); "
-        "0: never; an event reports a share of a tenth and more in any case",
+        "refused over 5 s; 0: never; an event reports a share of a tenth and more in any case",
     )
 
     @field_validator("response_factor")

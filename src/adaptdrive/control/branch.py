@@ -1,4 +1,4 @@
-"""A branch: an estimate with a covariance of its own, and how well it has predicted.
+"""A branch: an estimate with its covariance, and how well it has predicted.
 
 The estimator holds several. One is its estimate; the others explain an alarm (`rivals`), challenge
 the estimate (`challenger`) or follow a disturbance that never rests (`integrated`). With σ² known

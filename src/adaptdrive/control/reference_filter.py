@@ -8,7 +8,7 @@ With A_c = A_m the filter is 1.
 
 Where the input is limited to u_lim, r" + (u_lim - u)/t0 would have asked for it, and the course is
 set to the one that belongs to it (R. Hanus, M. Kinnaert and J.-L. Henrotte, Automatica 23, 1987,
-doi:10.1016/0005-1098(87)90029-X). It goes on from what the load can do, and nothing winds up. A
+doi:10.1016/0005-1098(87)90029-X). It continues from what the load can do, and nothing winds up. A
 drive that did not follow, such as one whose V_c falls only as the load discharges it, is a limit as
 well: one that is known a slow period later.
 """

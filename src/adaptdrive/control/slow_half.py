@@ -81,7 +81,7 @@ def _note_applied(state: SlowState, sample: SlowSample) -> None:
 
 
 def _condition(state: SlowState, shortage: float) -> None:
-    """Let the reference filter go on from an input that is short of what its law decided."""
+    """Let the reference filter continue from an input that is short of what its law decided."""
     if state.blend >= 1.0:
         gain = total(state.adaptive_gains[len(state.inputs) :])
         condition_reference(state.reference_filter, shortage, gain)

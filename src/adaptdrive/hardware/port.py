@@ -27,7 +27,7 @@ FAREWELL_GAP_S = 0.005
 class Reading:
     """One complete set of drive quantities.
 
-    It has a constructor of its own: that of a frozen dataclass takes ten times as long where this
+    It has its own constructor: that of a frozen dataclass takes ten times as long where this
     module is compiled, and one runs in every half cycle. `Final` keeps it from being changed.
 
     Attributes:
@@ -40,7 +40,7 @@ class Reading:
         output: Regulated quantity in its own unit.
         fault: Fault word of the drive, 0 when healthy.
         bridge: Whether the drive reports its bridge on.
-        other: More values of the drive, and those of the sensors beside it, by name. A quantity
+        other: More values of the drive, and those of separate sensors, by name. A quantity
             that the drive does not give is NaN until a sensor or `[derived]` has given it.
         slack_s: How much older than `interlocks.stale_s` the frame of `oldest_s` may be, as the
             drive sends it less often. Of several frames, `oldest_s` and `slack_s` are those of the

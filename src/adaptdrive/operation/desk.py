@@ -218,7 +218,7 @@ class Desk:
             use = "with another value"
         else:
             return None
-        return _clean(f"id {payload.id!r} was used {use}; give each command an id of its own")
+        return _clean(f"id {payload.id!r} was used {use}; give each command its own id")
 
     def _recall(self, payload: Payload) -> Reply | None:
         """Return the reply to the first command with this id; only text identifies one."""

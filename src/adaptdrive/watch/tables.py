@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 DIM = "bright_black"
-"""Style of what is beside the point: frames, times, hints."""
+"""Style of what is less important: frames, times, hints."""
 
 _LONGEST = 1e6
 """Least number that is written with a power of ten."""

@@ -44,7 +44,7 @@ class Surroundings:
     Attributes:
         keys: What each key does.
         lead: Lines below that of the drive.
-        tables: More tables beside those of the drive, by title.
+        tables: More tables than those of the drive, by title.
         longest_s: Longest time that the plot shows.
         cover: Takes the place of the tables, where it is there.
         plant: Whether the keys of a simulated plant are named.
@@ -177,7 +177,7 @@ def _drive(record: WatchRecord, *, ranges: bool) -> Table:
 
 
 def _estimates(record: WatchRecord, *, wide: bool) -> Table:
-    """Return each estimate with its spread, and beside it the truth where a simulator knows it."""
+    """Return each estimate with its spread, and the truth where a simulator knows it."""
     found, truth = part(record.load, "estimates"), record.truth
     table = rows("l", "r", "r", "r") if truth else rows("l", "r", "r")
     accepted = "accepted" if record.load.get("accepted") else "not accepted" if found else ""

@@ -108,7 +108,7 @@ def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
 def _disable_voltage(server: Server) -> None:
     """Command a drive off that is on although its communication has started anew.
 
-    CiA 402 lets its state go on then, without the watch, and it may refuse its PDOs while it is on.
+    CiA 402 lets its state stay then, without the watch, and it may refuse its PDOs while it is on.
     One that takes no controlword here is left to what it does by itself.
     """
     server.offer(CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))

@@ -55,7 +55,7 @@ class StatusAssembly:
         return bridge is not None and bridge == self._bridge_on
 
     def forget(self) -> None:
-        """Discard every arrival: the bus was opened again, and counters may have gone on."""
+        """Discard every arrival: the bus was opened again, and counters may have advanced."""
         for status in self._statuses:
             status.codec.resume()
         for source in self._sources:
