@@ -227,7 +227,7 @@ class Drive:
         return await self.command("pole", pole)
 
     async def set_waveform(
-        self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
+        self, shape: str, low: float, high: float, period_s: float, *, preview: bool = False
     ) -> Reply:
         """Follow a periodic set-point."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}

@@ -44,7 +44,7 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     period: Number | None = None,
     /,
     *,
-    preview: bool = True,
+    preview: bool = False,
     contact: Contact = _HERE,
 ) -> int:
     """Follow a periodic set-point, or stop following it.

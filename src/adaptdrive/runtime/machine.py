@@ -225,7 +225,7 @@ class Machine:
         elif self.coasting:
             self._start()
 
-    def set_waveform(self, waveform: Waveform | None, tick: int, *, preview: bool = True) -> None:
+    def set_waveform(self, waveform: Waveform | None, tick: int, *, preview: bool = False) -> None:
         """Follow a waveform from a tick on; None holds the present set-point.
 
         Raises:

@@ -81,7 +81,7 @@ class SetWaveform(Request):
 
     verb = "waveform"
     value: Waveform | None
-    preview: bool = True
+    preview: bool = False
 
     def apply(self, machine: Machine, now: Moment) -> None:
         """Start or stop the waveform."""
