@@ -46,7 +46,7 @@ class Availability(StrEnum):
 
 
 class PlantTruth(msgspec.Struct, frozen=True):
-    """The device's own state; beside these keys, true parameters and quantities of the plant.
+    """The device's own state; besides these keys, true parameters and quantities of the plant.
 
     Attributes:
         time: Time of the message, UTC.
@@ -58,7 +58,7 @@ class PlantTruth(msgspec.Struct, frozen=True):
 
 
 class PlantDisturbance(msgspec.Struct, frozen=True):
-    """A request; beside its id, exactly one disturbance such as `disks`, as `features` lists them.
+    """A request; besides its id, exactly one disturbance such as `disks`, as `features` lists them.
 
     Attributes:
         id: Id of the request, which the reply repeats.

@@ -328,7 +328,7 @@ class DrawnRun(Trial):
         return self.site().run(self.course(mode), compiled=not self.stops)
 
     def run_deployed(self, mode: Mode) -> Run:
-        """Run the deployed controller itself, interpreted; the loop as designed is beside it."""
+        """Run the deployed controller itself, interpreted; with the loop as designed."""
         given = {"time_s": self.times_s, "reference": self.references, "size": self.sizes}
         return self.site().run(self.course(mode)).beside(**given, ideal=self.ideal())
 

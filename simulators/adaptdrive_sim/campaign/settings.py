@@ -171,7 +171,7 @@ class LineRanges(CampaignTable):
 
 
 class DriveWireRanges(CampaignTable):
-    """Resolution of what the drive measures and is commanded, beside the output."""
+    """Resolution of what the drive measures and is commanded, apart from the output."""
 
     voltage_V: Annotated[Range, within(0.0, 10.0)]
     power_W: Annotated[Range, within(0.0, 100.0)]

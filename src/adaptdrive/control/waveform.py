@@ -37,7 +37,7 @@ class Waveform:
         return self.low + (self.high - self.low) * _LEVELS[self.shape](phase)
 
     def told(self, tick: int) -> str:
-        """What the controller is told of a waveform that was started at a tick."""
+        """Facts that the controller is told of a waveform that was started at a tick."""
         return f"{self.shape} {self.low!r} {self.high!r} {self.period_s!r} {tick}"
 
 

@@ -118,7 +118,7 @@ class Machine:
 
     @property
     def told(self) -> str:
-        """What the controller is told of a waveform, so that it knows what comes."""
+        """Facts that the controller is told of a waveform, so that it knows what comes."""
         return "" if self.waveform is None else self._told
 
     def reference(self, tick: int) -> float:

@@ -41,7 +41,7 @@ _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
 
 _LOOK_S = 0.005
-"""Time between two looks whether the fault is gone: short beside the longest wait."""
+"""Time between two looks whether the fault is gone: short compared with the longest wait."""
 
 
 class CanOpenPort:
@@ -106,7 +106,7 @@ class CanOpenPort:
             if seen.complaint is not None:
                 return seen.complaint
         if self._connection.bus is None and self._control.fallen is None:
-            return None  # without a bus there are no readings, which is a cause of its own
+            return None  # without a bus there are no readings, which is a separate cause
         problem = self._health.problem
         return None if problem is None else f"{describe_node(self._config)}: {problem}"
 
@@ -179,7 +179,7 @@ class CanOpenPort:
         self._connection.catch_up()
 
     def rehearse(self) -> None:
-        """Not worth it: what a PDO costs is little beside what a tick does."""
+        """Not worth it: what a PDO costs is little compared with what a tick does."""
 
     def explain_age(self) -> str:
         """Return the PDO that is missing for a reading, and the likeliest cause."""

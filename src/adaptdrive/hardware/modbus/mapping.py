@@ -100,7 +100,7 @@ def value_in(source: Source[Named], block: Block, words: list[int]) -> float | N
 
 
 def word_in(source: Source[Named], block: Block, words: list[int]) -> float | None:
-    """Return a word beside values that are refused: all its bits set are no word there."""
+    """Return a word where values are refused: all its bits set say nothing there."""
     taken = _words(source, block, words)
     blank = all(word == _ALL_ONES for word in taken)
     if blank or decode_value(source.item.register, taken, measured=True) is None:
