@@ -147,8 +147,6 @@ def at_rest(own: Deployed) -> Deployed:
 class Stand(DrawnRun):
     """The course of one scenario of a motor; its size is the inertia in disks."""
 
-    preview = True
-
     def __init__(self, scenario: Scenario) -> None:
         life = scenario.life
         super().__init__(deployed(), scenario, life.offset, scenario.reference.value(0.0))
