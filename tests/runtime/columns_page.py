@@ -13,8 +13,8 @@ from adaptdrive.runtime.reports import SLOW_COLUMNS, TICK_COLUMNS
 _HEAD = """\
 # Columns
 
-The columns that a session records and `telemetry/load` publishes. `make docs` writes this page
-from the dataclasses in `control/signals.py` and `runtime/reports.py`.
+For those who read records or telemetry: the columns of a session and of `telemetry/load`. `make
+docs` writes this page from the dataclasses in `control/signals.py` and `runtime/reports.py`.
 
 On disk each row begins with `utc`, its wall-clock time: `monotonic_s` plus the offset of the two
 clocks when the row was flushed. Each column carries `unit`, `description` and `source` as
