@@ -131,7 +131,7 @@ def plan(
         b: B of the model.
         references: r'[k] and those to come.
         last_input: u[k-1] as sent.
-        free: Whether no limit has changed it: what a limit cuts off is no disturbance.
+        free: Whether no limit has changed it: a limit shows from one side only what f may be.
         pole: Pole asked for: f is followed as fast as a set-point.
         low: Lowest input.
         high: Highest input.
@@ -141,8 +141,9 @@ def plan(
     last = follow(a, course, 0.0, references)
     added = last_input - _needed(a, b, last, past - 1)
     if not math.isfinite(state.offset):
-        state.offset = added
-    elif free:
+        state.offset = added if free else 0.0
+    below, above = last_input <= low, last_input >= high
+    if free or (below and added < state.offset) or (above and added > state.offset):
         state.offset += (1.0 - pole) * (added - state.offset)
     ideal = follow(asked, state.course, total(asked), references)
     shift_in(state.course, ideal[past])
