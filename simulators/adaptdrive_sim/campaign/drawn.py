@@ -224,7 +224,11 @@ class Trial(ABC):
 
     @abstractmethod
     def run_deployed(self, mode: Mode) -> Run:
-        """Run the deployed controller itself, interpreted, with columns for its file."""
+        """Run the deployed controller itself, interpreted."""
+
+    def described(self, run: Run) -> Run:
+        """Return a run with more columns for its file."""
+        return run
 
     @abstractmethod
     def errors(self, run: Run) -> Array:
@@ -328,9 +332,13 @@ class DrawnRun(Trial):
         return self.site().run(self.course(mode), compiled=not self.stops)
 
     def run_deployed(self, mode: Mode) -> Run:
-        """Run the deployed controller itself, interpreted; with the loop as designed."""
+        """Run the deployed controller itself, interpreted."""
+        return self.site().run(self.course(mode))
+
+    def described(self, run: Run) -> Run:
+        """Return a run with what it was to follow, and the loop as designed."""
         given = {"time_s": self.times_s, "reference": self.references, "size": self.sizes}
-        return self.site().run(self.course(mode)).beside(**given, ideal=self.ideal())
+        return run.beside(**given, ideal=self.ideal())
 
     def errors(self, run: Run) -> Array:
         """Return the differences to the designed loop while the drive runs."""

@@ -21,7 +21,8 @@ from adaptdrive_sim.recorded import table_of
 
 def repeat(trial: Trial, seed: int, output: Path, console: Console) -> None:
     """Run one seed with both controllers, interpreted; write run-SEED.parquet, and a picture."""
-    runs = {mode.value: trial.run_deployed(mode) for mode in (Mode.FIXED, Mode.ADAPTIVE)}
+    modes = Mode.FIXED, Mode.ADAPTIVE
+    runs = {mode.value: trial.described(trial.run_deployed(mode)) for mode in modes}
     path = output / f"run-{seed}.parquet"
     pq.write_table(pa.concat_tables([table_of(run, mode=name) for name, run in runs.items()]), path)
     for name, value in judge(trial, *runs.values()).items():
