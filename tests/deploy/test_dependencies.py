@@ -18,7 +18,7 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROJECT = PYPROJECT["project"]
 OURS = {"adaptdrive", "adaptdrive_sim", "tests"}
 EXTRAS = {
-    "src": ("analysis", "canopen", "export"),
+    "src": ("analysis", "canopen", "desk", "export"),
     "simulators": ("sim", "cluster"),
     "tests": tuple(PROJECT["optional-dependencies"]),
 }
@@ -88,7 +88,8 @@ def test_what_is_declared_is_imported() -> None:
 
 
 def test_an_extra_holds_what_its_folder_imports() -> None:
-    used = set().union(*(distributions(module) for module in modules("simulators")))
+    imported = modules("simulators") | modules("src/adaptdrive/household")  # its processes
+    used = set().union(*(distributions(module) for module in imported))
     assert declared(("sim", "cluster")) - declared(()) - used == set()
 
 

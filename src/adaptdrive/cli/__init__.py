@@ -71,14 +71,14 @@ def carry_out(
         program: Its name, which begins each line about an error.
         app: Its commands.
         arguments: Words after its name; those of this process when None.
-        unusable: Status where its arguments or its configuration cannot be used.
+        unusable: Status where its configuration cannot be used.
     """
     open_standard_files()
     lay_out_help(sys.argv[1:] if arguments is None else arguments)
     try:
         outcome = app(arguments)
     except CycloptsError as problem:
-        return complain(program, _misuse(program, problem), unusable)
+        return complain(program, _misuse(program, problem), UNUSABLE)
     except AdaptdriveError as problem:
         configured = isinstance(problem, ConfigurationError)
         return complain(program, str(problem), unusable if configured else FAILED)

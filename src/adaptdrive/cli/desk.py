@@ -195,7 +195,7 @@ class _Desk:
         if broker.host not in _LOOPBACK or broker.tls or broker.username is not None:
             raise AdaptdriveError(f"no broker answers at {place}")
         if find_spec("amqtt") is None:
-            remedy = "apt-get install mosquitto, or pip install 'adaptdrive[sim]' for the embedded"
+            remedy = "apt-get install mosquitto, or pip install 'adaptdrive[desk]' for the embedded"
             raise AdaptdriveError(f"no broker answers at {place}: {remedy}")
         websocket = self._ports.take(usual=_WEBSOCKET)
         self._say(f"broker: none answered at {place}; an embedded one serves this machine only")
