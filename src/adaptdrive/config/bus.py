@@ -25,28 +25,28 @@ class Crc(Section):
         default=None,
         ge=0,
         le=0xFFFF_FFFF,
-        description="checksum of the text `123456789` in the catalogue; `check` compares it",
+        description="checksum of `123456789` in the catalogue; `check` compares it",
     )
     covers: list[Byte] | None = Field(
         default=None,
         min_length=1,
         max_length=64,
-        description="bytes of the frame in the order in which the checksum runs over them, from 0 "
-        "on; bytes of the checksum itself count as 0; all others in their order when left out",
+        description="bytes of the frame that the checksum covers, in this order, from 0 on; its "
+        "own bytes count as 0; all others when left out",
     )
     before: list[Byte] = Field(
         default=[],
         max_length=64,
-        description="bytes that it runs over before those of the frame, such as a data id",
+        description="bytes before those of the frame, such as a data id",
     )
     after: list[Byte] = Field(
-        default=[], max_length=64, description="bytes that it runs over after those of the frame"
+        default=[], max_length=64, description="bytes after those of the frame"
     )
     by_counter: list[Byte] = Field(
         default=[],
         max_length=256,
-        description="bytes of which the one at the alive counter's value comes last (the data id "
-        "list of AUTOSAR profile 2)",
+        description="data id list of AUTOSAR profile 2: the byte at the alive counter's value "
+        "comes last",
     )
 
     @model_validator(mode="after")
@@ -70,7 +70,7 @@ class FrameIntegrity(Section):
     checksum: str | None = Field(default=None, min_length=1, description="signal with the checksum")
     algorithm: Literal["sae-j1850", "autosar-p01", "crc"] = Field(
         default="sae-j1850",
-        description="form of the checksum: two of eight bits, or any other that `crc` describes",
+        description="form of the checksum; `crc`: as the table `crc` says",
     )
     crc: Crc | None = Field(default=None, description="the form, with algorithm = `crc`")
     data_id: int = Field(default=0, ge=0, le=0xFFFF, description="data id of AUTOSAR profile 1")
@@ -88,10 +88,9 @@ class BusSection(Section):
     setup: dict[str, int | FiniteFloat | str] = Field(
         default={},
         description="values that a drive needs before it takes commands (an unlock word, remote "
-        "mode, a mode of operation), by the name of their signal, register or object, in the order "
-        "of writing; numbers or names of values. Written when the bus is opened and when the drive "
-        "returns, where it does not hold them yet, and read back; on CAN, which has no replies, "
-        "sent once",
+        "mode), by the name of their signal, register or object, in the order of writing; "
+        "numbers or names of values. Written and read back when the bus is opened and when the "
+        "drive returns; on CAN sent once",
     )
     setup_unread: list[str] = Field(
         default=[], description="names in `setup` that do not read as they were written"
@@ -120,8 +119,8 @@ class CommandWatch(Section):
         default=None,
         ge=0.01,
         le=60.0,
-        description="the drive's own time-out, as it is set in the drive: time without a command "
-        "after which it opens its bridge by itself; not known when left out",
+        description="the drive's own time-out: time without a command after which it opens its "
+        "bridge; not known when left out",
     )
 
 
@@ -195,10 +194,9 @@ class CanBus(CommandWatch, CanDescription, BusSection):
         ge=1.5,
         le=10.0,
         allow_inf_nan=False,
-        description="age, in cycle times of its message (GenMsgCycleTime; that of `clock_ticks` "
-        "for `clock`, and where a message has none; that of `clock` where it is longer), at which "
-        "a value is stale; "
-        "`interlocks.stale_s` where that is longer",
+        description="age at which a value is stale, in cycle times of its message "
+        "(GenMsgCycleTime, else `clock_ticks`; at least that of `clock`); `interlocks.stale_s` "
+        "where longer",
     )
 
     @property
@@ -227,8 +225,8 @@ class SignalSource(Section):
     offset: FiniteFloat = Field(default=0.0, description="SI value of a zero signal")
     unit: Unit | None = Field(
         default=None,
-        description="unit that scale and offset lead to, or that of the signal without them; it is "
-        "converted to SI (K, rad/s, V, A, W), which it is taken to be when left out",
+        description="unit after scale and offset, converted to SI (K, rad/s, V, A, W); SI when "
+        "left out",
     )
 
     @model_validator(mode="before")
@@ -258,8 +256,8 @@ class SwitchSource(SignalSource):
 
     on: int | str | None = Field(
         default=None,
-        description="value that means on, as a number or a name of the value table; 1 when left "
-        "out, on Modbus any but 0",
+        description="value that means on, or its name in the value table; 1 when left out, on "
+        "Modbus any but 0",
     )
 
 
@@ -328,8 +326,8 @@ class CommandSignals(Section):
     constants: dict[str, float | str] = Field(
         default={},
         description="values sent with every command, by the name of their signal, register or "
-        "object, as numbers or names of the value table; signals of a DBC that are named nowhere "
-        "are sent as its start value",
+        "object, as numbers or names of values; other signals of a DBC are sent as their start "
+        "value",
     )
 
 
@@ -341,12 +339,12 @@ class Signals(Section):
     )
     line_voltage_V: Quantity | None = Field(
         default=None,
-        description="line voltage, rms; not needed where the drive holds its own voltage",
+        description="line voltage, rms; needed where the daemon holds the voltage",
     )
     load_power_W: Quantity | None = Field(
         default=None,
-        description="power into the load; not needed where the drive holds its own voltage, but "
-        "by a battery",
+        description="power into the load; needed where the daemon holds the voltage, and by a "
+        "battery",
     )
     output: Quantity | None = Field(default=None, description="the regulated quantity")
     counter: Quantity | None = Field(default=None, description="half-cycle counter of the drive")

@@ -24,17 +24,17 @@ class Derived(Section):
     """
 
     rule: Rule = Field(
-        description="rule that combines the values: `difference` is the first minus the second, "
-        "`ratio` the first divided by the second"
+        description="rule: `difference` is the first minus the second, `ratio` the first "
+        "divided by the second"
     )
     of: list[str] = Field(
         min_length=1, description="names of values: of the drive, of sensor buses, or derived"
     )
     follows: list[str] | None = Field(
         default=None,
-        description="names of `of` that the load moves; where they lead to the output, each is "
-        "watched for standing still as the output is (`interlocks.stuck_distance`, `stuck_s`). All "
-        "when left out, of a `difference` and a `ratio` the first",
+        description="names of `of` that the load moves: each is watched for a frozen value "
+        "(`interlocks.stuck_distance`, `stuck_s`). All when left out, of a `difference` and a "
+        "`ratio` the first",
     )
     scale: FiniteFloat = Field(default=1.0, description="factor of the result")
     offset: FiniteFloat = Field(default=0.0, description="added to the scaled result")

@@ -17,8 +17,8 @@ class DriveLimits(Section):
 
     boost_reference_min_V: FiniteFloat = Field(
         default=200.0,
-        description="lowest V_c; above the line's peak where the daemon holds the voltage, 0 or "
-        "more where the drive does, and below 0 for a motor that turns both ways",
+        description="lowest V_c: above the line's peak where the daemon holds the voltage; "
+        "below 0 for a motor that turns both ways",
     )
     boost_reference_max_V: PositiveFloat = Field(default=400.0, description="highest V_c")
     current_scale_max_S: PositiveFloat = Field(
@@ -26,9 +26,8 @@ class DriveLimits(Section):
     )
     regeneration_scale_max_S: PositiveFloat | None = Field(
         default=None,
-        description="largest scale of the line current that a bidirectional drive feeds back: "
-        "times the line voltage squared, the power that the line takes; current_scale_max_S when "
-        "left out",
+        description="largest -k of a bidirectional drive: times the line voltage squared, the "
+        "power that the line takes; current_scale_max_S when left out",
     )
     current_scale_slew_S: PositiveFloat = Field(
         default=0.15, description="largest change of k from one tick to the next"
@@ -87,8 +86,9 @@ class DriveSection(Section):
     boost_capacitance_F: PositiveFloat = Field(default=1.0e-3, description="boost capacitor")
     enable_bit: Literal["bridge", "bridge-and-boost"] = Field(
         default="bridge",
-        description="stages switched by `signals.command.bridge`: the bridge, on from `running`, "
-        "or the boost stage too, on from `starting`; the load is then energised while v_bst rises",
+        description="stages that `signals.command.bridge` switches: the bridge, on from "
+        "`running`, or also the boost stage, on from `starting`; the load is then energised "
+        "while v_bst rises",
     )
     limits: DriveLimits = Field(default_factory=DriveLimits)
     manipulated: Manipulated = Field(default_factory=Manipulated)
@@ -127,6 +127,6 @@ class VoltageLoop(Section):
     feed_forward: bool = Field(default=True, description="add the measured load power")
     lag_s: NonNegativeFloat | None = Field(
         default=None,
-        description="mean delay from V_c to v_bst of a drive that holds its own v_bst (the sum of "
-        "its time constants); at most the load's slow period; 9 half line cycles when left out",
+        description="mean delay from V_c to v_bst of a drive that holds its own v_bst; at most "
+        "the slow period; 9 half line cycles when left out",
     )

@@ -31,8 +31,8 @@ class Estimator(Section):
     )
     tau_lambda_s: PositiveFloat = Field(
         default=10.0,
-        description="time constant of the λ filters: half the sum of the load's time constants is "
-        "a good choice, a fifth to five times their mean is usable; longer against noise",
+        description="time constant of the λ filters: half the sum of the load's time constants; "
+        "longer against noise",
     )
     dead_band: float = Field(
         default=0.0,
@@ -53,8 +53,8 @@ class Estimator(Section):
     covariance_max: float = Field(
         ge=0.0,
         default=1.0e6,
-        description="bound of P by exponential resetting; 0 for plain forgetting (`exact` only; "
-        "unused by `lm-rls` with `alert`, which forgets only along new information)",
+        description="bound of P by exponential resetting; 0: plain forgetting (`exact` only; "
+        "unused by `lm-rls` with `alert`)",
     )
     alert: bool = Field(
         default=True,
@@ -91,22 +91,20 @@ class Supervisor(Section):
     )
     damping_min: NonNegativeFloat = Field(
         default=0.9,
-        description="smallest damping of an estimated load, and of one that explains an alarm; "
-        "real time constants have 1; 0: any",
+        description="smallest damping of an estimated load; real time constants have 1; 0: any",
     )
     spread_max: NonNegativeFloat = Field(
         default=0.05,
-        description="how far the response to a step may be off within `confidence` standard "
-        "deviations of the estimate, as a share of the step; 0: any distance",
+        description="largest error of the response to a step within `confidence` standard "
+        "deviations, as a share of the step; 0: any",
     )
     residual_margin: NonNegativeFloat = Field(
         default=1.5, description="largest prediction error over the nominal model's; 0: any"
     )
     confidence: NonNegativeFloat = Field(
         default=2.0,
-        description="standard deviations of an estimate within which its gains must keep the loop "
-        "stable, and of the noise of V_c that is remembered where a limit cuts it off; 0: "
-        "neither, nor a check with the last trusted estimate",
+        description="standard deviations of an estimate within which its gains must keep the "
+        "loop stable; 0: not checked, nor with the last trusted estimate",
     )
     dwell_periods: int = Field(
         default=7, ge=1, le=10_000, description="good estimates in a row before the first goes live"
@@ -125,8 +123,8 @@ class Supervisor(Section):
     )
     saturated_s: Duration = Field(
         default=240.0,
-        description="longest time at a limit, away from where the model rests and without coming "
-        "closer, before the fixed gains return; 0: any",
+        description="longest time at a limit without coming closer to where the model rests, "
+        "before the fixed gains return; 0: any",
     )
     gain_slew: float = Field(
         default=1.0,
@@ -142,8 +140,8 @@ class Supervisor(Section):
     )
     response_s: Duration = Field(
         default=120.0,
-        description="trip when the input has been at a limit for this time and the output has not "
-        "moved, although every load within the bounds would have; 0: never",
+        description="trip when the input was at a limit for this time and the output did not "
+        "move; 0: never",
     )
     response_distance: NonNegativeFloat = Field(
         default=0.02,

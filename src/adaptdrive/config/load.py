@@ -60,8 +60,7 @@ class LoadSection(Section):
     pole: Fraction = Field(default=0.70, description="closed-loop pole of the load loop")
     pole_min: Fraction = Field(
         default=0.50,
-        description="fastest pole an operator may ask for, where the fixed controller stands an "
-        "error of the model with it; `check` shows the range",
+        description="fastest pole an operator may ask for; `check` shows the range that is stable",
     )
     pole_max: Fraction = Field(
         default=0.98, description="slowest pole an operator may ask for, as above"
@@ -74,21 +73,20 @@ class LoadSection(Section):
     samples: int = Field(
         default=90,
         ge=1,
-        description="fast samples averaged for one slow one, the last before the slow instant: "
-        "more against noise, fewer for less delay; counted in half line cycles, on a polled "
-        "drive too, and not more than the slow period has of them (`exact` only)",
+        description="fast samples averaged for one slow one: more against noise, fewer for less "
+        "delay; in half line cycles, at most a slow period (`exact` only)",
     )
     clip: float = Field(
         default=5.0,
         ge=0.0,
         description="fast samples are clipped to this many mean deviations about their "
-        "prediction; 0 takes them as they are (`exact` only)",
+        "prediction; 0: not clipped (`exact` only)",
     )
     resolution: NonNegativeFloat = Field(
         default=0.0,
-        description="smallest step of the measured output, such as 0.0049 of 10 bits over 5 V; its "
-        "rounding error counts as noise; 0: found in the samples (`exact` and `lm-rls` only). "
-        "State one of more than 1 % of the set-point range, also for `interlocks.stuck_distance`",
+        description="smallest step of the measured output, such as 0.0049 of 10 bits over 5 V; "
+        "0: found in the samples (`exact` and `lm-rls` only). State one above 1 % of the "
+        "set-point range",
     )
     noise_V: NonNegativeFloat | None = Field(
         default=None,
@@ -104,21 +102,21 @@ class LoadSection(Section):
     reference_max: FiniteFloat = Field(description="highest set-point")
     govern: bool = Field(
         default=False,
-        description="move a set-point that V_c cannot hold to the nearest one that it can, and say "
-        "so; otherwise refuse it",
+        description="move a set-point that V_c cannot hold to the nearest that it can; "
+        "otherwise refuse it",
     )
     probe_share: float = Field(
         default=0.0,
         ge=0.0,
         le=0.1,
-        description="distance by which a constant set-point is moved to learn an unknown load in "
-        "mode adaptive, as a share of the set-point range; a charging current is lowered only, by "
-        "a share of itself; 0: never (`exact` and `lm-rls` only)",
+        description="distance by which a constant set-point is moved to learn the load in mode "
+        "adaptive, as a share of the set-point range (of a charging current: lowered by a share "
+        "of itself); 0: never (`exact` and `lm-rls` only)",
     )
     probe_s: Annotated[PositiveFloat, Field(le=1e6)] = Field(
         default=300.0,
-        description="time without a movement of the output after which the load counts as not "
-        "known, and least time between two probes",
+        description="time without movement after which the load counts as unknown, and least "
+        "time between probes",
     )
     output_name: str = Field(default="output", description="name of the output for people")
     output_unit: str = Field(default="", description="unit of the output for people")
@@ -158,8 +156,8 @@ class MotorSection(LoadSection):
     output_unit: str = Field(default="V", description="unit of the output for people")
     boost_course: Literal["held", "impulse"] = Field(
         default="held",
-        description="`impulse`: each change of V_c is exaggerated for half a slow period, so that "
-        "the impulse-invariant model of the `paper` design holds",
+        description="`impulse`: each change of V_c is exaggerated for half a slow period, as "
+        "the `paper` design assumes",
     )
     model: MotorModel
 
@@ -201,9 +199,8 @@ class BathSection(LoadSection):
     samples: int = Field(
         default=600,
         ge=1,
-        description="fast samples averaged for one slow one, the last before the slow instant: "
-        "more against noise, fewer for less delay; counted in half line cycles, on a polled "
-        "drive too, and not more than the slow period has of them (`exact` only)",
+        description="fast samples averaged for one slow one: more against noise, fewer for less "
+        "delay; in half line cycles, at most a slow period (`exact` only)",
     )
     output_name: str = Field(default="temperature", description="name of the output for people")
     output_unit: str = Field(default="K", description="unit of the output for people")
@@ -225,14 +222,13 @@ class Charge(Section):
 
     voltage_max_V: PositiveFloat = Field(
         description="terminal voltage that the charge is regulated to; it may be passed for a "
-        "while, by 2 % at most, where V_c is held back: the battery must stand that voltage"
+        "while by 2 %: the battery must stand that"
     )
     end_current_A: PositiveFloat = Field(description="tapering current at which charging ends")
     longest_h: PositiveFloat | None = Field(
         default=None,
-        description="longest time that the drive may be on without a break, after which it trips: "
-        "more than an empty battery needs; when left out a charge whose current is measured too "
-        "high never ends",
+        description="time on without a break after which the drive trips: more than an empty "
+        "battery needs; without it a charge whose current is measured too high never ends",
     )
 
 
@@ -256,7 +252,6 @@ class SimulatorSection(Section):
 
     parameters: dict[str, FiniteFloat] = Field(
         default={},
-        description="physical parameters that `[load.model]` leaves open, such as `friction_Nms`, "
-        "or `dropped_at_rest = 1.0` for disks that share the momentum of the shaft; the reference "
-        "load's when left out",
+        description="physical parameters that `[load.model]` leaves open, such as "
+        "`friction_Nms`; `dropped_at_rest = 1.0`: disks share the momentum of the shaft",
     )

@@ -44,8 +44,8 @@ class Register(Section):
     )
     not_available: int | None = Field(
         default=None,
-        description="count that means `no value`, or its word, such as 0x8000 of an int16 or "
-        "0x7F7FFFFF of a float32; all ones (0x8000… when signed) when left out",
+        description="count or word that means `no value`, such as 0x7F7FFFFF of a float32; all "
+        "ones (0x8000… when signed) when left out",
     )
     bit: int | None = Field(
         default=None, ge=0, le=63, description="take this bit alone, 0 is the lowest"
@@ -53,8 +53,8 @@ class Register(Section):
     mask: int | None = Field(
         default=None,
         ge=1,
-        description="take these bits alone, such as 0x0F00: a number from 0 on. Of a register that "
-        "is written, all fields are written together, and bits of no field as 0",
+        description="take these bits alone, such as 0x0F00, as a number from 0 on; bits of no "
+        "field are written as 0",
     )
     names: dict[str, int] = Field(
         default={}, description="names of its counts, such as { Stop = 0, Run = 1 }"
@@ -62,9 +62,8 @@ class Register(Section):
     write_limit: int | None = Field(
         default=None,
         ge=24,
-        description="writes a day that the register endures: it is written on change only, not "
-        "before its share of a day has passed since the write before, and for each switch of the "
-        "bridge",
+        description="writes a day that the register endures: it is written on change, at the "
+        "earliest after its share of a day, and for each switch of the bridge",
     )
     on: int = Field(default=1, description="count that is written to switch on")
     off: int = Field(default=0, description="count that is written to switch off")
@@ -119,7 +118,7 @@ class ModbusLink(Section):
         default=1,
         ge=0,
         le=255,
-        description="device (slave, unit) id; 0 on TCP alone, on a serial line it is all devices",
+        description="device (slave, unit) id; 0 on TCP only",
     )
     timeout_s: PositiveFloat = Field(
         default=0.05, le=2.0, ge=1e-3, description="longest time from a request to its reply"
@@ -132,8 +131,8 @@ class ModbusLink(Section):
     )
     zero_based: bool = Field(
         default=False,
-        description="addresses from 30001 to 39999 and from 40001 to 49999 are zero-based as they "
-        "stand; refused without it, for they look like the labels of a manual",
+        description="accept addresses from 30001 to 39999 and 40001 to 49999; refused without "
+        "it, as they look like labels of a manual",
     )
     max_gap: int = Field(
         default=4, ge=0, le=123, description="unmapped registers that a read may run across"
@@ -157,7 +156,7 @@ class TcpLink(ModbusLink):
     port: int = Field(default=502, ge=1, le=65535, description="port of the device")
     framing: Literal["tcp", "rtu"] = Field(
         default="tcp",
-        description="form of the packets; `rtu`: those of a serial line, as plain gateways pass on",
+        description="form of the packets; `rtu`: of a serial line, through a plain gateway",
     )
 
 
@@ -194,8 +193,7 @@ class ModbusBus(CommandWatch, ModbusLink, BusSection):
         default=0.0,
         ge=0.0,
         le=3600.0,
-        description="longest time from one write of a command that does not change to the next; "
-        "0: with each poll",
+        description="longest time between writes of an unchanged command; 0: with each poll",
     )
     read_write: bool = Field(
         default=False, description="write and read in one exchange (function 23)"

@@ -49,10 +49,7 @@ class SensorBusSection(Section):
     cycle_s: PositiveFloat = Field(ge=1e-3, description="time from one measurement to the next")
     stale_s: PositiveFloat | None = Field(
         default=None,
-        description="oldest usable value; one that is needed and older trips the drive. Three "
-        "cycles when left out. Control uses the values that were the newest when the drive was "
-        "last measured: while the drive is silent they grow older, by `interlocks.stale_s` at "
-        "the most",
+        description="age at which a needed value trips the drive; three cycles when left out",
     )
     signals: dict[str, Quantity] = Field(
         description="values by name: a quantity of `[signals]`, or any other name for `[derived]`"

@@ -65,41 +65,41 @@ class InterlocksSection(Section):
     output_max: FiniteFloat = Field(description="trip when the output is above")
     output_min: FiniteFloat | None = Field(
         default=None,
-        description="trip when the output is below: a reversed sensor; a quarter of the set-point "
-        "range below 0 and `load.reference_min` when left out",
+        description="trip when the output is below (a reversed sensor); a quarter of the "
+        "set-point range below 0 and `load.reference_min` when left out",
     )
     stuck_distance: float = Field(
         default=0.05,
         ge=0.0,
         le=1.0,
-        description="trip when the output stands at exactly one value although the load model has "
-        "it move by this share of the set-point range, and by twenty steps of `load.resolution`; "
-        "0: never; not for a battery",
+        description="trip when the output stands at exactly one value although the model moves "
+        "by this share of the set-point range and twenty steps of `load.resolution`; 0: never; "
+        "not for a battery",
     )
     stuck_s: NonNegativeFloat = Field(
         default=0.0,
         le=3600.0,
-        description="trip when the running drive's output has exactly one value for this time, "
-        "for sensors whose noise is larger than their last digit; 0: never",
+        description="trip when the output has exactly one value for this time while running, "
+        "for sensors with noise above their last digit; 0: never",
     )
     response_factor: float = Field(
         default=4.0,
         ge=0.0,
         le=100.0,
-        description="trip when the output is lower than that of a load with so many times less "
-        "gain and other lags than `load.model`, or falls faster than a load can; 0: never",
+        description="trip when the output is lower than a load with so many times less gain "
+        "than `load.model` gives, or falls faster than a load can; 0: never",
     )
     precharge_timeout_s: PositiveFloat = Field(
         default=5.0,
         le=600.0,
-        description="longest precharge in state `starting`, and longest wait for the rate of the "
-        "half cycles before it",
+        description="longest precharge in `starting`, and longest wait for the rate of the half "
+        "cycles before",
     )
     start_s: PositiveFloat | None = Field(
         default=None,
         le=5.0,
-        description="trip when the drive has not reported its bridge on within this time after its "
-        "command in `running`; at least three readings; 30 half cycles when left out",
+        description="trip when the drive has not reported its bridge on within this time after "
+        "the command; at least three readings; 30 half cycles when left out",
     )
     stop_s: float = Field(
         default=0.5,
@@ -113,7 +113,7 @@ class InterlocksSection(Section):
         ge=0.0,
         le=1.0,
         description="trip when this share of the frames of the drive or of a sensor bus was "
-        "refused over 5 s; 0: never; an event reports a share of a tenth and more in any case",
+        "refused over 5 s; 0: never; an event reports a tenth and more",
     )
 
     @field_validator("response_factor")
@@ -139,14 +139,14 @@ class Mqtt(Section):
         default=10.0,
         ge=0.01,
         le=10.0,
-        description="rate of `telemetry/drive`, 1 at least where a daemon runs: the page, `status` "
-        "and `watch` take a drive that is not heard for 3 s for gone",
+        description="rate of `telemetry/drive`; at least 1 where a daemon runs, as a drive that "
+        "is silent for 3 s counts as gone",
     )
     home_assistant: str | None = Field(
         default=None,
         pattern="^[A-Za-z0-9_/-]+$",
-        description="prefix of Home Assistant's discovery, usually `homeassistant`; the drive is "
-        "a device there then; not announced when left out",
+        description="prefix of Home Assistant's discovery, usually `homeassistant`; not "
+        "announced when left out",
     )
 
     @model_validator(mode="after")
@@ -207,8 +207,7 @@ class Realtime(Section):
         default=None,
         ge=0,
         le=10_000,
-        description="longest time that idle CPUs of the machine may take to wake up; the shorter, "
-        "the more power they use",
+        description="longest time that idle CPUs may take to wake up; shorter needs more power",
     )
     lock_memory: bool = Field(default=False, description="keep the daemon's memory in RAM")
     freeze_gc: bool = Field(
@@ -221,15 +220,14 @@ class Realtime(Section):
         default=0.0,
         ge=0.0,
         le=3000.0,
-        description="rehearse a tick at this time before the drive's next frame, to warm the CPU's "
-        "caches; needs as much CPU time as a tick; 0: never",
+        description="rehearse a tick at this time before the next frame, to warm the CPU's "
+        "caches; takes the CPU time of a tick; 0: never",
     )
     spin_us: float = Field(
         default=0.0,
         ge=0.0,
         le=1000.0,
-        description="busy wait before the drive's next frame or a deadline of the timer; costs "
-        "that share of a CPU",
+        description="busy wait before the next frame or deadline; costs that share of a CPU",
     )
     late_us: PositiveFloat = Field(
         default=2000.0,
