@@ -397,17 +397,17 @@ def _cell(name: str, cell: Cell | str, measured: Mapping[str, Mapping[str, float
         return "; ".join([*(shown or ["`held`"]), "continues"])
     told = "safe" if cell.hears else "trip"
     shown += [] if cell.cause == "stale" else [f"trip `{cell.cause}`"]
-    times_told = [f"{told} in {_ms(times, 'reaction_ms')}", f"back in {_ms(times, 'back_ms')}"]
-    return "; ".join([*shown, *times_told])
+    times_told = f"{told} {_ms(times, 'reaction_ms')}, back {_ms(times, 'back_ms')} ms"
+    return "; ".join([*shown, times_told])
 
 
 def _ms(times: Mapping[str, float], name: str) -> str:
-    return f"{times[name]:.0f} ms" if name in times else "?"
+    return f"{times[name]:.0f}" if name in times else "?"
 
 
 def without_times(text: str) -> str:
     """A table without its measured times."""
-    return re.sub(r"in (\d+ ms|\?)", "in …", text)
+    return re.sub(r"(safe|trip|back) (\d+|\?)", r"\1 …", text)
 
 
 def section(page: str) -> str:
