@@ -24,12 +24,12 @@ Row = dict[str, str]
 Effects = dict[tuple[str, ...], Row]
 
 _HEAD = """\
-The last two columns: {runs} are run again with half and with twice the constant (of poles and of
-ratios next to 1, the distance from 1). They show the sum of the [costs](campaign.md#criteria) of
-the adaptive controller over that with the constant unchanged, standard / wide. *Worse*: runs that
-cost over 5 % more than with the fixed controller, where they are not {worse}. *Lost*: unstable or
-tripped runs, where they are not {lost}. *Same*: every run is bit-equal. An empty cell: not measured
-with this value. All were measured while the challenger took over at 25.
+Last columns: {runs} with half and with twice the constant (of poles and of ratios next to 1, the
+distance from 1): sum of the [costs](campaign.md#criteria) of the adaptive controller over that with
+the constant unchanged, standard/wide. *Worse*: runs that cost over 5 % more than with the fixed
+controller, where they are not {worse}. *Lost*: unstable or tripped runs, where they are not {lost}.
+*Same*: every run is bit-equal. An empty cell: not measured with this value. Measured while the
+challenger took over at 25.
 """
 
 
@@ -70,6 +70,6 @@ def _shown(row: Row, usual: Row) -> str:
         return "cannot run"
     if row["differ"] == "0":
         return "same"
-    costs = f"{float(row['standard_cost']):.2f} / {float(row['wide_cost']):.2f}"
+    costs = f"{float(row['standard_cost']):.2f}/{float(row['wide_cost']):.2f}"
     counts = [f"{row[one]} {one}" for one in ("worse", "lost") if row[one] != usual[one]]
     return ", ".join([costs, *counts])

@@ -24,12 +24,11 @@ _HEAD = """\
 
 For developers of the controller: every number that was chosen in its code, then those that
 [follow from these](#what-follows). Limits of rounding and of series, constants of mathematics and
-numbers of the paper have a reason in the code only. What a site may want to change is a key of the
-[configuration](../configuration.md). `make docs` writes this page; a test fails where a constant
-has no unit or no reason.
+numbers of the paper are in the code only. `make docs` writes this page.
 
-Units: *ticks* are half line cycles, *periods* are slow periods T_k, *scale* is the output in the
-middle of the voltage range. *1* is a ratio. Modules are below `control` unless a folder is named.
+Units: *ticks* are half line cycles, *periods* slow periods T_k, *scale* is the output in the
+middle of the voltage range; a number without a unit is a ratio. Modules are below `control` unless
+a folder is named.
 """
 
 _UNITS = {
@@ -87,8 +86,7 @@ _UNITS = {
 _FOLLOWING = """
 ## What follows
 
-Each is computed from constants above, the arithmetic or the structure of the loop, and moves with
-them.
+These are computed and move with the constants above.
 """
 
 _NUMERICAL = {
@@ -222,7 +220,7 @@ def page(effects: Effects | None = None) -> str:
     count = [f"There are {len(shown)} constants.", ""]
     if found:
         active = sum(is_active(found, one.module, one.name, one.value) for one in shown)
-        count = [f"There are {len(shown)} constants; {active} of them change a run.", ""]
+        count = [f"Of {len(shown)} constants {active} change a run.", ""]
     chosen = [_HEAD, *([head(found)] if found else []), *count, *rows]
     computed = [_FOLLOWING, *_table(following(), "computed as")]
     return "\n".join([*chosen, *computed, ""])
@@ -235,7 +233,8 @@ def _table(numbers: list[Constant], value: str) -> list[str]:
 
 
 def _row(one: Constant, effects: Effects) -> str:
-    known = [_place(one), f"{one.value} {_UNITS[one.name]}", one.reason]
+    unit = _UNITS[one.name]
+    known = [_place(one), one.value if unit == "1" else f"{one.value} {unit}", one.reason]
     return _line([*known, *(cells(effects, one.module, one.name, one.value) if effects else ())])
 
 

@@ -74,7 +74,7 @@ def test_the_page_shows_the_effect_of_the_present_value_alone(tmp_path: Path) ->
     shown = page(read_effects(path)).splitlines()
     (closer,) = (line for line in shown if "`CLOSER`" in line)
     (cycling,) = (line for line in shown if "`AT_LIMIT`" in line)
-    assert closer.endswith("| 1.23 / 0.98, 3 worse |  |")
+    assert closer.endswith("| 1.23/0.98, 3 worse |  |")
     assert cycling.endswith("| same |  |")
 
 
