@@ -17,27 +17,23 @@ from tests.proof.summaries import counted, fault_matrix, table
 BEGIN, END = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
 INTRODUCTION = """# Proof
 
-Results of the long tests, for readers who check a claim. A *form* is one such test with its length.
-`make proof` runs the forms that have no result of the present commit;
-`python -m tests.proof docs/proof/proof.md FORM` repeats one. This page is made from
-`tests/proof/results`, which also holds machine, processor time and the whole output of each run.
-SEEDS, STORIES, CONFIGURATIONS, INPUTS, KILLS, DAYS and MINUTES set the length of a form, MUTANTS
-the largest number of changes tried in a module. [Promises](promises.md) names the tests of each
-promise, [tests/README.md](../../tests/README.md#faults-and-proof) describes the forms. The faults
-in virtual time are in [reliability](reliability.md#faults-in-virtual-time).
+Results of the long tests, for readers who check a claim. `make proof` runs the *forms* that have no
+result of the present commit; `python -m tests.proof docs/proof/proof.md FORM` repeats one.
+`tests/proof/results` holds machine, processor time and the whole output of each run,
+[tests/README.md](../../tests/README.md#faults-and-proof) describes the forms and their lengths. The
+faults in virtual time are in [reliability](reliability.md#faults-in-virtual-time).
 """
 MUTANTS_TEXT = """## Small changes of the code
 
 `python -m tests.mutation NAME` changes one comparison, constant, operator or statement at a time;
 the tests of the module must notice it. An *explained* change has no effect, for a stated reason.
-Each survivor is in the results.
 """
 BRANCHES_TEXT = """## Lines and branches
 
 `python -m tests.branches NAME` counts what the tests of each module run and take.
 """
-MUTANTS = ("name", "modules", "changes", "tried", "noticed", "explained", "survived", "run")
-BRANCHES = ("name", "modules", "lines", "not run", "branches", "not taken", "run")
+MUTANTS = ("name", "changes", "tried", "noticed", "explained", "survived", "run")
+BRANCHES = ("name", "lines", "not run", "branches", "not taken", "run")
 
 Run = tuple[Form, Result | None]
 
