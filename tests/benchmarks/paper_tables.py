@@ -137,7 +137,8 @@ def _when(found: list[float | None]) -> str:
 def tables(first: int) -> Iterator[tuple[str, str]]:
     """Every table by the name of its mark."""
     yield "three-disks", model_errors(first, LAST_CYCLES[2])
-    yield "two-disks", model_errors(first, LAST_CYCLES[1])
+    one, two = (model_errors(first, cycle) for cycle in LAST_CYCLES[:2])
+    yield "fewer-disks", f"One disk:\n\n{one}\n\nTwo disks:\n\n{two}"
     yield "overshoot", overshoots(first)
     yield "convergence", convergence(first)
 
