@@ -40,7 +40,7 @@ TRIPS = (
     Trip(
         r"^stale: .*: other messages come",
         f"{_OLDEST}: other messages come: …",
-        "only this message is missing, or comes too seldom",
+        "only this message is missing, or too rare",
         "switch the message on in the drive; compare its id with the DBC; where `adaptdrive probe` "
         "shows it, a longer `interlocks.stale_s`",
     ),
@@ -82,8 +82,8 @@ TRIPS = (
     Trip(
         r"^stale: measurement is ",
         f"{_STALE}; …",
-        "no usable measurement for `interlocks.stale_s`; the text names the oldest value; without "
-        "such a text, with events `latency`, the machine is overloaded",
+        "no usable measurement for `interlocks.stale_s`; if the text names no value and events "
+        "`latency` come, the machine is overloaded",
         "check the part that the text names; if it names none, reduce the load of the machine and "
         "see `[realtime]`",
     ),
@@ -103,8 +103,7 @@ TRIPS = (
     Trip(
         r"^overslept: ",
         "overslept: the daemon did not run for 512 ms, limit 50 ms: …",
-        "the process was frozen, suspended or starved for longer than the limit, so that the drive "
-        "may have stopped meanwhile",
+        "the process was frozen, suspended or starved; the drive may have stopped meanwhile",
         "reduce the load of the machine, give the daemon priority by `realtime.priority`, or set "
         "the limit that the text names",
     ),
@@ -117,7 +116,7 @@ TRIPS = (
     Trip(
         r"^node \d+: emergency ",
         "node 5: emergency 0x2310, continuous over-current at the output (error register 0x01)",
-        "a CiA 402 drive reports an error over CANopen",
+        "a CiA 402 drive reports an error",
         "remove the error that the text names; the drive reports *no error*, or leaves its fault, "
         "before `reset` is accepted",
     ),
@@ -125,44 +124,44 @@ TRIPS = (
         r"^node \d+: the drive left its state by itself, or may have: ",
         "node 5: the drive left its state by itself, or may have: nothing was heard of it for 60 "
         "ms while it was commanded on",
-        "a CiA 402 drive is not on after a silence in which its own time-out may have stopped it",
+        "a CiA 402 drive is not on after a silence",
         "look for lost frames on the bus and an overloaded machine; `bus.heartbeat_timeout_s` must "
         "be longer than the silences of both",
     ),
     Trip(
         r"^node \d+: the drive left its state by itself: ",
         "node 5: the drive left its state by itself: fault",
-        "a CiA 402 drive entered a fault without an emergency, or another state without a command",
+        "the drive entered a fault without an emergency, or another state without a command",
         "look the fault up in the drive's manual; `reset` also resets the drive's fault",
     ),
     Trip(
         r"^node \d+: the drive's state is ",
         "node 5: the drive's state is fault",
-        "a CiA 402 drive is in a fault, or has not reported its state",
+        "the drive is in a fault, or has not reported its state",
         "look the fault up in the drive's manual; `not known yet` ends when its TPDOs arrive",
     ),
     Trip(
         r"^node \d+: has been restarted",
         "node 5: has been restarted",
-        "a CiA 402 drive has restarted by itself; the daemon sets it up again",
+        "the drive has restarted by itself; the daemon sets it up again",
         "check the drive's supply",
     ),
     Trip(
         r"^node \d+: heartbeat lost",
         "node 5: heartbeat lost for 112 ms",
-        "a CiA 402 drive sends no heartbeat",
+        "the drive sends no heartbeat",
         "check the drive's supply and the cable; the daemon sets the drive up again",
     ),
     Trip(
         r"^node \d+: is set up again: another sender has written its objects",
         "node 5: is set up again: another sender has written its objects",
-        "another sender has written objects of a CiA 402 drive over SDO",
+        "another sender has written objects of the drive over SDO",
         "end the other sender; the daemon sets the drive up again by itself",
     ),
     Trip(
         r"^node \d+: is not operational any more",
         "node 5: is not operational any more (state 127)",
-        "another NMT master has stopped a CiA 402 drive",
+        "another NMT master has stopped the drive",
         "end the other NMT master",
     ),
     Trip(
@@ -200,8 +199,7 @@ TRIPS = (
         "frame rate: not known 5 s after the start: the drive's half-cycle counter jumps again "
         "and again, or its readings are too few: look for a gateway that repeats or loses frames, "
         "and at signals.counter",
-        "the rate of the half cycles was not known within `interlocks.precharge_timeout_s` or "
-        "`hold_s`; nothing was energised",
+        "no rate within `interlocks.precharge_timeout_s` or `hold_s`; nothing was energised",
         "look for a gateway that repeats or loses frames, or sends four or more at once; leave "
         "`signals.counter` out where it does not count each half cycle",
     ),
@@ -209,7 +207,7 @@ TRIPS = (
         r"^frame rate: ",
         "frame rate: the drive sends 100 readings/s, expected 120/s: look at "
         "drive.line_frequency_Hz, bus.clock and bus.clock_ticks",
-        "the clocking message does not come at the rate of the half cycles",
+        "the message `bus.clock` does not come at the rate of the half cycles",
         "correct `drive.line_frequency_Hz`, or set `bus.clock` to a message of every half cycle, "
         "or `bus.clock_ticks` to the half cycles between two messages",
     ),
@@ -231,8 +229,7 @@ TRIPS = (
     Trip(
         r"^stuck: ",
         "stuck: speed stands at exactly … V for … s, and speed should have moved by … V",
-        "the output, or a value from which it is derived, does not change although the input "
-        "moves the load",
+        "the output, or a value of it, does not change although the input moves the load",
         "check the sensor: its value is frozen while its messages continue",
     ),
     Trip(
@@ -258,15 +255,14 @@ TRIPS = (
     Trip(
         r"^the drive's bridge is on although ",
         "the drive's bridge is on although this daemon did not command it: …",
-        "another source switched the bridge on: a second sender, the drive's panel, a restart of "
-        "the drive",
+        "a second sender, the drive's panel or a restart of the drive switched the bridge on",
         "remove that source",
     ),
     Trip(
         r"^the drive refuses commands: ",
         "the drive refuses commands: exception code 3 (illegal value) at register 0; …",
-        "Modbus: two commands in a row were refused, or five were not taken; the drive may still "
-        "follow the last accepted command",
+        "Modbus: two commands in a row were refused, or five not taken; the drive may still "
+        "follow an older one",
         "check the register map, its limits, remote mode and write access",
     ),
     Trip(
@@ -279,8 +275,7 @@ TRIPS = (
         r"^the bus does not take commands: ",
         "the bus does not take commands: 3 in a row were refused while the drive's messages came; "
         "look for another sender that keeps the bus busy, and for an adapter that sends nothing",
-        "CAN, CANopen: the queue of the interface is full, or it cannot send; the drive stops by "
-        "its own time-out",
+        "the interface's queue is full, or it cannot send; the drive stops by its own time-out",
         "look for a sender of higher priority (`candump`) and at "
         "`ip -details -statistics link show can0`, and reset the adapter; `txqueuelen` must be "
         "larger than the frames of one command",
@@ -294,9 +289,8 @@ TRIPS = (
     Trip(
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
-        "the drive has reported its bridge off after it had reported it on, or had not reported it "
-        "on within `interlocks.start_s` (30 half cycles when left out; three readings where they "
-        "are longer); the text names what hid the stop, such as a silence or a lost bus",
+        "the drive has reported its bridge off, or has not reported it on within "
+        "`interlocks.start_s`; the text names what hid the stop, such as a silence or a lost bus",
         "check the drive's own time-out and protection, remote mode and checksum, and look for "
         "lost commands, a loose cable and an overloaded machine; a drive that needs longer to come "
         "on needs a longer `interlocks.start_s`",
@@ -305,7 +299,7 @@ TRIPS = (
         r"^another sender commands this drive: ",
         "another sender commands this drive: 12 x frame 0x080 (DriveCommand), the last 0.0 s ago; "
         "end the other daemon, PLC or tool: the bus must be free of its commands for 5 s",
-        "frames with the id of this drive's command that this daemon has not sent",
+        "this daemon has not sent these frames with the id of the drive's command",
         "end the other daemon, PLC or test tool; `reset` and `enable` are refused until the bus "
         "has been free of its commands for 5 s",
     ),
@@ -313,36 +307,35 @@ TRIPS = (
         r"^no response: .* must be above ",
         "no response: speed = … V, and with this input must be above … V: is the sensor reversed "
         "or its wire broken, is the load blocked?",
-        "the output is lower than any load within `interlocks.response_factor` of `[load.model]` "
-        "gives after that input",
+        "the output is lower than any load within `interlocks.response_factor` of "
+        "`[load.model]` gives",
         "check the sign and the wires of the sensor, the shaft or the heater, and `[load.model]`",
     ),
     Trip(
         r"^no response: .* fell to ",
         "no response: speed fell to … V, and the load cannot have fallen below … V yet: is the "
         "sensor's wire broken?",
-        "the output fell ten times faster than the shortest lag of the model allows",
+        "the output fell ten times faster than the model allows",
         "check the sensor's wires and supply",
     ),
     Trip(
         r"^no response: ",
         "no response: input at its limit for long, and the output has not moved",
-        "the input was at a limit for `response_s`, and every load within the supervisor's bounds "
-        "would have moved",
+        "the input was at a limit for `response_s`, which moves every load within the "
+        "supervisor's bounds",
         "check for an unplugged sensor, a blocked shaft, a broken heater",
     ),
     Trip(
         r"^no current: ",
         "no current: the current has left in one step: is the battery disconnected?",
-        "the current of a charge fell from over four times `load.charge.end_current_A` to below "
-        "it in one step",
+        "the current fell from over four times `load.charge.end_current_A` to below it in one step",
         "check the battery's cable, its fuse and its own protection",
     ),
     Trip(
         r"^charge time: ",
         "charge time: the charge has not ended within load.charge.longest_h = … h: does the "
         "current sensor read too high?",
-        "the drive of a battery was on for longer than `load.charge.longest_h`, in any mode",
+        "the drive was on for longer than `load.charge.longest_h`",
         "look whether the current is 0 with the drive off; a larger battery or a smaller set-point "
         "needs more time",
     ),
@@ -355,7 +348,7 @@ TRIPS = (
     Trip(
         r"^manual: ",
         "manual: no new voltage within the 5 s that its sender had set",
-        "in mode `manual`, the program that sets V_c has sent none within its own `hold_s`",
+        "the program that sets V_c has sent none within its own `hold_s`",
         "look at that program and its connection; a voltage without `hold_s` stays in force",
     ),
     Trip(
@@ -367,7 +360,7 @@ TRIPS = (
     Trip(
         r"^second broker client: ",
         "second broker client: …",
-        "another client connected with this daemon's client id, or publishes as this drive",
+        "another client has this daemon's client id, or publishes as this drive",
         "end the second daemon",
     ),
     Trip(
@@ -385,7 +378,7 @@ TRIPS = (
     Trip(
         r"^internal error: ",
         "internal error: …; keep the log for a report",
-        "an error in the daemon itself; the daemon sends the safe command and ends",
+        "an error in the daemon; it sends the safe command and ends",
         "keep the log and the session for a bug report; the service manager restarts the daemon in "
         "`standby`",
     ),
