@@ -134,8 +134,8 @@ class Supervisor(Section):
     )
     error_limit: NonNegativeFloat | None = Field(
         default=None,
-        description="distance from the response that was asked for, in the unit of the output, "
-        "that must not last for ten closed-loop time constants with a free input; "
+        description="distance from the response asked for, in the unit of the output, that must "
+        "not last for ten closed-loop time constants with a free input; "
         f"{100.0 * ERROR_SHARE:g} % of the set-point range when left out; 0: any",
     )
     response_s: Duration = Field(

@@ -90,10 +90,10 @@ class LoadSection(Section):
     )
     noise_V: NonNegativeFloat | None = Field(
         default=None,
-        description="largest standard deviation of V_c in volts that noise of the output may cause "
-        "through the adaptive gains, whose poles follow from it; "
-        f"{100.0 * NOISE_SHARE:g} % of the range of V_c when left out; 0: any, with the poles "
-        "asked for (`exact` and `lm-rls` only)",
+        description="largest standard deviation of V_c in volts that noise may cause; adaptive "
+        "poles become slower for it; "
+        f"{100.0 * NOISE_SHARE:g} % of the range of V_c when left out; 0: any "
+        "(`exact` and `lm-rls` only)",
     )
     latency_ticks: int = Field(
         default=2, ge=1, description="fast ticks from the slow sample to its effect"
