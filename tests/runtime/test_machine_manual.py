@@ -45,6 +45,15 @@ def by_hand(voltage_V: float = 300.0) -> Desk:
     return desk
 
 
+def test_a_voltage_that_may_be_negative_begins_at_zero() -> None:
+    machine = Machine(replace(LIMITS, floor_V=-60.0), pole=0.7)
+    assert machine.manual.value(0) == 0.0
+    desk = Desk()
+    desk.machine = machine
+    desk.ask(Enable(), 3.0)
+    assert machine.manual.value(desk.tick) == 0.0
+
+
 def test_a_new_machine_is_not_confirmed_off_and_has_the_lowest_voltage() -> None:
     machine = Machine(LIMITS, pole=0.7)
     assert not machine.stopped

@@ -70,8 +70,10 @@ def _write_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
     timeout_s, interval_s = bus.command_timeout_s, bus.command_interval_s
     if interval_s and bus.read_write:
         yield Flaw("bus.command_interval_s", "bus.read_write writes with each poll: leave it out")
-    if timeout_s is not None and LATE_READINGS * interval_s > timeout_s:
-        longest = f"{timeout_s / LATE_READINGS:.4g} s, that the drive sees a command in time"
+    reading_s = 0.5 * bus.poll_ticks / configuration.drive.line_frequency_Hz
+    most_s = math.inf if timeout_s is None else max(0.0, timeout_s - LATE_READINGS * reading_s)
+    if interval_s > most_s:
+        longest = f"{most_s:.4g} s, that the drive sees a command in time"
         yield Flaw("bus.command_interval_s", f"{interval_s:g} must be at most {longest}")
     for name, register in bus.registers.items():
         place, limit = f"bus.registers.{name}.write_limit", register.write_limit
@@ -82,6 +84,11 @@ def _write_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
         if timeout_s is not None:
             yield Flaw(place, "bus.command_timeout_s is the time-out of a drive that needs writes")
         period_s, least_s = configuration.load.period_s, DAY_S / limit
+        reference = configuration.signals.command.boost_reference_V
+        holds_back = configuration.load.traits.charges or configuration.signals.load_power_W
+        if holds_back and reference is not None and reference.signal == name:
+            why = "delays what holds V_c back for the power of the load or the voltage of a battery"
+            yield Flaw(place, why)
         if period_s < least_s:
             longer = f"let load.period_s be {least_s:.4g} s or longer"
             yield Flaw(place, f"{limit} writes a day are one in {least_s:.4g} s: {longer}")

@@ -209,7 +209,7 @@ class Controller:
         held = self._held_voltage(output, voltage) if unfed else voltage
         reference = min(max(held, limits.boost_reference_min_V), limits.boost_reference_max_V)
         if stage is Stage.PRECHARGE:
-            reference = limits.boost_reference_min_V
+            reference = max(limits.boost_reference_min_V, 0.0)
         self._fast = fast.FastState(
             tick=measurement.tick,
             boost_reference_V=reference,

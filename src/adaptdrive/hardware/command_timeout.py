@@ -48,13 +48,18 @@ def silence(longest_s: float, key: str) -> CommandPause:
 
 
 def timeout_cautions(timeout_s: float | None, *pauses: CommandPause) -> Iterator[Flaw]:
-    """Yield one word on a time-out that ends before pauses that the daemon drives on after.
+    """Yield one word on a time-out that is not stated, or ends before pauses of the daemon.
 
     Args:
         timeout_s: The drive's own time-out, in s, None where it is not known.
         pauses: The pauses.
     """
     if timeout_s is None:
+        yield Flaw(
+            "bus.command_timeout_s",
+            "is left out: a drive without a time-out of its own stays energised when the daemon, "
+            "its computer or the cable fails; state it, or wire a contactor for that",
+        )
         return
     longer = [one for one in pauses if timeout_s <= one.longest_s]
     if not longer:

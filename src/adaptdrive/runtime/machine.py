@@ -50,7 +50,7 @@ class Machine:
         self._limits = limits
         self.state = State.STANDBY
         self.mode = Mode.FIXED
-        self.manual = self._limits.held(limits.floor_V, 0)
+        self.manual = self._limits.held(limits.rest_V, 0)
         self.setpoint = limits.reference_min
         self.waveform: Waveform | None = None
         self.pole = pole
@@ -279,7 +279,7 @@ class Machine:
             raise RefusedError(cause)
         limits = self._limits
         self.waveform = None
-        self.manual = self._limits.held(limits.floor_V, tick)
+        self.manual = self._limits.held(limits.rest_V, tick)
         if self.reach.is_known and output < max(limits.reference_min, self.reach.low):
             self.setpoint = max(output, min(limits.reference_min, 0.0))
             self._coast()

@@ -58,6 +58,11 @@ class MachineLimits:
     voltage_name: str = "v_bst"
     voltage_unit: str = "V"
 
+    @property
+    def rest_V(self) -> float:
+        """V_c from which each run begins: 0 where it may be negative, else the lowest."""
+        return max(self.floor_V, 0.0)
+
     def require_reference(self, what: str, value: float) -> None:
         """Refuse a set-point that the configuration does not allow.
 

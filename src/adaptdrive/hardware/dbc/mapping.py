@@ -147,6 +147,8 @@ def map_drive(
         problem = f"message {message!r} carries the command: name a constant of it"
         catalogue.note("bus.setup", problem)
     catalogue.check_ids(sources, orders, "signals")
+    if not catalogue.flaws:
+        catalogue.check_ids([*sources, *orders], setup, "bus.setup")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     counter, bridge = bound.get("counter"), bound.get("bridge")

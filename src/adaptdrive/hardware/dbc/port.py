@@ -164,6 +164,9 @@ class CanPort:
         if self._disobeyed or self._must_report(bridge=bridge):
             self._counts["withheld_commands"] += 1
             return False
+        if bridge and not self._bridge_sent and not self._set_up():  # it may have started anew
+            self._connection.uptake.note(taken=False)
+            return False
         taken = 0
         for frame in frames:
             taken += self._connection.send(frame)
@@ -328,6 +331,11 @@ class CanPort:
             data=order.encode(command),
         )
 
+    def _set_up(self) -> bool:
+        """Send what the drive needs before it is commanded; whether the bus took all of it."""
+        frames = [self._frame(order, SAFE_COMMAND) for order in self._mapping.setup]
+        return all(self._connection.send(frame) for frame in frames)
+
     def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
         """Use the open bus until it is lost; return the reason."""
         self._newest = None
@@ -337,8 +345,8 @@ class CanPort:
         self._relink.open(bridge=self._bridge_sent)
         self._bridge_sent = False
         self._assembly.forget()
-        for order in () if self._hears_all else self._mapping.setup:
-            self._connection.send(self._frame(order, SAFE_COMMAND))
+        if not self._hears_all:
+            self._set_up()
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.binding import BRIDGE, Sink
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Named, Poll, block_words
-from adaptdrive.hardware.modbus.pace import WritePace
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, block_words
+from adaptdrive.hardware.modbus.pace import WritePace, has_switch
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
 from adaptdrive.hardware.modbus.validity import CommandValidity
@@ -133,6 +132,8 @@ class Commander:
         Args:
             answered: Whether the drive answered.
         """
+        if not answered:  # it may have started anew
+            self._pace.forget()
         if self._validity.note_read(answered=answered, given_on=self._given_on):
             self._written = None
 
@@ -234,7 +235,7 @@ class Commander:
         at_once = self._at_once
         parts = [*zip(self._poll.writes, self._words(command), strict=True)]
         if not command.bridge:
-            parts.sort(key=lambda part: not _has_bridge(part[0][1]))
+            parts.sort(key=lambda part: not has_switch(part[0][1]))
         must_stop = command == SAFE_COMMAND and (self.urgent or self._validity.may_be_on)
         self._doubt(command)
         taken, sent = True, False
@@ -300,6 +301,8 @@ class Commander:
         at_once: bool,
     ) -> bool:
         """Write one block of a command; whether the drive has taken it."""
+        if exchange.write is not None:
+            self._pace.doubt(exchange.write)
         try:
             await self._exchange(
                 link,
@@ -377,7 +380,3 @@ class Commander:
         self._untaken.clear()
         if self._safe and self.safe_s == math.inf:
             self.safe_s = self._clock()
-
-
-def _has_bridge(sinks: Iterable[Sink[Named]]) -> bool:
-    return any(sink.name == BRIDGE for sink in sinks)

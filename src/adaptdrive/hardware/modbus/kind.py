@@ -57,7 +57,8 @@ def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Fla
     if report is None or command is None:
         return
     read, written = bus.registers[report.signal], bus.registers[command.signal]
-    if (read.table, read.address) != (written.table, written.address):
+    same = read.table == written.table or (read.table, written.table) == ("discrete", "coil")
+    if not same or read.address != written.address:
         return
     yield Flaw(
         "signals.bridge",

@@ -38,7 +38,9 @@ from adaptdrive.hardware.modbus.codec import (
     register_field,
 )
 
-HEARTBEAT = "heartbeat"
+HEARTBEAT = "bus.heartbeat"
+"""No name of a register, which has no dot."""
+
 _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
 

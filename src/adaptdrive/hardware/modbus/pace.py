@@ -24,9 +24,7 @@ class WritePace:
         self._clock = clock
         self._interval_s = poll.interval_s
         self._least_s = {block: _least_s(sinks) for block, sinks in poll.writes}
-        self._switches = {
-            block for block, sinks in poll.writes if any(one.name == BRIDGE for one in sinks)
-        }
+        self._switches = {block for block, sinks in poll.writes if has_switch(sinks)}
         self._held: dict[Block, list[int]] = {}
         self._written_s: dict[Block, float] = {}
 
@@ -47,10 +45,20 @@ class WritePace:
             return not limited and age_s >= self._interval_s
         return age_s >= limited or block in self._switches
 
+    def doubt(self, block: Block) -> None:
+        """Note that a block is about to be written: until the reply nobody knows what it holds."""
+        self._held.pop(block, None)
+        self._written_s[block] = self._clock()
+
     def note(self, block: Block, words: list[int]) -> None:
         """Note that the drive has acknowledged a block."""
         self._held[block] = words
         self._written_s[block] = self._clock()
+
+
+def has_switch(sinks: Iterable[Sink[Named]]) -> bool:
+    """Return whether a block has the switch of the bridge, by which a stop begins."""
+    return any(sink.name == BRIDGE and sink.factor != 0.0 for sink in sinks)
 
 
 def _least_s(sinks: Iterable[Sink[Named]]) -> float:

@@ -243,22 +243,28 @@ class ModbusPort:
     async def _set_up(self, link: ModbusConnection) -> None:
         """Write what the drive needs before it is commanded; a link without that is lost."""
         for block, sink, reads in self._poll.setup:
-            if self._commander.urgent:
-                await self._commander.write(link)
-            self._commander.note_step()
             words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
             try:
-                if reads and await link.exchange(Exchange(read=block), []) == words:
+                if reads and await self._ask(link, Exchange(read=block), []) == words:
                     continue
-                await link.exchange(Exchange(write=block), words)
-                held = await link.exchange(Exchange(read=block), []) if reads else words
+                await self._ask(link, Exchange(write=block), words)
+                held = await self._ask(link, Exchange(read=block), []) if reads else words
             except ExchangeError as failure:
+                await self._commander.leave_safe(link)
                 link.lost = link.lost or f"set-up of {name!r}: {failure.problem}"
                 return
             if held != words:
+                await self._commander.leave_safe(link)
                 found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
                 link.lost = f"set-up of {name!r}: {block} holds {found} after {wanted} was written"
                 return
+
+    async def _ask(self, link: ModbusConnection, exchange: Exchange, words: list[int]) -> list[int]:
+        """Exchange one part of the set-up; a safe command that is urgent goes before it."""
+        if self._commander.urgent:
+            await self._commander.write(link)
+        self._commander.note_step()
+        return await link.exchange(exchange, words)
 
     def _next(self, last_s: float) -> float:
         """The next point of the grid, or the last one that was missed: that poll begins at once."""
@@ -292,6 +298,9 @@ class ModbusPort:
             self._commander.note_read(answered=False)
             self._note_silence(failure.problem)
         else:
+            if self._silent >= _SILENT_POLLS:  # it may have started anew
+                self._silent = 0
+                await self._set_up(link)
             self._commander.note_read(answered=True)
             if self._alike and self._counts["foreign"] > known:  # since the last poll began
                 self._failure = _MIXED_UP
