@@ -30,7 +30,7 @@ BUSY = {"interlocks": {"stale_s": 1.0}}
 def section() -> str:
     """The part of the page on register maps."""
     text = PAGE.read_text(encoding="utf-8")
-    return text[text.index("## A register map") : text.index("## When it does not go on")]
+    return text[text.index("## A register map") : text.index("## When it stops here")]
 
 
 def blocks(kind: str) -> list[str]:
