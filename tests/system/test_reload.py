@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.config.file import digest_of
 from tests.system.conftest import MakeSite
 from tests.system.site import PATIENT_DRIVE, QUICK_MOTOR, Site, motor_configuration, until
 from tests.system.test_service_manager import NotifySocket
@@ -70,7 +71,7 @@ def test_a_reload_takes_the_new_load_and_adaptive_is_in_force_at_once(
     assert daemon is not None
     write(site, SETTINGS)
     began_s = time.monotonic()
-    assert reload(site, measured=True)["accepted"]
+    assert reload(site, measured=digest_of(site.config.read_text()))["accepted"]
     site.run_drive()
     site.demand("mode", "adaptive")
     site.demand("waveform", WAVE)
@@ -117,6 +118,9 @@ def test_what_cannot_be_taken_is_refused_and_nothing_changes(site: Site) -> None
     refusal = reload(site)
     assert refusal["reason"] == "a change of [mqtt] needs a restart of the daemon; nothing is new"
     write(site, SETTINGS)
+    refusal = reload(site, measured=digest_of("a copy elsewhere"))
+    assert "is not the file whose model was measured" in str(refusal["reason"])
+    assert "start from the measured model" not in site.daemon_log
     site.demand("enable")
     site.await_state(state="running")
     refusal = reload(site)

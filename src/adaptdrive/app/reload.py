@@ -8,25 +8,31 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from adaptdrive.app.examine import examine_text
+from adaptdrive.aside import in_thread
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
-from adaptdrive.config.file import read_text
+from adaptdrive.config.file import digest_of, read_text
 from adaptdrive.errors import ConfigurationError, RefusedError
+from adaptdrive.operation.service import COMMAND_PATIENCE_S
 from adaptdrive.runtime.requests import Reload
 from adaptdrive.runtime.watchdog import ServiceManager
 
 CHANGEABLE = frozenset({"load", "estimator", "supervisor", "interlocks", "simulation"})
 """Sections that may change between two runs: the load, its control, and the limits that trip."""
 
-ANSWER_S = 0.5
+ANSWER_S = COMMAND_PATIENCE_S + 0.5
 """From the acceptance to the end of the run: the reply is on its way."""
 
 _LONGEST_LOOK_S = 5.0
+_LONGEST_BETWEEN_S = 30.0
+"""From the end of a run to the open bus of the next: what hangs there, the watchdog ends."""
+
 _FEED_S = 0.25
 
 
@@ -65,7 +71,8 @@ class RunCourse:
         self._path = path
         self._given = given
         self._next: Given | None = given
-        self._ended = self._between = False
+        self._ended = False
+        self._fed_until_s = -math.inf
 
     def end(self) -> None:
         """End the present run, and the process."""
@@ -93,7 +100,8 @@ class RunCourse:
         """
         try:
             async with asyncio.timeout(_LONGEST_LOOK_S):
-                given = await asyncio.to_thread(self._read, request)
+                reading = in_thread(functools.partial(self._read, request), "reload")
+                given = await asyncio.wrap_future(reading)
         except TimeoutError:
             raise RefusedError(f"{self._path} is not read within {_LONGEST_LOOK_S:g} s") from None
         except ConfigurationError as problem:
@@ -102,11 +110,20 @@ class RunCourse:
         return functools.partial(self._follow, given)
 
     def _follow(self, given: Given) -> None:
-        self._next, self._between = given, True
-        asyncio.get_running_loop().call_later(ANSWER_S, self.stop.set)
+        self._next = given
+        asyncio.get_running_loop().call_later(ANSWER_S, self._end_run)
+
+    def _end_run(self) -> None:
+        self._fed_until_s = now_s() + _LONGEST_BETWEEN_S
+        self.stop.set()
 
     def _read(self, request: Reload) -> Given:
         text = read_text(self._path)
+        measured = request.measured is not None
+        if measured and request.measured != digest_of(text):
+            raise RefusedError(
+                f"{self._path} is not the file whose model was measured, nothing has changed"
+            )
         configuration = examine_text(text, self._path)
         before, after = self._given.configuration, configuration
         changed = [
@@ -117,16 +134,16 @@ class RunCourse:
         if fixed := [name for name in changed if name not in CHANGEABLE]:
             names = ", ".join(f"[{name}]" for name in fixed)
             raise RefusedError(f"a change of {names} needs a restart of the daemon; nothing is new")
-        return Given(configuration, text, request.measured, tuple(changed))
+        return Given(configuration, text, measured, tuple(changed))
 
     async def feed_between(self, manager: ServiceManager) -> None:
         """Feed the watchdog between two runs, in which no tick does, until cancelled."""
         while True:
-            if self._between:
+            if now_s() < self._fed_until_s:
                 manager.feed(now_s())
             await asyncio.sleep(_FEED_S)
 
     async def opened(self, opened: asyncio.Event) -> None:
         """Leave the watchdog to the ticks once the bus is open."""
         await opened.wait()
-        self._between = self._next is not None
+        self._fed_until_s = -math.inf

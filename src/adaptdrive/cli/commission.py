@@ -77,31 +77,32 @@ def commission(  # noqa: PLR0913 - the words of the command line
             run.refuse_unwritable(path)
         commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
         print(run.as_text(commissioned))
-        if write or apply:
-            _write(path, commissioned)
+        digest = _write(path, commissioned) if write or apply else ""
         figure = into / "commission.png"
         replace_result(figure, run.draw(commissioned))
         print(f"\n{figure}")
         if apply or (not write and _agreed_to("\napply and go on in adaptive? [y/N] ")):
-            if not apply:
-                _write(path, commissioned)
-            _put_to_use(drive, commissioned, contact)
+            digest = digest or _write(path, commissioned)
+            _put_to_use(drive, commissioned, digest, contact)
         else:
-            _say_next(drive, run.reached(commissioned), written=write)
+            _say_next(drive, run.reached(commissioned), path if write else None)
     return 0
 
 
-def _write(path: Path, commissioned: Commissioned) -> None:
+def _write(path: Path, commissioned: Commissioned) -> str:
+    """Write the settings; return the digest of the file."""
     from adaptdrive.commission.run import write  # noqa: PLC0415 - it is large
 
-    print(f"\n{path} is written, the old file is {write(path, commissioned)}")
+    backup, digest = write(path, commissioned)
+    print(f"\n{path} is written, the old file is {backup}")
+    return digest
 
 
-def _put_to_use(drive: str, commissioned: Commissioned, contact: Contact) -> None:
+def _put_to_use(drive: str, commissioned: Commissioned, digest: str, contact: Contact) -> None:
     from adaptdrive.commission.run import put_to_use, reached  # noqa: PLC0415 - it is large
 
     setpoint, unit = reached(commissioned), commissioned.before.load.output_unit
-    waited_s = asyncio.run(put_to_use(contact.settings, drive, setpoint, contact.timeout))
+    waited_s = asyncio.run(put_to_use(contact.settings, drive, digest, setpoint, contact.timeout))
     print(
         f"{drive} holds {setpoint:.4g} {unit} in mode adaptive, in force after {waited_s:.1f} s\n\n"
         f"next:\n  adaptdrive setpoint {drive} VALUE\n  adaptdrive watch {drive}\n"
@@ -109,13 +110,14 @@ def _put_to_use(drive: str, commissioned: Commissioned, contact: Contact) -> Non
     )
 
 
-def _say_next(drive: str, setpoint: float, *, written: bool) -> None:
-    if not written:
+def _say_next(drive: str, setpoint: float, written: Path | None) -> None:
+    if written is None:
         print(f"\nnext: adaptdrive commission {drive} --apply, or copy the values by hand")
         return
     print(
-        f"\nnext:\n  adaptdrive reload {drive} --measured\n  adaptdrive mode {drive} adaptive\n"
-        f"  adaptdrive enable {drive}\n  adaptdrive setpoint {drive} {setpoint:.4g}"
+        f"\nnext:\n  adaptdrive reload {drive} --measured {written}\n"
+        f"  adaptdrive mode {drive} adaptive\n  adaptdrive enable {drive}\n"
+        f"  adaptdrive setpoint {drive} {setpoint:.4g}"
     )
 
 

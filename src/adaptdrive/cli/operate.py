@@ -9,9 +9,9 @@ import asyncio
 import json
 import sys
 from dataclasses import asdict
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Literal
 
-from cyclopts import Parameter
 from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli.contact import Contact, DriveName, Number
@@ -158,17 +158,21 @@ def reload(
     drive: DriveName,
     /,
     *,
-    measured: Annotated[bool, Parameter(negative=())] = False,
+    measured: Path | None = None,
     contact: Contact = _HERE,
 ) -> int:
     """Take the load and the limits of the file, between two runs.
 
     Args:
         drive: Name of the drive, which is in standby.
-        measured: The file's model was measured: the estimates start from it.
+        measured: The daemon's file, whose model was measured: the estimates start from it. A
+            daemon with another file refuses.
         contact: Broker.
     """
-    return _ask(drive, "reload", None, contact, measured=measured)
+    from adaptdrive.config.file import digest_of, read_text  # noqa: PLC0415 - few commands need it
+
+    digest = None if measured is None else digest_of(read_text(measured))
+    return _ask(drive, "reload", None, contact, measured=digest)
 
 
 def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:

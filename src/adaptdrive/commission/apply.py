@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import time
-from contextlib import suppress
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import read_status
+from adaptdrive.operation.listener import LIVE_S, read_status
 from adaptdrive.operation.sender import send_command
 from adaptdrive.watch.ending import ended_once, whole
+from adaptdrive.watch.telling import tell
 
 LONGEST_S = 60.0
 """Longest time for the daemon to begin another run, and for the drive to run in it."""
@@ -19,12 +19,15 @@ LONGEST_S = 60.0
 _GAP_S = 0.3
 
 
-async def put_to_use(broker: Mqtt, drive: str, setpoint: float, timeout_s: float) -> float:
+async def put_to_use(
+    broker: Mqtt, drive: str, digest: str, setpoint: float, timeout_s: float
+) -> float:
     """Have the daemon take the measured load of its file, and hold a set-point in mode adaptive.
 
     Args:
         broker: The broker.
         drive: Name of the drive, in standby.
+        digest: Of the file that was written; a daemon with another one refuses.
         setpoint: Set-point, one that the experiment has led the output to.
         timeout_s: Longest wait for a reply.
 
@@ -35,13 +38,13 @@ async def put_to_use(broker: Mqtt, drive: str, setpoint: float, timeout_s: float
         AdaptdriveError: The daemon refuses, or the drive does not run; it is off then.
     """
     began_s = time.monotonic()
-    reply = await send_command(broker, drive, "reload", None, timeout_s, measured=True)
-    if not reply.accepted:
-        raise CommissionError(f"{drive} refused reload: {reply.reason}")
+    await _once(broker, drive, "reload", None, timeout_s, measured=digest)
     with ended_once():
         try:
-            for verb, value in (("mode", "adaptive"), ("enable", None), ("setpoint", setpoint)):
-                await _accepted(broker, drive, verb, value, timeout_s)
+            await _accepted(broker, drive, "mode", "adaptive", timeout_s)  # it energises nothing
+            await _measuring(broker, drive, timeout_s)
+            await _once(broker, drive, "enable", None, timeout_s)  # a repeat could undo a stop
+            await _accepted(broker, drive, "setpoint", setpoint, timeout_s)
             await _in_force(broker, drive, timeout_s)
         except BaseException:
             await whole(_stop(broker, drive, timeout_s), complete=True)
@@ -50,8 +53,35 @@ async def put_to_use(broker: Mqtt, drive: str, setpoint: float, timeout_s: float
 
 
 async def _stop(broker: Mqtt, drive: str, timeout_s: float) -> None:
-    with suppress(NoAnswerError):
+    try:
         await send_command(broker, drive, "disable", None, timeout_s)
+    except NoAnswerError as silence:
+        tell(
+            f"the stop is unanswered ({silence.problem}): {drive} may run in mode adaptive; look "
+            "at it, and disable it"
+        )
+
+
+async def _once(
+    broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float, **more: object
+) -> None:
+    """Send a command, and end where it is refused."""
+    reply = await send_command(broker, drive, verb, value, timeout_s, **more)
+    if not reply.accepted:
+        raise CommissionError(f"{drive} refused {verb}: {reply.reason}")
+
+
+async def _measuring(broker: Mqtt, drive: str, timeout_s: float) -> None:
+    """Wait until the new run has a measurement, without which it refuses `enable`."""
+    end_s = time.monotonic() + LONGEST_S
+    while True:
+        status = await read_status(broker, drive, timeout_s)
+        age_s = status.telemetry.get("drive", {}).get("age_s")
+        if status.live and age_s is not None and age_s < LIVE_S:
+            return
+        if time.monotonic() > end_s:
+            raise CommissionError(f"{drive} has no measurement after {LONGEST_S:g} s")
+        await asyncio.sleep(_GAP_S)
 
 
 async def _accepted(broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float) -> None:

@@ -20,7 +20,7 @@ from adaptdrive.commission.report import Commissioned, as_text, draw
 from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target
 from adaptdrive.commission.verdict import judged
-from adaptdrive.config.file import parse_configuration, read_text
+from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError, ConfigurationError, Flaw
@@ -127,11 +127,11 @@ def _configuration_of(drive: str, text: str, path: Path) -> Configuration:
     return configuration
 
 
-def write(path: Path, commissioned: Commissioned) -> Path:
+def write(path: Path, commissioned: Commissioned) -> tuple[Path, str]:
     """Write the proposed settings to the configuration.
 
     Returns:
-        A copy of the file before.
+        A copy of the file before, and the digest of what was written.
 
     Raises:
         ConfigurationError: The file was changed and is not valid with the settings, or cannot be
@@ -141,7 +141,7 @@ def write(path: Path, commissioned: Commissioned) -> Path:
     parse_configuration(text, path)
     proposed = with_values(path, text, commissioned.proposal.values)
     examine_text(proposed, path)
-    return write_values(path, proposed)
+    return write_values(path, proposed), digest_of(proposed)
 
 
 def reached(commissioned: Commissioned) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import select
 import stat
@@ -85,6 +86,11 @@ def read_text(path: Path) -> str:
     if not text and path.is_fifo():
         raise ConfigurationError(path, [Flaw("file", "nothing was written to this pipe")])
     return text
+
+
+def digest_of(text: str) -> str:
+    """Return what tells a text of a configuration from every other: its SHA-256."""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _opened(name: str, flags: int) -> int:

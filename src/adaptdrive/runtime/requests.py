@@ -168,11 +168,12 @@ class Reload(Request):
     """Take the load and the limits of the file, between two runs.
 
     Attributes:
-        measured: Whether the file's model was measured: the estimates start from it.
+        measured: SHA-256 of the file whose model was measured: the estimates start from it. The
+            daemon refuses where its own file is another one. None for no such file.
     """
 
     verb = "reload"
-    measured: bool = False
+    measured: str | None = None
 
     def apply(self, machine: Machine, _: Moment) -> None:
         """Refuse it unless the drive is off, as confirmed."""
