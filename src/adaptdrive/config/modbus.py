@@ -62,8 +62,8 @@ class Register(Section):
     write_limit: int | None = Field(
         default=None,
         ge=24,
-        description="writes a day, of those in the life of the register: it is written on change, at the "
-        "earliest after its share of a day, and for each switch of the bridge",
+        description="writes a day, of those in the life of the register: it is written on change, "
+        "at the earliest after its share of a day, and for each switch of the bridge",
     )
     on: int = Field(default=1, description="count that is written to switch on")
     off: int = Field(default=0, description="count that is written to switch off")
