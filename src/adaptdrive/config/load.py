@@ -222,7 +222,7 @@ class Charge(Section):
 
     voltage_max_V: PositiveFloat = Field(
         description="terminal voltage that the charge is regulated to; it may be passed for a "
-        "while by 2 %: the battery must stand that"
+        "while by 2 % at most: the battery must stand that"
     )
     end_current_A: PositiveFloat = Field(description="tapering current at which charging ends")
     longest_h: PositiveFloat | None = Field(
