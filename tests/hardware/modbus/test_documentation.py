@@ -14,7 +14,6 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.modbus import ModbusBus, ModbusRtu
-from adaptdrive.config.references import modbus_flaws
 from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws, exchange_bytes, exchange_s
 from adaptdrive.hardware.modbus.mapping import map_drive
@@ -48,15 +47,6 @@ def test_the_derived_values_of_the_page_are_rules() -> None:
     (shown,) = [tables for tables in EVERY if set(tables) == {"derived"}]
     rules = [Derived.model_validate(given).rule for given in shown["derived"].values()]
     assert rules == ["product", "largest"]
-
-
-def test_a_map_of_the_page_has_no_flaw_with_its_signals() -> None:
-    whole = load_configuration(ROOT / "deploy" / "examples" / "motor-modbus-rtu.toml")
-    tables = next(tables for tables in BLOCKS if "signals" in tables)
-    signals = type(whole.signals).model_validate(tables["signals"])
-    bus = ModbusRtu.model_validate(tables["bus"])
-    assert list(modbus_flaws(bus, signals)) == []
-    assert len(map_drive(bus, signals, HALF_CYCLE_s).writes) == 2
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])
