@@ -29,6 +29,8 @@ _PATIENT_DRIVE = ("--initial-voltage", "280", "--command-timeout", str(DEAD_MAN_
 _BROKER = ("-h", "localhost", "-p", "8883")
 _AUTHORITY = "/etc/mosquitto/ca_certificates/adaptdrive.crt"
 _PASSWORD = Path("/etc/adaptdrive/operator.password")
+_AGAIN = 'until "$@"; do sleep 1; done'
+"""mosquitto_sub ends at an error of TLS, such as a broker that restarts during the handshake."""
 
 
 def until(find: Callable[[], T | None], what: str, patience_s: float = PATIENCE_S) -> T:
@@ -137,7 +139,8 @@ class Operator:
         topics = [word for name in _TOPICS for word in ("-t", f"adaptdrive/motor/{name}")]
         words = (*topics, "-q", "1", "-F", "%t\t%p")
         with log.open("ab") as output:
-            subprocess.Popen(["mosquitto_sub", *_BROKER, *self._identity, *words], stdout=output)
+            command = ["mosquitto_sub", *_BROKER, *self._identity, *words]
+            subprocess.Popen(["bash", "-c", _AGAIN, "bash", *command], stdout=output)
 
     def heard(self, name: str) -> list[dict[str, Any]]:
         """All that was heard on a topic."""
