@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section
+from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section, key
 from adaptdrive.config.units import Unit, in_si
 
 Byte = Annotated[int, Field(ge=0, le=0xFF)]
@@ -17,36 +17,28 @@ class Crc(Section):
 
     width: Literal[8, 16, 32] = Field(description="bits; the checksum's signal has as many")
     poly: int = Field(ge=1, le=0xFFFF_FFFF, description="polynomial without its highest power")
-    init: int = Field(default=0, ge=0, le=0xFFFF_FFFF, description="start value")
-    refin: bool = Field(default=False, description="the lowest bit of each byte comes first")
-    refout: bool = Field(default=False, description="the result is mirrored before `xorout`")
-    xorout: int = Field(default=0, ge=0, le=0xFFFF_FFFF, description="final exclusive or")
-    check: int | None = Field(
-        default=None,
-        ge=0,
-        le=0xFFFF_FFFF,
-        description="checksum of `123456789` in the catalogue; `check` compares it",
+    init: int = key(0, "start value", span=(0, 0xFFFF_FFFF))
+    refin: bool = key(False, "the lowest bit of each byte comes first")
+    refout: bool = key(False, "the result is mirrored before `xorout`")
+    xorout: int = key(0, "final exclusive or", span=(0, 0xFFFF_FFFF))
+    check: int | None = key(
+        None, "checksum of `123456789` in the catalogue; `check` compares it", span=(0, 0xFFFF_FFFF)
     )
-    covers: list[Byte] | None = Field(
-        default=None,
+    covers: list[Byte] | None = key(
+        None,
+        "bytes of the frame that the checksum covers, in this order, from 0 on; its "
+        "own bytes count as 0; all others when left out",
         min_length=1,
         max_length=64,
-        description="bytes of the frame that the checksum covers, in this order, from 0 on; its "
-        "own bytes count as 0; all others when left out",
     )
-    before: list[Byte] = Field(
-        default=[],
-        max_length=64,
-        description="bytes before those of the frame, such as a data id",
+    before: list[Byte] = key(
+        [], "bytes before those of the frame, such as a data id", max_length=64
     )
-    after: list[Byte] = Field(
-        default=[], max_length=64, description="bytes after those of the frame"
-    )
-    by_counter: list[Byte] = Field(
-        default=[],
+    after: list[Byte] = key([], "bytes after those of the frame", max_length=64)
+    by_counter: list[Byte] = key(
+        [],
+        "data id list of AUTOSAR profile 2: the byte at the alive counter's value comes last",
         max_length=256,
-        description="data id list of AUTOSAR profile 2: the byte at the alive counter's value "
-        "comes last",
     )
 
     @model_validator(mode="after")
@@ -61,40 +53,31 @@ class Crc(Section):
 class FrameIntegrity(Section):
     """`[bus.integrity.MESSAGE]`: how a message proves that it is alive and whole."""
 
-    counter: str | None = Field(
-        default=None, min_length=1, description="signal with the alive counter"
+    counter: str | None = key(None, "signal with the alive counter", min_length=1)
+    max_jump: int = key(3, "largest accepted advance of the alive counter", ge=1)
+    checksum: str | None = key(None, "signal with the checksum", min_length=1)
+    algorithm: Literal["sae-j1850", "autosar-p01", "crc"] = key(
+        "sae-j1850", "form of the checksum; `crc`: as the table `crc` says"
     )
-    max_jump: int = Field(
-        default=3, ge=1, description="largest accepted advance of the alive counter"
+    crc: Crc | None = key(None, "the form, with algorithm = `crc`")
+    data_id: int = key(0, "data id of AUTOSAR profile 1", span=(0, 0xFFFF))
+    data_id_mode: Literal["both", "alternating", "low", "nibble"] = key(
+        "both", "bytes of the data id that the checksum of profile 1 runs over"
     )
-    checksum: str | None = Field(default=None, min_length=1, description="signal with the checksum")
-    algorithm: Literal["sae-j1850", "autosar-p01", "crc"] = Field(
-        default="sae-j1850",
-        description="form of the checksum; `crc`: as the table `crc` says",
-    )
-    crc: Crc | None = Field(default=None, description="the form, with algorithm = `crc`")
-    data_id: int = Field(default=0, ge=0, le=0xFFFF, description="data id of AUTOSAR profile 1")
-    data_id_mode: Literal["both", "alternating", "low", "nibble"] = Field(
-        default="both", description="bytes of the data id that the checksum of profile 1 runs over"
-    )
-    nibble: str | None = Field(
-        default=None, description="signal with the low half of the data id's high byte (`nibble`)"
-    )
+    nibble: str | None = key(None, "signal with the low half of the data id's high byte (`nibble`)")
 
 
 class BusSection(Section):
     """Properties that every kind of `[bus]` states of the drive behind it."""
 
-    setup: dict[str, int | FiniteFloat | str] = Field(
-        default={},
-        description="values that a drive needs before it takes commands (an unlock word, remote "
+    setup: dict[str, int | FiniteFloat | str] = key(
+        {},
+        "values that a drive needs before it takes commands (an unlock word, remote "
         "mode), by the name of their signal, register or object, in the order of writing; "
         "numbers or names of values. Written and read back when the bus is opened and when the "
         "drive returns; on CAN sent once",
     )
-    setup_unread: list[str] = Field(
-        default=[], description="names in `setup` that do not read as they were written"
-    )
+    setup_unread: list[str] = key([], "names in `setup` that do not read as they were written")
 
     @property
     def ticks_per_reading(self) -> int:
@@ -115,12 +98,11 @@ class BusSection(Section):
 class CommandWatch(Section):
     """Supervision of the commands by the drive itself."""
 
-    command_timeout_s: PositiveFloat | None = Field(
-        default=None,
-        ge=0.01,
-        le=60.0,
-        description="the drive's own time-out: time without a command after which it opens its "
+    command_timeout_s: PositiveFloat | None = key(
+        None,
+        "the drive's own time-out: time without a command after which it opens its "
         "bridge; not known when left out",
+        span=(0.01, 60.0),
     )
 
 
@@ -133,21 +115,17 @@ class CanLink(Section):
     channel: str = Field(
         min_length=1, description="`can0`, a multicast group, or the name of a virtual bus"
     )
-    udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
+    udp_port: int = key(43113, "port of `udp_multicast`", span=(1, 65535))
 
 
 class FrameAddress(Section):
     """`[bus.frames.MESSAGE]`: parts of the id of a J1939 message that the DBC states otherwise."""
 
-    source: int | None = Field(
-        default=None, ge=0, le=0xFD, description="source address: the lowest byte of the id"
+    source: int | None = key(None, "source address: the lowest byte of the id", span=(0, 0xFD))
+    destination: int | None = key(
+        None, "destination address, of a PGN that has one", span=(0, 0xFF)
     )
-    destination: int | None = Field(
-        default=None, ge=0, le=0xFF, description="destination address, of a PGN that has one"
-    )
-    priority: int | None = Field(
-        default=None, ge=0, le=7, description="priority: the highest three bits of the id"
-    )
+    priority: int | None = key(None, "priority: the highest three bits of the id", span=(0, 7))
 
     def of(self, frame_id: int) -> int:
         """Return the id that a message of the DBC has with these parts."""
@@ -161,42 +139,32 @@ class FrameAddress(Section):
 class CanDescription(CanLink):
     """Keys of a CAN bus that describe the frames on it."""
 
-    fd: bool = Field(default=False, description="the bus carries CAN FD frames too")
+    fd: bool = key(False, "the bus carries CAN FD frames too")
     database: FilePath = Field(description="DBC file, relative to the configuration file")
-    databases: list[FilePath] = Field(
-        default=[], description="more DBC files of the same bus, such as one for each device"
+    databases: list[FilePath] = key(
+        [], "more DBC files of the same bus, such as one for each device"
     )
-    frames: dict[str, FrameAddress] = Field(
-        default={},
-        description="by message: source address, destination and priority of a J1939 message",
+    frames: dict[str, FrameAddress] = key(
+        {}, "by message: source address, destination and priority of a J1939 message"
     )
-    integrity: dict[str, FrameIntegrity] = Field(
-        default_factory=dict, description="alive counters and checksums by message"
-    )
+    integrity: dict[str, FrameIntegrity] = key({}, "alive counters and checksums by message")
 
 
 class CanBus(CommandWatch, CanDescription, BusSection):
     """`[bus]` with `type = "can"`."""
 
     type: Literal["can"] = Field(description="kind of bus")
-    bitrate_switch: bool = Field(
-        default=True, description="send CAN FD frames with the faster data phase"
-    )
+    bitrate_switch: bool = key(True, "send CAN FD frames with the faster data phase")
     clock: str = Field(description="message whose arrival is the fast tick")
-    clock_ticks: int = Field(
-        default=1,
-        ge=1,
-        le=120,
-        description="half line cycles from one clocking message to the next",
+    clock_ticks: int = key(
+        1, "half line cycles from one clocking message to the next", span=(1, 120)
     )
-    stale_cycles: float = Field(
-        default=3.0,
-        ge=1.5,
-        le=10.0,
+    stale_cycles: float = key(
+        3.0,
+        "age at which a value is stale, in cycle times of its message (GenMsgCycleTime, else "
+        "`clock_ticks`; at least that of `clock`); `interlocks.stale_s` where longer",
+        span=(1.5, 10.0),
         allow_inf_nan=False,
-        description="age at which a value is stale, in cycle times of its message "
-        "(GenMsgCycleTime, else `clock_ticks`; at least that of `clock`); `interlocks.stale_s` "
-        "where longer",
     )
 
     @property
@@ -221,12 +189,10 @@ class SignalSource(Section):
         description="`Message.Signal` on CAN, the register's name on Modbus, an object such as "
         "`0x6079`, `0x2001.2`, `Name` or `Record.Member` on CANopen",
     )
-    scale: FiniteFloat = Field(default=1.0, description="SI units per unit of the signal")
-    offset: FiniteFloat = Field(default=0.0, description="SI value of a zero signal")
-    unit: Unit | None = Field(
-        default=None,
-        description="unit after scale and offset, converted to SI (K, rad/s, V, A, W); SI when "
-        "left out",
+    scale: FiniteFloat = key(1.0, "SI units per unit of the signal")
+    offset: FiniteFloat = key(0.0, "SI value of a zero signal")
+    unit: Unit | None = key(
+        None, "unit after scale and offset, converted to SI (K, rad/s, V, A, W); SI when left out"
     )
 
     @model_validator(mode="before")
@@ -254,10 +220,9 @@ Quantity = Annotated[
 class SwitchSource(SignalSource):
     """One measured switch: a signal, and the value that means on."""
 
-    on: int | str | None = Field(
-        default=None,
-        description="value that means on, or its name in the value table; 1 when left out, on "
-        "Modbus any but 0",
+    on: int | str | None = key(
+        None,
+        "value that means on, or its name in the value table; 1 when left out, on Modbus any but 0",
     )
 
 
@@ -269,12 +234,9 @@ SwitchQuantity = Annotated[
 class FaultSource(SignalSource):
     """`[[signals.faults]]`: one more fault word, whole or some of its bits."""
 
-    mask: int | None = Field(
-        default=None, ge=1, description="bits that are faults; all of them when left out"
-    )
-    names: dict[str, str] = Field(
-        default={},
-        description="names of bits by number from 0 on, besides those of a DBC's value table",
+    mask: int | None = key(None, "bits that are faults; all of them when left out", ge=1)
+    names: dict[str, str] = key(
+        {}, "names of bits by number from 0 on, besides those of a DBC's value table"
     )
 
     @field_validator("names")
@@ -301,11 +263,9 @@ class CommandSwitch(Section):
     signal: str = Field(
         min_length=1, description="`Message.Signal` on CAN, the register's name on Modbus"
     )
-    on: int | str | None = Field(
-        default=None, description="value that switches on; 1, or the register's, when left out"
-    )
-    off: int | str | None = Field(
-        default=None, description="value that switches off; 0, or the register's, when left out"
+    on: int | str | None = key(None, "value that switches on; 1, or the register's, when left out")
+    off: int | str | None = key(
+        None, "value that switches off; 0, or the register's, when left out"
     )
 
 
@@ -320,44 +280,33 @@ CommandedSwitch = Annotated[
 class CommandSignals(Section):
     """`[signals.command]`: which signals carry the command; absent ones are not sent."""
 
-    current_scale_S: Commanded | None = Field(default=None, description="line-current scale k")
-    boost_reference_V: Commanded | None = Field(default=None, description="V_c")
-    bridge: CommandedSwitch | None = Field(default=None, description="bridge on (1) or off (0)")
-    constants: dict[str, float | str] = Field(
-        default={},
-        description="values sent with every command, by the name of their signal, register or "
-        "object, as numbers or names of values; other signals of a DBC are sent as their start "
-        "value",
+    current_scale_S: Commanded | None = key(None, "line-current scale k")
+    boost_reference_V: Commanded | None = key(None, "V_c")
+    bridge: CommandedSwitch | None = key(None, "bridge on (1) or off (0)")
+    constants: dict[str, float | str] = key(
+        {},
+        "values sent with every command, by the name of their signal, register or object, as "
+        "numbers or names of values; other signals of a DBC are sent as their start value",
     )
 
 
 class Signals(Section):
     """`[signals]`: which signal is which quantity."""
 
-    boost_voltage_V: Quantity | None = Field(
-        default=None, description="boost capacitor voltage v_bst"
+    boost_voltage_V: Quantity | None = key(None, "boost capacitor voltage v_bst")
+    line_voltage_V: Quantity | None = key(
+        None, "line voltage, rms; needed where the daemon holds the voltage"
     )
-    line_voltage_V: Quantity | None = Field(
-        default=None,
-        description="line voltage, rms; needed where the daemon holds the voltage",
+    load_power_W: Quantity | None = key(
+        None, "power into the load; needed where the daemon holds the voltage, and by a battery"
     )
-    load_power_W: Quantity | None = Field(
-        default=None,
-        description="power into the load; needed where the daemon holds the voltage, and by a "
-        "battery",
-    )
-    output: Quantity | None = Field(default=None, description="the regulated quantity")
-    counter: Quantity | None = Field(default=None, description="half-cycle counter of the drive")
-    fault: Quantity | None = Field(default=None, description="fault word, 0 = healthy")
-    faults: list[FaultQuantity] = Field(
-        default=[], description="fault words whose bits the trip names with their signal"
-    )
-    bridge: SwitchQuantity | None = Field(default=None, description="bridge is on")
-    other: dict[str, Quantity] = Field(
-        default={}, description="more values of the drive, for `[derived]`"
-    )
-    stated: dict[str, FiniteFloat] = Field(
-        default={},
-        description="values that nobody measures, in SI units, such as line_voltage_V = 230.0",
+    output: Quantity | None = key(None, "the regulated quantity")
+    counter: Quantity | None = key(None, "half-cycle counter of the drive")
+    fault: Quantity | None = key(None, "fault word, 0 = healthy")
+    faults: list[FaultQuantity] = key([], "fault words whose bits the trip names with their signal")
+    bridge: SwitchQuantity | None = key(None, "bridge is on")
+    other: dict[str, Quantity] = key({}, "more values of the drive, for `[derived]`")
+    stated: dict[str, FiniteFloat] = key(
+        {}, "values that nobody measures, in SI units, such as line_voltage_V = 230.0"
     )
     command: CommandSignals = Field(default_factory=CommandSignals)

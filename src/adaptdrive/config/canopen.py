@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from adaptdrive.config.bus import BusSection, CanLink, Signals
-from adaptdrive.config.section import FilePath, PositiveFloat
+from adaptdrive.config.section import FilePath, PositiveFloat, key
 from adaptdrive.errors import Flaw
 
 _LATE_HEARTBEATS = 2.0
@@ -23,29 +23,20 @@ class CanOpenBus(CanLink, BusSection):
         description="electronic data sheet of the drive, relative to the configuration file"
     )
     node_id: int = Field(ge=1, le=127, description="node id of the drive")
-    own_node_id: int = Field(
-        default=127,
-        ge=1,
-        le=127,
-        description="node id of the daemon, for its heartbeat; no other node may have it",
+    own_node_id: int = key(
+        127, "node id of the daemon, for its heartbeat; no other node may have it", span=(1, 127)
     )
-    sync: Literal["drive", "daemon"] = Field(
-        default="daemon",
-        description="sender of SYNC each half line cycle; the drive sends it at a fixed line phase",
+    sync: Literal["drive", "daemon"] = key(
+        "daemon", "sender of SYNC each half line cycle; the drive sends it at a fixed line phase"
     )
-    heartbeat_s: PositiveFloat = Field(
-        default=0.02,
-        ge=0.005,
-        le=1.0,
-        description="time between two heartbeats, of the drive and of the daemon",
+    heartbeat_s: PositiveFloat = key(
+        0.02, "time between two heartbeats, of the drive and of the daemon", span=(0.005, 1.0)
     )
-    heartbeat_timeout_s: PositiveFloat = Field(
-        default=0.1,
-        le=2.0,
-        description="silence after which the drive makes itself safe, and the daemon trips",
+    heartbeat_timeout_s: PositiveFloat = key(
+        0.1, "silence after which the drive makes itself safe, and the daemon trips", le=2.0
     )
-    sdo_timeout_s: PositiveFloat = Field(
-        default=0.3, ge=0.01, le=10.0, description="longest time from an SDO request to its reply"
+    sdo_timeout_s: PositiveFloat = key(
+        0.3, "longest time from an SDO request to its reply", span=(0.01, 10.0)
     )
 
     @property

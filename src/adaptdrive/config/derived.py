@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from adaptdrive.config.section import FiniteFloat, Section
+from adaptdrive.config.section import FiniteFloat, Section, key
 from adaptdrive.config.units import Unit, in_si
 from adaptdrive.errors import Flaw
 
@@ -30,17 +30,15 @@ class Derived(Section):
     of: list[str] = Field(
         min_length=1, description="names of values: of the drive, of sensor buses, or derived"
     )
-    follows: list[str] | None = Field(
-        default=None,
-        description="names of `of` that the load moves: each is watched for a frozen value "
+    follows: list[str] | None = key(
+        None,
+        "names of `of` that the load moves: each is watched for a frozen value "
         "(`interlocks.stuck_distance`, `stuck_s`). All when left out, of a `difference` and a "
         "`ratio` the first",
     )
-    scale: FiniteFloat = Field(default=1.0, description="factor of the result")
-    offset: FiniteFloat = Field(default=0.0, description="added to the scaled result")
-    unit: Unit | None = Field(
-        default=None, description="unit of the scaled result; it is converted to SI"
-    )
+    scale: FiniteFloat = key(1.0, "factor of the result")
+    offset: FiniteFloat = key(0.0, "added to the scaled result")
+    unit: Unit | None = key(None, "unit of the scaled result; it is converted to SI")
 
     @model_validator(mode="before")
     @classmethod

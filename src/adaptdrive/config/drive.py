@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from adaptdrive.config.section import FiniteFloat, NonNegativeFloat, PositiveFloat, Section
+from adaptdrive.config.section import FiniteFloat, NonNegativeFloat, PositiveFloat, Section, key
 
 BROKER_USERS = frozenset({"operator", "viewer"})
 """Users of `deploy/mosquitto/adaptdrive.acl` that are operators, not drives."""
@@ -15,30 +15,24 @@ BROKER_USERS = frozenset({"operator", "viewer"})
 class DriveLimits(Section):
     """`[drive.limits]`: what the drive may be asked for."""
 
-    boost_reference_min_V: FiniteFloat = Field(
-        default=200.0,
-        description="lowest V_c: above the line's peak where the daemon holds the voltage; "
+    boost_reference_min_V: FiniteFloat = key(
+        200.0,
+        "lowest V_c: above the line's peak where the daemon holds the voltage; "
         "below 0 for a motor that turns both ways",
     )
-    boost_reference_max_V: PositiveFloat = Field(default=400.0, description="highest V_c")
-    current_scale_max_S: PositiveFloat = Field(
-        default=0.15, description="largest line-current scale k (line current over line voltage)"
+    boost_reference_max_V: PositiveFloat = key(400.0, "highest V_c")
+    current_scale_max_S: PositiveFloat = key(
+        0.15, "largest line-current scale k (line current over line voltage)"
     )
-    regeneration_scale_max_S: PositiveFloat | None = Field(
-        default=None,
-        description="largest -k of a bidirectional drive: times the line voltage squared, the "
+    regeneration_scale_max_S: PositiveFloat | None = key(
+        None,
+        "largest -k of a bidirectional drive: times the line voltage squared, the "
         "power that the line takes; current_scale_max_S when left out",
     )
-    current_scale_slew_S: PositiveFloat = Field(
-        default=0.15, description="largest change of k from one tick to the next"
-    )
+    current_scale_slew_S: PositiveFloat = key(0.15, "largest change of k from one tick to the next")
 
-    manual_slew_V_per_s: PositiveFloat = Field(
-        default=100.0, description="largest slope of V_c in mode `manual`"
-    )
-    load_power_max_W: PositiveFloat = Field(
-        default=1500.0, description="load power above which V_c is held back"
-    )
+    manual_slew_V_per_s: PositiveFloat = key(100.0, "largest slope of V_c in mode `manual`")
+    load_power_max_W: PositiveFloat = key(1500.0, "load power above which V_c is held back")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -56,14 +50,12 @@ class Manipulated(Section):
     All keys and topics that end in `_V` are then in its unit.
     """
 
-    name: str = Field(
-        default="v_bst",
+    name: str = key(
+        "v_bst",
+        "name in texts, such as `frequency`, `torque` or `duty`",
         pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$",
-        description="name in texts, such as `frequency`, `torque` or `duty`",
     )
-    unit: str = Field(
-        default="V", max_length=16, description="unit in texts, such as `Hz`, `Nm`, `A` or `%`"
-    )
+    unit: str = key("V", "unit in texts, such as `Hz`, `Nm`, `A` or `%`", max_length=16)
 
 
 class DriveSection(Section):
@@ -73,22 +65,18 @@ class DriveSection(Section):
         pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$",
         description="name in topics, sessions, commands, and of the drive's user on the broker",
     )
-    kind: Literal["unidirectional", "bidirectional"] = Field(
-        default="unidirectional", description="whether load current may be negative"
+    kind: Literal["unidirectional", "bidirectional"] = key(
+        "unidirectional", "whether load current may be negative"
     )
-    line_frequency_Hz: Literal[50, 60] = Field(
-        default=60, description="line frequency; two fast ticks fit in one period"
+    line_frequency_Hz: Literal[50, 60] = key(60, "line frequency; two fast ticks fit in one period")
+    line_voltage_V: PositiveFloat = key(
+        120.0, "nominal line voltage, rms, of a drive whose voltage the daemon holds"
     )
-    line_voltage_V: PositiveFloat = Field(
-        default=120.0,
-        description="nominal line voltage, rms, of a drive whose voltage the daemon holds",
-    )
-    boost_capacitance_F: PositiveFloat = Field(default=1.0e-3, description="boost capacitor")
-    enable_bit: Literal["bridge", "bridge-and-boost"] = Field(
-        default="bridge",
-        description="stages that `signals.command.bridge` switches: the bridge, on from "
-        "`running`, or also the boost stage, on from `starting`; the load is then energised "
-        "while v_bst rises",
+    boost_capacitance_F: PositiveFloat = key(1.0e-3, "boost capacitor")
+    enable_bit: Literal["bridge", "bridge-and-boost"] = key(
+        "bridge",
+        "stages that `signals.command.bridge` switches: the bridge, on from `running`, or also the "
+        "boost stage, on from `starting`; the load is then energised while v_bst rises",
     )
     limits: DriveLimits = Field(default_factory=DriveLimits)
     manipulated: Manipulated = Field(default_factory=Manipulated)
@@ -121,12 +109,12 @@ class DriveSection(Section):
 class VoltageLoop(Section):
     """`[voltage_loop]`: the fast loop that makes v_bst follow V_c."""
 
-    where: Literal["daemon", "drive"] = Field(
-        default="daemon", description="place of the voltage loop (from V_c to the current scale)"
+    where: Literal["daemon", "drive"] = key(
+        "daemon", "place of the voltage loop (from V_c to the current scale)"
     )
-    feed_forward: bool = Field(default=True, description="add the measured load power")
-    lag_s: NonNegativeFloat | None = Field(
-        default=None,
-        description="mean delay from V_c to v_bst of a drive that holds its own v_bst; at most "
+    feed_forward: bool = key(True, "add the measured load power")
+    lag_s: NonNegativeFloat | None = key(
+        None,
+        "mean delay from V_c to v_bst of a drive that holds its own v_bst; at most "
         "the slow period; 9 half line cycles when left out",
     )

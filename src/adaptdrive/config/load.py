@@ -13,6 +13,7 @@ from adaptdrive.config.section import (
     NonNegativeFloat,
     PositiveFloat,
     Section,
+    key,
 )
 
 LoadName = Literal["motor", "bath", "battery"]
@@ -54,72 +55,62 @@ class LoadSection(Section):
 
     traits: ClassVar[LoadTraits] = LoadTraits()
 
-    period_s: Period = Field(
-        default=1.0, description="slow period T_k, a whole number of half line cycles"
+    period_s: Period = key(1.0, "slow period T_k, a whole number of half line cycles")
+    pole: Fraction = key(0.70, "closed-loop pole of the load loop")
+    pole_min: Fraction = key(
+        0.50, "fastest pole an operator may ask for; `check` shows the range that is stable"
     )
-    pole: Fraction = Field(default=0.70, description="closed-loop pole of the load loop")
-    pole_min: Fraction = Field(
-        default=0.50,
-        description="fastest pole an operator may ask for; `check` shows the range that is stable",
-    )
-    pole_max: Fraction = Field(
-        default=0.98, description="slowest pole an operator may ask for, as above"
-    )
-    design: Literal["exact", "paper"] = Field(
-        default="exact",
-        description="`exact`: held input, delays and filter in the model; "
+    pole_max: Fraction = key(0.98, "slowest pole an operator may ask for, as above")
+    design: Literal["exact", "paper"] = key(
+        "exact",
+        "`exact`: held input, delays and filter in the model; "
         "`paper`: the paper's controller and nothing else",
     )
-    samples: int = Field(
-        default=90,
-        ge=1,
-        description="fast samples averaged for one slow one: more against noise, fewer for less "
+    samples: int = key(
+        90,
+        "fast samples averaged for one slow one: more against noise, fewer for less "
         "delay; in half line cycles, at most a slow period (`exact` only)",
+        ge=1,
     )
-    clip: float = Field(
-        default=5.0,
-        ge=0.0,
-        description="fast samples are clipped to this many mean deviations about their "
+    clip: float = key(
+        5.0,
+        "fast samples are clipped to this many mean deviations about their "
         "prediction; 0: not clipped (`exact` only)",
+        ge=0.0,
     )
-    resolution: NonNegativeFloat = Field(
-        default=0.0,
-        description="smallest step of the measured output, such as 0.0049 of 10 bits over 5 V; "
-        "0: found in the samples (`exact` and `lm-rls` only). State one above 1 % of the "
-        "set-point range",
+    resolution: NonNegativeFloat = key(
+        0.0,
+        "smallest step of the measured output, such as 0.0049 of 10 bits over 5 V; 0: found in the "
+        "samples (`exact` and `lm-rls` only). State one above 1 % of the set-point range",
     )
-    noise_V: NonNegativeFloat | None = Field(
-        default=None,
-        description="largest standard deviation of V_c in volts that noise may cause; adaptive "
+    noise_V: NonNegativeFloat | None = key(
+        None,
+        "largest standard deviation of V_c in volts that noise may cause; adaptive "
         "poles become slower for it; "
         f"{100.0 * NOISE_SHARE:g} % of the range of V_c when left out; 0: any "
         "(`exact` and `lm-rls` only)",
     )
-    latency_ticks: int = Field(
-        default=2, ge=1, description="fast ticks from the slow sample to its effect"
-    )
-    reference_min: FiniteFloat = Field(default=0.0, description="lowest set-point")
+    latency_ticks: int = key(2, "fast ticks from the slow sample to its effect", ge=1)
+    reference_min: FiniteFloat = key(0.0, "lowest set-point")
     reference_max: FiniteFloat = Field(description="highest set-point")
-    govern: bool = Field(
-        default=False,
-        description="move a set-point that V_c cannot hold to the nearest that it can; "
-        "otherwise refuse it",
+    govern: bool = key(
+        False,
+        "move a set-point that V_c cannot hold to the nearest that it can; otherwise refuse it",
     )
-    probe_share: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.1,
-        description="distance by which a constant set-point is moved to learn the load in mode "
+    probe_share: float = key(
+        0.0,
+        "distance by which a constant set-point is moved to learn the load in mode "
         "adaptive, as a share of the set-point range (of a charging current: lowered by a share "
         "of itself); 0: never (`exact` and `lm-rls` only)",
+        span=(0.0, 0.1),
     )
-    probe_s: Annotated[PositiveFloat, Field(le=1e6)] = Field(
-        default=300.0,
-        description="time without movement after which the load counts as unknown, and least "
+    probe_s: Annotated[PositiveFloat, Field(le=1e6)] = key(
+        300.0,
+        "time without movement after which the load counts as unknown, and least "
         "time between probes",
     )
-    output_name: str = Field(default="output", description="name of the output for people")
-    output_unit: str = Field(default="", description="unit of the output for people")
+    output_name: str = key("output", "name of the output for people")
+    output_unit: str = key("", "unit of the output for people")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -152,11 +143,11 @@ class MotorSection(LoadSection):
     )
 
     type: Literal["motor"] = Field(description="kind of load")
-    output_name: str = Field(default="speed", description="name of the output for people")
-    output_unit: str = Field(default="V", description="unit of the output for people")
-    boost_course: Literal["held", "impulse"] = Field(
-        default="held",
-        description="`impulse`: each change of V_c is exaggerated for half a slow period, as "
+    output_name: str = key("speed", "name of the output for people")
+    output_unit: str = key("V", "unit of the output for people")
+    boost_course: Literal["held", "impulse"] = key(
+        "held",
+        "`impulse`: each change of V_c is exaggerated for half a slow period, as "
         "the `paper` design assumes",
     )
     model: MotorModel
@@ -167,11 +158,9 @@ class BathModel(Section):
 
     resistance_K_per_W: PositiveFloat = Field(description="thermal resistance R to the inflow")
     tau_s: PositiveFloat = Field(description="time constant R C")
-    lag_s: NonNegativeFloat = Field(
-        default=0.0, description="second time constant, of a sensor that lags; 0 for none"
-    )
-    delay_s: Annotated[NonNegativeFloat, Field(le=600.0)] = Field(
-        default=0.0, description="dead time from heater to sensor"
+    lag_s: NonNegativeFloat = key(0.0, "second time constant, of a sensor that lags; 0 for none")
+    delay_s: Annotated[NonNegativeFloat, Field(le=600.0)] = key(
+        0.0, "dead time from heater to sensor"
     )
     turns_ratio: PositiveFloat = Field(description="N2, secondary volts per boost volt")
     droop_Ohm: FiniteFloat = Field(ge=0.0, description="R_d of the dc/dc stage")
@@ -192,18 +181,16 @@ class BathSection(LoadSection):
     )
 
     type: Literal["bath"] = Field(description="kind of load")
-    period_s: Period = Field(
-        default=20.0, description="slow period T_k, a whole number of half line cycles"
-    )
-    pole: Fraction = Field(default=0.80, description="closed-loop pole of the load loop")
-    samples: int = Field(
-        default=600,
-        ge=1,
-        description="fast samples averaged for one slow one: more against noise, fewer for less "
+    period_s: Period = key(20.0, "slow period T_k, a whole number of half line cycles")
+    pole: Fraction = key(0.80, "closed-loop pole of the load loop")
+    samples: int = key(
+        600,
+        "fast samples averaged for one slow one: more against noise, fewer for less "
         "delay; in half line cycles, at most a slow period (`exact` only)",
+        ge=1,
     )
-    output_name: str = Field(default="temperature", description="name of the output for people")
-    output_unit: str = Field(default="K", description="unit of the output for people")
+    output_name: str = key("temperature", "name of the output for people")
+    output_unit: str = key("K", "unit of the output for people")
     model: BathModel
 
 
@@ -225,9 +212,9 @@ class Charge(Section):
         "while by 2 % at most: the battery must stand that"
     )
     end_current_A: PositiveFloat = Field(description="tapering current at which charging ends")
-    longest_h: PositiveFloat | None = Field(
-        default=None,
-        description="time on without a break after which the drive trips: more than an empty "
+    longest_h: PositiveFloat | None = key(
+        None,
+        "time on without a break after which the drive trips: more than an empty "
         "battery needs; without it a charge whose current is measured too high never ends",
     )
 
@@ -238,8 +225,8 @@ class BatterySection(LoadSection):
     traits: ClassVar[LoadTraits] = LoadTraits(charges=True)
 
     type: Literal["battery"] = Field(description="kind of load")
-    output_name: str = Field(default="current", description="name of the output for people")
-    output_unit: str = Field(default="A", description="unit of the output for people")
+    output_name: str = key("current", "name of the output for people")
+    output_unit: str = key("A", "unit of the output for people")
     model: BatteryModel
     charge: Charge
 
@@ -250,8 +237,8 @@ AnyLoad = MotorSection | BathSection | BatterySection
 class SimulatorSection(Section):
     """`[simulation]`: the load of `adaptdrive-sim device`; the daemon does not use it."""
 
-    parameters: dict[str, FiniteFloat] = Field(
-        default={},
-        description="physical parameters that `[load.model]` leaves open, such as "
+    parameters: dict[str, FiniteFloat] = key(
+        {},
+        "physical parameters that `[load.model]` leaves open, such as "
         "`friction_Nms`; `dropped_at_rest = 1.0`: disks share the momentum of the shaft",
     )

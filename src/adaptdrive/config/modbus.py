@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, field_validator
 
 from adaptdrive.config.bus import BusSection, CommandWatch
-from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section
+from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
 from adaptdrive.config.services import check_host
 
 
@@ -26,47 +26,36 @@ class Register(Section):
         "inputs (1xxxx)"
     )
     type: Literal["uint16", "int16", "uint32", "int32", "float32", "uint64", "int64", "float64"] = (
-        Field(
-            default="uint16",
-            description="how the value is coded; 32 bits take two registers, 64 bits four",
-        )
+        key("uint16", "how the value is coded; 32 bits take two registers, 64 bits four")
     )
-    word_order: Literal["big", "little"] = Field(
-        default="big", description="register that comes first of several: the high or the low one"
+    word_order: Literal["big", "little"] = key(
+        "big", "register that comes first of several: the high or the low one"
     )
-    byte_order: Literal["big", "little"] = Field(
-        default="big", description="byte that comes first in each register"
-    )
-    scale: FiniteFloat = Field(default=1.0, description="units per count")
-    unit: str = Field(default="", description="unit of the scaled value, for people")
-    range: RegisterRange | None = Field(
-        default=None, description="a scaled value outside is refused"
-    )
-    not_available: int | None = Field(
-        default=None,
-        description="count or word that means `no value`, such as 0x7F7FFFFF of a float32; all "
+    byte_order: Literal["big", "little"] = key("big", "byte that comes first in each register")
+    scale: FiniteFloat = key(1.0, "units per count")
+    unit: str = key("", "unit of the scaled value, for people")
+    range: RegisterRange | None = key(None, "a scaled value outside is refused")
+    not_available: int | None = key(
+        None,
+        "count or word that means `no value`, such as 0x7F7FFFFF of a float32; all "
         "ones (0x8000… when signed) when left out",
     )
-    bit: int | None = Field(
-        default=None, ge=0, le=63, description="take this bit alone, 0 is the lowest"
-    )
-    mask: int | None = Field(
-        default=None,
-        ge=1,
-        description="take these bits alone, such as 0x0F00, as a number from 0 on; bits of no "
+    bit: int | None = key(None, "take this bit alone, 0 is the lowest", span=(0, 63))
+    mask: int | None = key(
+        None,
+        "take these bits alone, such as 0x0F00, as a number from 0 on; bits of no "
         "field are written as 0",
+        ge=1,
     )
-    names: dict[str, int] = Field(
-        default={}, description="names of its counts, such as { Stop = 0, Run = 1 }"
-    )
-    write_limit: int | None = Field(
-        default=None,
-        ge=24,
-        description="writes a day, of those in the life of the register: it is written on change, "
+    names: dict[str, int] = key({}, "names of its counts, such as { Stop = 0, Run = 1 }")
+    write_limit: int | None = key(
+        None,
+        "writes a day, of those in the life of the register: it is written on change, "
         "at the earliest after its share of a day, and for each switch of the bridge",
+        ge=24,
     )
-    on: int = Field(default=1, description="count that is written to switch on")
-    off: int = Field(default=0, description="count that is written to switch off")
+    on: int = key(1, "count that is written to switch on")
+    off: int = key(0, "count that is written to switch off")
 
     @property
     def words(self) -> int:
@@ -97,49 +86,32 @@ class Register(Section):
 class Heartbeat(Section):
     """`[bus.heartbeat]`: how drive and daemon see that the other one is alive."""
 
-    drive: str | None = Field(
-        default=None,
-        description="register that the drive advances; while it stands still, no reading is fresh",
+    drive: str | None = key(
+        None, "register that the drive advances; while it stands still, no reading is fresh"
     )
-    drive_timeout_s: PositiveFloat | None = Field(
-        default=None,
-        le=2.0,
-        description="longest time between two advances; one poll when left out",
+    drive_timeout_s: PositiveFloat | None = key(
+        None, "longest time between two advances; one poll when left out", le=2.0
     )
-    daemon: str | None = Field(
-        default=None, description="register that the daemon advances with each command"
-    )
+    daemon: str | None = key(None, "register that the daemon advances with each command")
 
 
 class ModbusLink(Section):
     """Keys of every link to devices on Modbus."""
 
-    device_id: int = Field(
-        default=1,
-        ge=0,
-        le=255,
-        description="device (slave, unit) id; 0 on TCP only",
+    device_id: int = key(1, "device (slave, unit) id; 0 on TCP only", span=(0, 255))
+    timeout_s: PositiveFloat = key(
+        0.05, "longest time from a request to its reply", span=(1e-3, 2.0)
     )
-    timeout_s: PositiveFloat = Field(
-        default=0.05, le=2.0, ge=1e-3, description="longest time from a request to its reply"
+    turnaround_s: float = key(
+        0.005, "time that the device and the link take for a reply", span=(0.0, 1.0)
     )
-    turnaround_s: float = Field(
-        default=0.005,
-        ge=0.0,
-        le=1.0,
-        description="time that the device and the link take for a reply",
-    )
-    zero_based: bool = Field(
-        default=False,
-        description="accept addresses from 30001 to 39999 and 40001 to 49999; refused without "
+    zero_based: bool = key(
+        False,
+        "accept addresses from 30001 to 39999 and 40001 to 49999; refused without "
         "it, as they look like labels of a manual",
     )
-    max_gap: int = Field(
-        default=4, ge=0, le=123, description="unmapped registers that a read may run across"
-    )
-    max_block: int = Field(
-        default=125, ge=2, le=125, description="registers that the device gives in one reply"
-    )
+    max_gap: int = key(4, "unmapped registers that a read may run across", span=(0, 123))
+    max_block: int = key(125, "registers that the device gives in one reply", span=(2, 125))
 
     @property
     def numbered(self) -> bool:
@@ -153,10 +125,9 @@ class TcpLink(ModbusLink):
     host: Annotated[str, AfterValidator(check_host)] = Field(
         description="name or address of the device or its gateway"
     )
-    port: int = Field(default=502, ge=1, le=65535, description="port of the device")
-    framing: Literal["tcp", "rtu"] = Field(
-        default="tcp",
-        description="form of the packets; `rtu`: of a serial line, through a plain gateway",
+    port: int = key(502, "port of the device", span=(1, 65535))
+    framing: Literal["tcp", "rtu"] = key(
+        "tcp", "form of the packets; `rtu`: of a serial line, through a plain gateway"
     )
 
 
@@ -164,9 +135,9 @@ class RtuLink(ModbusLink):
     """A link over a serial line."""
 
     device: FilePath = Field(description="serial port, relative to the configuration file")
-    baud: int = Field(default=19200, ge=300, le=4_000_000, description="bits per second")
-    parity: Literal["even", "odd", "none"] = Field(default="even", description="parity bit")
-    stop_bits: Literal[1, 2] = Field(default=1, description="stop bits")
+    baud: int = key(19200, "bits per second", span=(300, 4_000_000))
+    parity: Literal["even", "odd", "none"] = key("even", "parity bit")
+    stop_bits: Literal[1, 2] = key(1, "stop bits")
 
     @field_validator("device_id")
     @classmethod
@@ -179,29 +150,20 @@ class RtuLink(ModbusLink):
 class ModbusBus(CommandWatch, ModbusLink, BusSection):
     """Keys of `[bus]` for every kind of Modbus."""
 
-    poll_ticks: int = Field(
-        default=12,
-        ge=1,
-        le=120,
-        description="half line cycles from one poll of the drive to the next",
+    poll_ticks: int = key(
+        12, "half line cycles from one poll of the drive to the next", span=(1, 120)
     )
-    write: Literal["multiple", "single"] = Field(
-        default="multiple",
-        description="write registers together (function 16) or each alone (function 6)",
+    write: Literal["multiple", "single"] = key(
+        "multiple", "write registers together (function 16) or each alone (function 6)"
     )
-    command_interval_s: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=3600.0,
-        description="longest time between writes of an unchanged command; 0: with each poll",
+    command_interval_s: float = key(
+        0.0,
+        "longest time between writes of an unchanged command; 0: with each poll",
+        span=(0.0, 3600.0),
     )
-    read_write: bool = Field(
-        default=False, description="write and read in one exchange (function 23)"
-    )
+    read_write: bool = key(False, "write and read in one exchange (function 23)")
     heartbeat: Heartbeat = Field(default_factory=Heartbeat)
-    registers: dict[str, Register] = Field(
-        default_factory=dict, description="register map, by name"
-    )
+    registers: dict[str, Register] = key({}, "register map, by name")
 
     @property
     def ticks_per_reading(self) -> int:

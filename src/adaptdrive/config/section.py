@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -31,6 +31,19 @@ def _named(path: object) -> object:
 FilePath = Annotated[  # TOML has no paths, only strings
     Path, Field(strict=False), BeforeValidator(_named, json_schema_input_type=Path)
 ]
+
+
+def key(default: Any, meaning: str, **rules: Any) -> Any:  # noqa: ANN401 - as pydantic's own
+    """Return a key that may be left out.
+
+    Args:
+        default: Its value then.
+        meaning: Its description.
+        rules: As pydantic's `Field` takes them; `span` has the lowest and the highest value.
+    """
+    if "span" in rules:
+        rules["ge"], rules["le"] = rules.pop("span")
+    return Field(default=default, description=meaning, **rules)
 
 
 class Section(BaseModel):

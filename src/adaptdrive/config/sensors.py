@@ -11,7 +11,7 @@ from adaptdrive.config.bus import CanDescription, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.references import CAN_SIGNAL, WORDS, map_flaws, register_flaws
-from adaptdrive.config.section import PositiveFloat, Section
+from adaptdrive.config.section import PositiveFloat, Section, key
 from adaptdrive.errors import Flaw
 
 STALE_CYCLES = 1.5
@@ -31,11 +31,10 @@ LONGEST_STALE_S = 10.0
 class SensorRegister(Register):
     """`[sensor_bus.registers.NAME]`: one value of a module's register map."""
 
-    device_id: int | None = Field(
-        default=None,
-        ge=1,
-        le=255,
-        description="device on the same link that has the register; the bus's when left out",
+    device_id: int | None = key(
+        None,
+        "device on the same link that has the register; the bus's when left out",
+        span=(1, 255),
     )
 
 
@@ -47,9 +46,8 @@ class SensorBusSection(Section):
         description="name in telemetry, events and messages",
     )
     cycle_s: PositiveFloat = Field(ge=1e-3, description="time from one measurement to the next")
-    stale_s: PositiveFloat | None = Field(
-        default=None,
-        description="age at which a needed value trips the drive; three cycles when left out",
+    stale_s: PositiveFloat | None = key(
+        None, "age at which a needed value trips the drive; three cycles when left out"
     )
     signals: dict[str, Quantity] = Field(
         description="values by name: a quantity of `[signals]`, or any other name for `[derived]`"
@@ -64,9 +62,7 @@ class SensorBusSection(Section):
 class ModbusSensorSection(SensorBusSection, ModbusLink):
     """Keys of `[[sensor_bus]]` for every kind of Modbus."""
 
-    registers: dict[str, SensorRegister] = Field(
-        default_factory=dict, description="register map, by name"
-    )
+    registers: dict[str, SensorRegister] = key({}, "register map, by name")
 
 
 class ModbusTcpSensors(ModbusSensorSection, TcpLink):

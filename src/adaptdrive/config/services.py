@@ -14,6 +14,7 @@ from adaptdrive.config.section import (
     NonNegativeFloat,
     PositiveFloat,
     Section,
+    key,
 )
 
 LONGEST_STALE_S = 2.0
@@ -56,64 +57,59 @@ def _check_name(host: str) -> None:
 class InterlocksSection(Section):
     """`[interlocks]`: limits that trip the drive; a trip is latched until `reset`."""
 
-    stale_s: PositiveFloat = Field(
-        default=0.05,
+    stale_s: PositiveFloat = key(
+        0.05,
+        "greatest age of a measurement; until then ticks use held values, then trip",
         le=LONGEST_STALE_S,
-        description="greatest age of a measurement; until then ticks use held values, then trip",
     )
-    boost_voltage_max_V: PositiveFloat = Field(default=430.0, description="over-voltage trip")
+    boost_voltage_max_V: PositiveFloat = key(430.0, "over-voltage trip")
     output_max: FiniteFloat = Field(description="trip when the output is above")
-    output_min: FiniteFloat | None = Field(
-        default=None,
-        description="trip when the output is below (a reversed sensor); a quarter of the "
+    output_min: FiniteFloat | None = key(
+        None,
+        "trip when the output is below (a reversed sensor); a quarter of the "
         "set-point range below 0 and `load.reference_min` when left out",
     )
-    stuck_distance: float = Field(
-        default=0.05,
-        ge=0.0,
-        le=1.0,
-        description="trip when the output stands at exactly one value although the model moves "
-        "by this share of the set-point range and twenty steps of `load.resolution`; 0: never; "
-        "not for a battery",
+    stuck_distance: float = key(
+        0.05,
+        "trip when the output stands at exactly one value although the model moves by this share "
+        "of the set-point range and twenty steps of `load.resolution`; 0: never; not for a battery",
+        span=(0.0, 1.0),
     )
-    stuck_s: NonNegativeFloat = Field(
-        default=0.0,
-        le=3600.0,
-        description="trip when the output has exactly one value for this time while running, "
+    stuck_s: NonNegativeFloat = key(
+        0.0,
+        "trip when the output has exactly one value for this time while running, "
         "for sensors with noise above their last digit; 0: never",
+        le=3600.0,
     )
-    response_factor: float = Field(
-        default=4.0,
-        ge=0.0,
-        le=100.0,
-        description="trip when the output is lower than a load with so many times less gain "
+    response_factor: float = key(
+        4.0,
+        "trip when the output is lower than a load with so many times less gain "
         "than `load.model` gives, or falls faster than a load can; 0: never",
+        span=(0.0, 100.0),
     )
-    precharge_timeout_s: PositiveFloat = Field(
-        default=5.0,
+    precharge_timeout_s: PositiveFloat = key(
+        5.0,
+        "longest precharge in `starting`, and longest wait for the rate of the half cycles before",
         le=600.0,
-        description="longest precharge in `starting`, and longest wait for the rate of the half "
-        "cycles before",
     )
-    start_s: PositiveFloat | None = Field(
-        default=None,
-        le=5.0,
-        description="trip when the drive has not reported its bridge on within this time after "
+    start_s: PositiveFloat | None = key(
+        None,
+        "trip when the drive has not reported its bridge on within this time after "
         "the command; at least three readings; 30 half cycles when left out",
+        le=5.0,
     )
-    stop_s: float = Field(
-        default=0.5,
+    stop_s: float = key(
+        0.5,
+        "trip when the drive has not reported its bridge off within this time after a "
+        "stop; at least four readings",
         gt=0.0,
         le=5.0,
-        description="trip when the drive has not reported its bridge off within this time after a "
-        "stop; at least four readings",
     )
-    refused_share: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1.0,
-        description="trip when this share of the frames of the drive or of a sensor bus was "
+    refused_share: float = key(
+        0.0,
+        "trip when this share of the frames of the drive or of a sensor bus was "
         "refused over 5 s; 0: never; an event reports a tenth and more",
+        span=(0.0, 1.0),
     )
 
     @field_validator("response_factor")
@@ -127,26 +123,23 @@ class InterlocksSection(Section):
 class Mqtt(Section):
     """`[mqtt]`: the broker that carries state, telemetry and commands."""
 
-    host: Annotated[str, AfterValidator(check_host)] = Field(
-        default="127.0.0.1", description="broker"
-    )
-    port: int = Field(default=1883, ge=1, le=65535, description="port of the broker")
-    tls: bool = Field(default=False, description="connect to the broker with TLS")
-    ca_file: FilePath | None = Field(default=None, description="certificate authority for TLS")
-    username: str | None = Field(default=None, description="user name")
-    password_file: FilePath | None = Field(default=None, description="file that holds the password")
-    telemetry_Hz: float = Field(
-        default=10.0,
-        ge=0.01,
-        le=10.0,
-        description="rate of `telemetry/drive`; at least 1 where a daemon runs, as a drive that "
+    host: Annotated[str, AfterValidator(check_host)] = key("127.0.0.1", "broker")
+    port: int = key(1883, "port of the broker", span=(1, 65535))
+    tls: bool = key(False, "connect to the broker with TLS")
+    ca_file: FilePath | None = key(None, "certificate authority for TLS")
+    username: str | None = key(None, "user name")
+    password_file: FilePath | None = key(None, "file that holds the password")
+    telemetry_Hz: float = key(
+        10.0,
+        "rate of `telemetry/drive`; at least 1 where a daemon runs, as a drive that "
         "is silent for 3 s counts as gone",
+        span=(0.01, 10.0),
     )
-    home_assistant: str | None = Field(
-        default=None,
-        pattern="^[A-Za-z0-9_/-]+$",
-        description="prefix of Home Assistant's discovery, usually `homeassistant`; not "
+    home_assistant: str | None = key(
+        None,
+        "prefix of Home Assistant's discovery, usually `homeassistant`; not "
         "announced when left out",
+        pattern="^[A-Za-z0-9_/-]+$",
     )
 
     @model_validator(mode="after")
@@ -162,78 +155,59 @@ class Mqtt(Section):
 class Recording(Section):
     """`[recording]`: what is kept of a session."""
 
-    enabled: bool = Field(default=True, description="record sessions")
-    directory: FilePath | None = Field(
-        default=None,
-        description="folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out",
+    enabled: bool = key(True, "record sessions")
+    directory: FilePath | None = key(
+        None, "folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out"
     )
-    flush_s: float = Field(
-        default=0.2, ge=0.1, le=60.0, description="longest time before data are written"
+    flush_s: float = key(0.2, "longest time before data are written", span=(0.1, 60.0))
+    segment_s: float = key(
+        3600.0, "time after which a session continues in new files", span=(1.0, 86_400.0)
     )
-    segment_s: float = Field(
-        default=3600.0,
-        ge=1.0,
-        le=86_400.0,
-        description="time after which a session continues in new files",
+    keep_days: PositiveFloat | None = key(
+        None, "remove sessions that began longer ago; none when left out"
     )
-    keep_days: PositiveFloat | None = Field(
-        default=None, description="remove sessions that began longer ago; none when left out"
-    )
-    keep_MB: PositiveFloat | None = Field(
-        default=None,
-        description="remove the oldest while all sessions take more; none when left out",
+    keep_MB: PositiveFloat | None = key(
+        None, "remove the oldest while all sessions take more; none when left out"
     )
 
 
 class Realtime(Section):
     """`[realtime]`: how hard the fast loop is protected from the rest of the machine."""
 
-    timer_standin: bool = Field(
-        default=True, description="run a stand-in tick when the drive's frame is late"
-    )
-    late_fraction: float = Field(
-        default=0.5,
+    timer_standin: bool = key(True, "run a stand-in tick when the drive's frame is late")
+    late_fraction: float = key(
+        0.5,
+        "how late a frame may be, as a fraction of a tick, before a stand-in tick runs",
         gt=0.0,
         lt=1.0,
-        description="how late a frame may be, as a fraction of a tick, before a stand-in tick runs",
     )
-    priority: int | None = Field(
-        default=None, ge=1, le=98, description="SCHED_FIFO priority; ordinary scheduling without"
+    priority: int | None = key(
+        None, "SCHED_FIFO priority; ordinary scheduling without", span=(1, 98)
     )
-    cpus: list[int] = Field(
-        default=[], description="CPUs that the daemon may run on; all when empty"
+    cpus: list[int] = key([], "CPUs that the daemon may run on; all when empty")
+    cpu_latency_us: int | None = key(
+        None,
+        "longest time that idle CPUs may take to wake up; shorter needs more power",
+        span=(0, 10_000),
     )
-    cpu_latency_us: int | None = Field(
-        default=None,
-        ge=0,
-        le=10_000,
-        description="longest time that idle CPUs may take to wake up; shorter needs more power",
-    )
-    lock_memory: bool = Field(default=False, description="keep the daemon's memory in RAM")
-    freeze_gc: bool = Field(
-        default=True, description="collect garbage in idle time after a tick, young objects only"
-    )
-    warm_up: bool = Field(
-        default=True, description="rehearse ticks and slow steps before the bus is opened"
-    )
-    rehearse_us: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=3000.0,
-        description="rehearse a tick at this time before the next frame, to warm the CPU's "
+    lock_memory: bool = key(False, "keep the daemon's memory in RAM")
+    freeze_gc: bool = key(True, "collect garbage in idle time after a tick, young objects only")
+    warm_up: bool = key(True, "rehearse ticks and slow steps before the bus is opened")
+    rehearse_us: float = key(
+        0.0,
+        "rehearse a tick at this time before the next frame, to warm the CPU's "
         "caches; takes the CPU time of a tick; 0: never",
+        span=(0.0, 3000.0),
     )
-    spin_us: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1000.0,
-        description="busy wait before the next frame or deadline; costs that share of a CPU",
+    spin_us: float = key(
+        0.0,
+        "busy wait before the next frame or deadline; costs that share of a CPU",
+        span=(0.0, 1000.0),
     )
-    late_us: PositiveFloat = Field(
-        default=2000.0,
-        ge=10.0,
-        le=1e6,
-        description="lateness from which a tick is reported as an event, with its cause",
+    late_us: PositiveFloat = key(
+        2000.0,
+        "lateness from which a tick is reported as an event, with its cause",
+        span=(10.0, 1e6),
     )
 
     @field_validator("spin_us")
