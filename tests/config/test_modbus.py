@@ -74,10 +74,7 @@ def test_every_wrong_reference_is_listed() -> None:
     assert "cannot be written" in found["signals.command.bridge"]
 
 
-def test_each_kind_of_bus_has_its_own_form_of_a_name() -> None:
-    on_can = documents.flaws(signals__output='"speed"', signals__command__bridge='"control"')
-    assert set(on_can) == {"signals.output.signal", "signals.command.bridge"}
-    assert "Message.Signal" in on_can["signals.command.bridge"]
+def test_a_name_of_a_can_bus_is_none_of_a_register() -> None:
     on_modbus = flaws(signals__output='"DriveLoad.Tachometer"')
     assert set(on_modbus) == {"signals.output.signal"}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -26,23 +25,20 @@ CRC_16 = ' SG_ Sum : 0|16@1+ (1,0) [0|65535] "" X\n' + ALIVE
 CRC_8 = ' SG_ Alive : 8|4@1+ (1,0) [0|15] "" X\n SG_ Sum : 0|8@1+ (1,0) [0|255] "" X\n'
 
 
-@dataclass(frozen=True)
-class Form:
-    width: int
-    poly: int
-    init: int
-    refin: bool
-    refout: bool
-    xorout: int
+def form_of(width: Any, *values: Any) -> Crc:
+    """A form of any width, of which a configuration may have three."""
+    names = ("poly", "init", "refin", "refout", "xorout")
+    given: dict[str, Any] = dict(zip(names, values, strict=True))
+    return Crc.model_construct(width=width, **given)
 
 
-def reference(form: Form) -> Any:
+def reference(form: Crc) -> Any:
     return Reference(form.width, form.poly, form.init, form.refin, form.refout, form.xorout)
 
 
 @pytest.mark.parametrize("listed", WHOLE_BYTES, ids=lambda one: str(one.__name__))
 def test_every_form_of_the_catalogue_has_its_check_value(listed: Any) -> None:
-    form = Form(
+    form = form_of(
         listed.width(),
         listed.poly(),
         listed.initvalue(),
@@ -55,15 +51,15 @@ def test_every_form_of_the_catalogue_has_its_check_value(listed: Any) -> None:
 
 
 @st.composite
-def forms(draw: st.DrawFn) -> Form:
+def forms(draw: st.DrawFn) -> Crc:
     width = draw(st.sampled_from([8, 16, 32]))
     words = st.integers(0, (1 << width) - 1)
     mirrored = st.booleans()
-    return Form(width, draw(words), draw(words), draw(mirrored), draw(mirrored), draw(words))
+    return form_of(width, draw(words), draw(words), draw(mirrored), draw(mirrored), draw(words))
 
 
 @given(forms(), st.binary(max_size=20), st.binary(max_size=64))
-def test_any_form_agrees_with_crccheck(form: Form, before: bytes, data: bytes) -> None:
+def test_any_form_agrees_with_crccheck(form: Crc, before: bytes, data: bytes) -> None:
     assert crc_function(form, before)(data) == reference(form).process(before + data).final()
 
 
@@ -97,7 +93,7 @@ def test_only_the_named_bytes_are_covered(data: bytes, order: list[int], count: 
     covers = order[:count]
     codec = protected(CRC_16, **CCITT_FALSE, covers=covers)
     blank = bytes(2) + data[2:]
-    total = reference(Form(16, 0x1021, 0xFFFF, refin=False, refout=False, xorout=0))
+    total = reference(form_of(16, 0x1021, 0xFFFF, 0, 0, 0))
     held = total.process(bytes(blank[at] for at in covers)).final()
     good = held.to_bytes(2, "little") + data[2:]
     assert codec.decode(good).verdict is FrameVerdict.GOOD
@@ -107,7 +103,7 @@ def test_only_the_named_bytes_are_covered(data: bytes, order: list[int], count: 
 def test_a_checksum_in_motorola_order_is_read() -> None:
     signals = ' SG_ Sum : 55|16@0+ (1,0) [0|65535] "" X\n' + ALIVE
     frame = protected(signals, **CCITT_FALSE).encode({"Alive": 0})
-    total = reference(Form(16, 0x1021, 0xFFFF, refin=False, refout=False, xorout=0))
+    total = reference(form_of(16, 0x1021, 0xFFFF, 0, 0, 0))
     assert frame[6:] == total.process(frame[:6]).final().to_bytes(2, "big")
 
 

@@ -43,6 +43,8 @@ def test_a_drive_without_a_counter_has_no_modulus() -> None:
         ({"interface": "socketcan", "channel": ""}, {}, "bus.channel", "such as can0"),
         ({}, {"output": "DriveLoad.Tacho"}, "signals.output", "did you mean 'Tachometer'"),
         ({}, {"output": "Tachometer"}, "signals.output", "Message.Signal"),
+        ({}, {"output": {"signal": "Tachometer"}}, "signals.output", "Message.Signal"),
+        ({}, {"output": "a.b.c"}, "signals.output", "no message 'a'"),
         ({}, {"fault": "Nothing.Fault"}, "signals.fault", "no message 'Nothing'"),
         ({}, {"fault": "DriveStatus.LoadPower"}, "signals.fault", "factor 1"),
         ({}, {"bridge": "DriveLoad.Tachometer"}, "signals.bridge", "factor 1"),

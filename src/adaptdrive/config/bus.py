@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section, key
-from adaptdrive.config.units import Unit, in_si
+from adaptdrive.config.units import Converted
 
 Byte = Annotated[int, Field(ge=0, le=0xFF)]
 
@@ -178,34 +178,14 @@ class CanBus(CommandWatch, CanDescription, BusSection):
         return True
 
 
-class SignalSource(Section):
-    """One measured quantity: a signal, and a conversion to SI where its map has none.
-
-    Scale and offset lead to `unit`, which is converted to SI.
-    """
+class SignalSource(Converted):
+    """One measured quantity: a signal, and a conversion to SI where its map has none."""
 
     signal: str = Field(
         min_length=1,
         description="`Message.Signal` on CAN, the register's name on Modbus, an object such as "
         "`0x6079`, `0x2001.2`, `Name` or `Record.Member` on CANopen",
     )
-    scale: FiniteFloat = key(1.0, "SI units per unit of the signal")
-    offset: FiniteFloat = key(0.0, "SI value of a zero signal")
-    unit: Unit | None = key(
-        None, "unit after scale and offset, converted to SI (K, rad/s, V, A, W); SI when left out"
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _in_si(cls, table: object) -> object:
-        return in_si(table) if isinstance(table, dict) else table
-
-    @field_validator("scale")
-    @classmethod
-    def _says_something(cls, scale: float) -> float:
-        if scale == 0.0:
-            raise ValueError("must not be 0")
-        return scale
 
 
 def _table(value: object) -> object:

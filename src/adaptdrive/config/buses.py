@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, get_args
 
-from adaptdrive.config.bus import BusSection, CanBus, Signals
-from adaptdrive.config.cadence import Sections, clock_flaws, poll_flaws, sync_flaws
+from adaptdrive.config.bus import BusSection, CanBus
+from adaptdrive.config.cadence import clock_flaws, poll_flaws, sync_flaws
 from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
-from adaptdrive.config.references import can_flaws, modbus_flaws
+from adaptdrive.config.references import modbus_flaws
 from adaptdrive.errors import Flaw
+
+Check = Callable[[Any, Any], Iterator[Flaw]]
+"""Yields what is wrong; takes the `[bus]` section and what it is compared with."""
 
 AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu
 
@@ -20,32 +22,16 @@ BUS_TYPES: tuple[str, ...] = tuple(
 )
 
 
-def _nothing(*_: object) -> Iterator[Flaw]:
+def no_flaws(*_: object) -> Iterator[Flaw]:
+    """Yield nothing: the database of the bus tells what its signals are."""
     return iter(())
 
 
-@dataclass(frozen=True, slots=True)
-class BusChecks:
-    """The checks of one kind of bus; each takes the `[bus]` section first.
-
-    Attributes:
-        signals: Of bus and signals.
-        pace: Of the time between two readings, against the other sections.
-    """
-
-    signals: Callable[[Any, Signals], Iterator[Flaw]]
-    pace: Callable[[Any, Sections], Iterator[Flaw]] = _nothing
-
-
-_MODBUS = BusChecks(modbus_flaws, poll_flaws)
-_CHECKS: dict[type[BusSection], BusChecks] = {
-    CanBus: BusChecks(can_flaws, clock_flaws),
-    CanOpenBus: BusChecks(canopen_flaws, sync_flaws),
+_MODBUS = (modbus_flaws, poll_flaws)
+BUS_CHECKS: Mapping[type[BusSection], tuple[Check, Check]] = {
+    CanBus: (no_flaws, clock_flaws),
+    CanOpenBus: (canopen_flaws, sync_flaws),
     ModbusTcp: _MODBUS,
     ModbusRtu: _MODBUS,
 }
-
-
-def bus_checks(bus: AnyBus) -> BusChecks:
-    """Return the checks of the kind that a `[bus]` section is of."""
-    return _CHECKS[type(bus)]
+"""Checks of each kind of `[bus]`: against `[signals]`, and of its pace against all sections."""

@@ -4,49 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING
 
-from adaptdrive.config.bus import CanBus, CommandWatch, Signals
+from adaptdrive.config.bus import CanBus, CommandWatch
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.config.drive import DriveSection, VoltageLoop
-from adaptdrive.config.load import LoadSection
 from adaptdrive.config.modbus import ModbusBus
-from adaptdrive.config.services import InterlocksSection
 from adaptdrive.config.timing import LATE_READINGS
 from adaptdrive.errors import Flaw
+
+if TYPE_CHECKING:
+    from adaptdrive.config.root import Configuration
 
 DAY_S = 86400.0
 
 
-class Sections(Protocol):
-    """The sections that the pace of a drive is compared with."""
-
-    @property
-    def drive(self) -> DriveSection:
-        """`[drive]`."""
-
-    @property
-    def signals(self) -> Signals:
-        """`[signals]`."""
-
-    @property
-    def voltage_loop(self) -> VoltageLoop:
-        """`[voltage_loop]`."""
-
-    @property
-    def interlocks(self) -> InterlocksSection:
-        """`[interlocks]`."""
-
-    @property
-    def load(self) -> LoadSection:
-        """`[load]`."""
-
-    @property
-    def ticks_per_period(self) -> int:
-        """Fast ticks in one slow period."""
-
-
-def poll_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
+def poll_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
     """Yield the contradictions to a drive that is polled.
 
     Args:
@@ -65,7 +37,7 @@ def poll_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
     yield from _write_flaws(bus, configuration)
 
 
-def _write_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
+def _write_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
     """Yield why a command that is not written with each poll would not do."""
     timeout_s, interval_s = bus.command_timeout_s, bus.command_interval_s
     if interval_s and bus.read_write:
@@ -94,7 +66,7 @@ def _write_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
             yield Flaw(place, f"{limit} writes a day are one in {least_s:.4g} s: {longer}")
 
 
-def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:
+def clock_flaws(bus: CanBus, configuration: Configuration) -> Iterator[Flaw]:
     """Yield the contradictions to a drive that sends less often than each half cycle.
 
     Args:
@@ -102,8 +74,7 @@ def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:
         configuration: The other sections.
     """
     stride, load = bus.clock_ticks, configuration.load
-    yield from _stale_flaws(stride, configuration, f"bus.clock_ticks = {stride}")
-    yield from _timeout_flaws(bus, stride, configuration, f"bus.clock_ticks = {stride}")
+    yield from _pace_flaws(stride, configuration, f"bus.clock_ticks = {stride}")
     if stride == 1:
         return
     if configuration.voltage_loop.where == "daemon":
@@ -119,14 +90,14 @@ def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:
             yield Flaw(place, f"its {ticks} ticks must be a multiple of bus.clock_ticks = {stride}")
 
 
-def sync_flaws(bus: CanOpenBus, configuration: Sections) -> Iterator[Flaw]:
+def sync_flaws(bus: CanOpenBus, configuration: Configuration) -> Iterator[Flaw]:
     """Yield the contradictions to a drive that sends after each SYNC.
 
     Args:
         bus: `[bus]`.
         configuration: The other sections.
     """
-    yield from _stale_flaws(1, configuration, "a half cycle, from one SYNC to the next")
+    yield from _pace_flaws(1, configuration, "a half cycle, from one SYNC to the next")
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     given_s, lowest_s = bus.command_timeout_s, LATE_READINGS * half_cycle_s
     if _is_below(given_s, lowest_s):
@@ -143,30 +114,23 @@ def _is_below(given_s: float, lowest_s: float) -> bool:
     return given_s < lowest_s and not math.isclose(given_s, lowest_s)
 
 
-def _stale_flaws(ticks: int, configuration: Sections, reading: str) -> Iterator[Flaw]:
-    stale_s = configuration.interlocks.stale_s
+def _pace_flaws(ticks: int, configuration: Configuration, reading: str) -> Iterator[Flaw]:
+    """Yield the times that are too short for a drive that gives a reading every so many ticks."""
     reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
     lowest_s = LATE_READINGS * reading_s
-    if _is_below(stale_s, lowest_s):
-        lowest = f"{lowest_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
-        yield Flaw("interlocks.stale_s", f"{stale_s} must be at least {lowest}")
+    lowest = f"{lowest_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
+    if _is_below(configuration.interlocks.stale_s, lowest_s):
+        given = f"{configuration.interlocks.stale_s} must be at least {lowest}"
+        yield Flaw("interlocks.stale_s", given)
+    timeout_s = configuration.bus.command_timeout_s
+    watched = isinstance(configuration.bus, CommandWatch)
+    if watched and timeout_s is not None and _is_below(timeout_s, lowest_s):
+        given = f"{timeout_s} must be at least {lowest}"
+        why = "the drive would stop between two commands"
+        yield Flaw("bus.command_timeout_s", f"{given}: {why}")
 
 
-def _timeout_flaws(
-    bus: CommandWatch, ticks: int, configuration: Sections, reading: str
-) -> Iterator[Flaw]:
-    """Yield a time-out of the drive that its commands, one for each reading, cannot keep off."""
-    reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
-    given_s, lowest_s = bus.command_timeout_s, LATE_READINGS * reading_s
-    if given_s is not None and _is_below(given_s, lowest_s):
-        lowest = f"{lowest_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
-        yield Flaw(
-            "bus.command_timeout_s",
-            f"{given_s} must be at least {lowest}: the drive would stop between two commands",
-        )
-
-
-def _cycle_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
+def _cycle_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
     load = configuration.load
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     poll_s = bus.poll_ticks * half_cycle_s
@@ -174,8 +138,7 @@ def _cycle_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
     cycle = f"{poll} ({poll_s * 1e3:.4g} ms)"
     if bus.timeout_s >= poll_s:
         yield Flaw("bus.timeout_s", f"{bus.timeout_s} must be below {cycle}")
-    yield from _stale_flaws(bus.poll_ticks, configuration, poll)
-    yield from _timeout_flaws(bus, bus.poll_ticks, configuration, poll)
+    yield from _pace_flaws(bus.poll_ticks, configuration, poll)
     if load.latency_ticks % bus.poll_ticks:
         effect = "a decision reaches the drive with a poll"
         yield Flaw(

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from adaptdrive.config.section import FiniteFloat, Section, key
-from adaptdrive.config.units import Unit, in_si
+from adaptdrive.config.section import key
+from adaptdrive.config.units import Converted
 from adaptdrive.errors import Flaw
 
 Rule = Literal["sum", "mean", "difference", "product", "ratio", "smallest", "largest"]
@@ -17,11 +17,8 @@ Rule = Literal["sum", "mean", "difference", "product", "ratio", "smallest", "lar
 _PAIRS = ("difference", "ratio")
 
 
-class Derived(Section):
-    """`[derived.NAME]`: a quantity of `[signals]`, or any other name, from measured values.
-
-    Scale and offset lead to `unit`, which is converted to SI.
-    """
+class Derived(Converted):
+    """`[derived.NAME]`: a quantity of `[signals]`, or any other name, from measured values."""
 
     rule: Rule = Field(
         description="rule: `difference` is the first minus the second, `ratio` the first "
@@ -36,14 +33,6 @@ class Derived(Section):
         "(`interlocks.stuck_distance`, `stuck_s`). All when left out, of a `difference` and a "
         "`ratio` the first",
     )
-    scale: FiniteFloat = key(1.0, "factor of the result")
-    offset: FiniteFloat = key(0.0, "added to the scaled result")
-    unit: Unit | None = key(None, "unit of the scaled result; it is converted to SI")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _in_si(cls, table: object) -> object:
-        return in_si(table) if isinstance(table, dict) else table
 
     @property
     def moved(self) -> list[str]:

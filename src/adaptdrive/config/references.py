@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Iterator, Mapping
 
-from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.units import WANTED, Converted, stated_problem
@@ -15,15 +14,6 @@ from adaptdrive.errors import Flaw
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 WORDS = ("counter", "fault", "bridge")
 COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
-
-CAN_SIGNAL = re.compile(r"[^.]+\.[^.]+")
-
-
-def can_flaws(_: CanBus, signals: Signals) -> Iterator[Flaw]:
-    """References that are no `Message.Signal`."""
-    for place, name in (*measured_names(signals), *commanded_names(signals)):
-        if not CAN_SIGNAL.fullmatch(name):
-            yield Flaw(place, f"{name!r} must be `Message.Signal` on a CAN bus")
 
 
 def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:

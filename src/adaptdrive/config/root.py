@@ -9,7 +9,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from adaptdrive.config.bus import Signals
-from adaptdrive.config.buses import AnyBus, bus_checks
+from adaptdrive.config.buses import BUS_CHECKS, AnyBus
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.estimator import Estimator, Supervisor
@@ -96,7 +96,8 @@ def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    yield from bus_checks(configuration.bus).signals(configuration.bus, configuration.signals)
+    check, _ = BUS_CHECKS[type(configuration.bus)]
+    yield from check(configuration.bus, configuration.signals)
 
 
 def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -105,7 +106,8 @@ def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """Does the pace of the drive fit what surrounds it?"""
-    yield from bus_checks(configuration.bus).pace(configuration.bus, configuration)
+    _, check = BUS_CHECKS[type(configuration.bus)]
+    yield from check(configuration.bus, configuration)
 
 
 def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -213,29 +215,20 @@ def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("interlocks.output_min", problem)
 
 
-_CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]], ...] = (
-    (_rate_flaws, frozenset({"drive", "load"})),
-    (_bus_flaws, frozenset({"bus", "signals"})),
-    (_converted_flaws, frozenset({"derived", "load"})),
-    (
-        _pace_flaws,
-        frozenset({"drive", "bus", "signals", "load", "interlocks", "voltage_loop"}),
-    ),
-    (
-        _sensor_flaws,
-        frozenset({"bus", "signals", "sensor_bus", "derived", "load", "voltage_loop"}),
-    ),
-    (_lowest_flaws, frozenset({"drive", "voltage_loop", "load"})),
-    (
-        _voltage_flaws,
-        frozenset({"drive", "voltage_loop", "interlocks", "sensor_bus", "derived"}),
-    ),
-    (_command_flaws, frozenset({"bus", "signals", "voltage_loop", "drive"})),
-    (_lag_flaws, frozenset({"voltage_loop", "load"})),
-    (_bath_flaws, frozenset({"load"})),
-    (_trip_flaws, frozenset({"drive", "load", "interlocks"})),
-    (_course_flaws, frozenset({"load", "voltage_loop"})),
-)
+_CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
+    _rate_flaws: "drive load",
+    _bus_flaws: "bus signals",
+    _converted_flaws: "derived load",
+    _pace_flaws: "drive bus signals load interlocks voltage_loop",
+    _sensor_flaws: "bus signals sensor_bus derived load voltage_loop",
+    _lowest_flaws: "drive voltage_loop load",
+    _voltage_flaws: "drive voltage_loop interlocks sensor_bus derived",
+    _command_flaws: "bus signals voltage_loop drive",
+    _lag_flaws: "voltage_loop load",
+    _bath_flaws: "load",
+    _trip_flaws: "drive load interlocks",
+    _course_flaws: "load voltage_loop",
+}
 """Checks between sections, and the sections that each one reads."""
 
 
@@ -246,6 +239,6 @@ def consistency_flaws(configuration: Configuration, sound: Collection[str]) -> I
         configuration: The sections.
         sound: Names of those that are valid in themselves; the others are not looked at.
     """
-    for check, needed in _CHECKS:
-        if needed.issubset(sound):
+    for check, needed in _CHECKS.items():
+        if set(needed.split()).issubset(sound):
             yield from check(configuration)

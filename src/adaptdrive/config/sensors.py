@@ -10,7 +10,7 @@ from pydantic import Field
 from adaptdrive.config.bus import CanDescription, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.proposals import nearest
-from adaptdrive.config.references import CAN_SIGNAL, WORDS, map_flaws, register_flaws
+from adaptdrive.config.references import WORDS, map_flaws, register_flaws
 from adaptdrive.config.section import PositiveFloat, Section, key
 from adaptdrive.errors import Flaw
 
@@ -111,17 +111,8 @@ def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Fla
     for name in WORDS:
         if name in bus.signals:
             yield Flaw(f"{place}.signals.{name}", "comes from the drive alone")
-    if isinstance(bus, CanSensorSection):
-        yield from _can_flaws(bus, place)
-    else:
+    if not isinstance(bus, CanSensorSection):
         yield from _modbus_flaws(bus, place)
-
-
-def _can_flaws(bus: CanSensorSection, place: str) -> Iterator[Flaw]:
-    for name, source in bus.signals.items():
-        if not CAN_SIGNAL.fullmatch(source.signal):
-            problem = f"{source.signal!r} must be `Message.Signal` on a CAN bus"
-            yield Flaw(f"{place}.signals.{name}.signal", problem)
 
 
 def _modbus_flaws(bus: ModbusSensorSection, place: str) -> Iterator[Flaw]:

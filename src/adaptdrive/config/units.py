@@ -5,25 +5,27 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from typing import Literal, Protocol
+from typing import Literal
+
+from pydantic import field_validator, model_validator
+
+from adaptdrive.config.section import FiniteFloat, Section, key
 
 Unit = Literal[
     "V", "A", "W", "K", "rad/s", "mV", "kV", "mA", "kA", "kW", "degC", "degF", "rpm", "Hz"
 ]
 
-_IN_SI: dict[str, tuple[float, float]] = {
-    "mV": (1e-3, 0.0),
-    "kV": (1e3, 0.0),
-    "mA": (1e-3, 0.0),
-    "kA": (1e3, 0.0),
-    "kW": (1e3, 0.0),
-    "degC": (1.0, 273.15),
-    "degF": (5.0 / 9.0, 459.67 * 5.0 / 9.0),
-    "rpm": (math.pi / 30.0, 0.0),
-    "Hz": (2.0 * math.pi, 0.0),
-    **dict.fromkeys(("V", "A", "W", "K", "rad/s"), (1.0, 0.0)),
+_SI: dict[str, dict[str, tuple[float, float]]] = {
+    "V": {"V": (1.0, 0.0), "mV": (1e-3, 0.0), "kV": (1e3, 0.0)},
+    "A": {"A": (1.0, 0.0), "mA": (1e-3, 0.0), "kA": (1e3, 0.0)},
+    "W": {"W": (1.0, 0.0), "kW": (1e3, 0.0)},
+    "K": {"K": (1.0, 0.0), "degC": (1.0, 273.15), "degF": (5.0 / 9.0, 459.67 * 5.0 / 9.0)},
+    "rad/s": {"rad/s": (1.0, 0.0), "rpm": (math.pi / 30.0, 0.0), "Hz": (2.0 * math.pi, 0.0)},
 }
+"""Factor and zero of each unit, by the SI unit that they lead to."""
 
+_IN_SI = {unit: pair for units in _SI.values() for unit, pair in units.items()}
+_DIMENSIONS = {"mW": "W", **{unit: si for si, units in _SI.items() for unit in units}}
 
 WANTED = {
     "boost_voltage_V": "V",
@@ -89,26 +91,26 @@ def multiple_of(written: str) -> tuple[float, str]:
     return float(found[1]), written.strip()[found.end() :]
 
 
-_DIMENSIONS = {
-    **dict.fromkeys(("V", "mV", "kV"), "V"),
-    **dict.fromkeys(("A", "mA", "kA"), "A"),
-    **dict.fromkeys(("W", "mW", "kW"), "W"),
-    **dict.fromkeys(("K", "degC", "degF"), "K"),
-    **dict.fromkeys(("rpm", "rad/s", "Hz"), "rad/s"),
-}
+class Converted(Section):
+    """Conversion of a value to a quantity; scale and offset lead to `unit`, which leads to SI."""
 
+    scale: FiniteFloat = key(1.0, "units per unit of the value")
+    offset: FiniteFloat = key(0.0, "added to the scaled value")
+    unit: Unit | None = key(
+        None, "unit after scale and offset, converted to SI (K, rad/s, V, A, W); SI when left out"
+    )
 
-class Converted(Protocol):
-    """Conversion of a signal to a quantity."""
+    @model_validator(mode="before")
+    @classmethod
+    def _in_si(cls, table: object) -> object:
+        return in_si(table) if isinstance(table, dict) else table
 
-    @property
-    def scale(self) -> float: ...  # noqa: D102
-    @property
-    def offset(self) -> float: ...  # noqa: D102
-    @property
-    def unit(self) -> Unit | None: ...  # noqa: D102
-    @property
-    def model_fields_set(self) -> set[str]: ...  # noqa: D102
+    @field_validator("scale")
+    @classmethod
+    def _says_something(cls, scale: float) -> float:
+        if scale == 0.0:
+            raise ValueError("must not be 0")
+        return scale
 
 
 def si_unit(unit: str) -> str | None:
