@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -38,6 +38,9 @@ _MEANING: dict[str, Any] = {
 
 _DESCRIPTIONS = ("database", "databases", "eds")
 """Keys of a bus that name a file in which scales and offsets of its signals are."""
+
+_PLACES: Any = {"bus": set(_DESCRIPTIONS), "sensor_bus": {"__all__": set(_DESCRIPTIONS)}}
+"""The same file means the same in another folder: its contents count."""
 
 Values = tuple[float, ...]
 
@@ -87,24 +90,25 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
 
 def configuration_key(configuration: Configuration) -> str:
     """Hash of everything in a configuration that gives estimates their meaning."""
-    sections = configuration.model_dump(mode="json", include=_MEANING)
-    for bus in (sections["bus"], *sections["sensor_bus"]):
-        bus |= {name: _contents(bus[name]) for name in _DESCRIPTIONS if name in bus}
-    text = json.dumps(sections, sort_keys=True)
+    sections = configuration.model_dump(mode="json", include=_MEANING, exclude=_PLACES)
+    text = json.dumps([sections, descriptions(configuration)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _contents(path: str | list[str]) -> str:
+def descriptions(configuration: Configuration) -> list[str]:
+    """Return hashes of the files that describe the signals of the buses of a configuration."""
+    buses = configuration.bus, *configuration.sensor_bus
+    files = [getattr(bus, name, None) for bus in buses for name in _DESCRIPTIONS]
+    return [_contents(one) for one in files if one is not None]
+
+
+def _contents(path: Path | Sequence[Path]) -> str:
     """Return a hash of a description, which means the same in another folder; empty without one."""
     try:
-        text = "".join(map(_contents, path)) if isinstance(path, list) else _text(path)
+        text = description_text(path) if isinstance(path, Path) else "".join(map(_contents, path))
     except (OSError, ValueError):
         return ""
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _text(path: str) -> str:
-    return description_text(Path(path))
 
 
 def is_kept(settings: ControllerSettings) -> bool:

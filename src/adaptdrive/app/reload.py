@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from adaptdrive.app.checkpoint import descriptions
 from adaptdrive.app.examine import examine_text
 from adaptdrive.aside import in_thread
 from adaptdrive.clock.now import now_s
@@ -70,6 +71,7 @@ class RunCourse:
         self.stop = asyncio.Event()
         self._path = path
         self._given = given
+        self._descriptions = descriptions(given.configuration)
         self._next: Given | None = given
         self._ended = False
         self._fed_until_s = -math.inf
@@ -134,6 +136,8 @@ class RunCourse:
         if fixed := [name for name in changed if name not in CHANGEABLE]:
             names = ", ".join(f"[{name}]" for name in fixed)
             raise RefusedError(f"a change of {names} needs a restart of the daemon; nothing is new")
+        if descriptions(configuration) != self._descriptions:
+            raise RefusedError("a changed DBC or EDS file needs a restart of the daemon")
         return Given(configuration, text, measured, tuple(changed))
 
     async def feed_between(self, manager: ServiceManager) -> None:

@@ -43,7 +43,6 @@ from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
-from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.lines import log
 from adaptdrive.operation.ledger import Ledger
@@ -141,8 +140,8 @@ async def _serve(given: Given, path: Path, locks: Sequence[socket.socket]) -> bo
     _stop_on_signals(course.end)
     feeding = asyncio.create_task(course.feed_between(ServiceManager(os.environ)))
     complete = True
-    while complete and (present := course.next_run()) is not None:
-        complete = await _run(present, course, path, locks, start_thread)
+    while (present := course.next_run()) is not None:
+        complete &= await _run(present, course, path, locks, start_thread)
     await _end(feeding)
     log("info", "stopped", drive=given.configuration.drive.name)
     return complete
@@ -206,7 +205,10 @@ def _build(
     recorder = build_recorder(configuration, given.text, hub, recalled, learnt, start_thread)
     hub.keep_with(recorder.kept)
     publish_samples(port, hub.publish, now_s)
-    keeper = _keeper(configuration, recorder, controller, hub) if is_kept(settings) else None
+    note = _note(configuration, recorder)
+    if given.measured and learnt is not None:
+        note(learnt)
+    keeper = Keeper(note, controller, hub, now_s) if is_kept(settings) else None
     daemon = Daemon(
         port=port,
         controller=controller,
@@ -262,12 +264,11 @@ def _stop_on_signals(end: Callable[[], None]) -> None:
             loop.add_signal_handler(number, end)
 
 
-def _keeper(
-    configuration: Configuration, recorder: Recorder, controller: Controller, hub: Hub
-) -> Keeper:
+def _note(configuration: Configuration, recorder: Recorder) -> Callable[[Learnt], None]:
+    """Return what has the log keep estimates of a configuration."""
     key, names = configuration_key(configuration), build_load(configuration).names
 
     def note(learnt: Learnt) -> None:
         recorder.note(Kind.LEARNT, checkpoint_record(key, names, learnt))
 
-    return Keeper(note, controller, hub, now_s)
+    return note
