@@ -1,4 +1,4 @@
-"""Motor and bath over CAN, Modbus TCP, Modbus RTU, and with sensors beside the drive: one result.
+"""Motor and bath over CAN, Modbus, SCPI, and with sensors beside the drive: one result.
 
 Each run is the daemon on a real bus against the simulated hardware, in virtual time. It is held
 against the same controller without any bus.
@@ -135,7 +135,7 @@ def configured(name: str, folder: Path) -> tuple[Configuration, Path]:
         case "can":
             bus["udp_port"] = free_port(socket.SOCK_DGRAM)
             bus["database"] = str(EXAMPLES / bus["database"])
-        case "modbus-tcp":
+        case "modbus-tcp" | "scpi":
             bus["port"] = free_port(socket.SOCK_STREAM)
     if more:
         with_tachometer_on_can(tables)
@@ -215,11 +215,15 @@ def expected(load: str, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bus", ["", "-modbus-tcp", "-modbus-rtu", "-thermocouples", TACHOMETER])
+@pytest.mark.parametrize(
+    "bus", ["", "-modbus-tcp", "-modbus-rtu", "-scpi", "-thermocouples", TACHOMETER]
+)
 def test_the_control_result_does_not_depend_on_the_bus(
     load: str, bus: str, expected: Run, tmp_path: Path
 ) -> None:
-    if (bus == "-thermocouples" and load == "motor") or (bus == TACHOMETER and load == "bath"):
+    if (bus == "-thermocouples" and load == "motor") or (
+        bus in {TACHOMETER, "-scpi"} and load == "bath"
+    ):
         pytest.skip(f"a {load} has none")
     course = COURSES[load]
     found = on_the_wire(f"{load}{bus}", tmp_path, course)

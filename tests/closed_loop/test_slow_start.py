@@ -1,4 +1,4 @@
-"""A drive that takes 60 half cycles to switch its bridge on, on CAN and on Modbus."""
+"""A drive that takes 60 half cycles to switch its bridge on, on CAN, Modbus and SCPI."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.closed_loop.test_same_on_every_bus import COURSES, configured
 from tests.closed_loop.wire import WAIT_s, Wire, virtual_time, wired
 
 START_TICKS = 60
-BUSES = ["motor", "motor-modbus-tcp"]
+BUSES = ["motor", "motor-modbus-tcp", "motor-scpi"]
 
 
 def switch_on_slowly(world: World) -> None:
@@ -86,7 +86,7 @@ def test_a_drive_of_sixty_half_cycles_is_controlled_with_its_time_to_start(
     driven(name, tmp_path, 0.6, course)
 
 
-@pytest.mark.parametrize(("name", "limit_ms"), [(BUSES[0], 250), (BUSES[1], 300)])
+@pytest.mark.parametrize(("name", "limit_ms"), [(BUSES[0], 250), (BUSES[1], 300), (BUSES[2], 300)])
 def test_a_drive_of_sixty_half_cycles_trips_without_it(
     name: str, limit_ms: int, tmp_path: Path
 ) -> None:

@@ -26,6 +26,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.modbus.link import ModbusConnection
 from adaptdrive.hardware.modbus.serial_port import SerialPort
+from adaptdrive.hardware.scpi.link import ScpiConnection
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import LoadReport, Report, State
@@ -37,6 +38,7 @@ from adaptdrive_sim.devices.can_drive import CanDrive
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.modbus_drive import ModbusDrive
 from adaptdrive_sim.devices.modbus_server import serving
+from adaptdrive_sim.devices.scpi_drive import ScpiDrive
 from adaptdrive_sim.world import World
 
 PATIENCE_s = 5.0
@@ -79,6 +81,8 @@ def virtual_time() -> Iterator[asyncio.Runner]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ModbusConnection, "open", _held(ModbusConnection.open))
         patch.setattr(ModbusConnection, "_request", _held(ModbusConnection._request))
+        patch.setattr(ScpiConnection, "open", _held(ScpiConnection.open))
+        patch.setattr(ScpiConnection, "_ask", _held(ScpiConnection._ask))
         patch.setattr(SerialPort, "open", _held(SerialPort.open))
         with asyncio.Runner(loop_factory=VirtualLoop) as runner:
             yield runner
@@ -210,6 +214,9 @@ async def _begin(
     node._clock = clock  # type: ignore[attr-defined] # every kind of node keeps its clock so
     if isinstance(node, ModbusDrive):
         await stack.enter_async_context(serving(node._config, {node._config.device_id: node}))
+        return _live(drive, node.show)
+    if isinstance(node, ScpiDrive):
+        await stack.enter_async_context(node.serving())
         return _live(drive, node.show)
     assert isinstance(node, CanDrive)
     node._bus = bus = open_bus(node._config)

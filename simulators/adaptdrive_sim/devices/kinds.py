@@ -17,6 +17,7 @@ from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import load_messages
 from adaptdrive_sim.devices.modbus_drive import ModbusDrive
 from adaptdrive_sim.devices.modbus_sensors import ModbusSensors
+from adaptdrive_sim.devices.scpi_drive import ScpiDrive
 
 
 class SensorNode(Protocol):
@@ -67,6 +68,13 @@ def _modbus_drive(
     return ModbusDrive(drive, bus, configuration.signals, report)
 
 
+def _scpi_drive(
+    drive: SimulatedDrive, configuration: Configuration, report: Report, _: Path
+) -> DriveNode:
+    bus: Any = configuration.bus
+    return ScpiDrive(drive, bus, configuration.signals, report)
+
+
 def _modbus_sensors(drive: SimulatedDrive, bus: Any, _: str, __: Path) -> SensorNode:  # noqa: ANN401
     return ModbusSensors(drive, bus)
 
@@ -78,4 +86,5 @@ KINDS = {
     "canopen": DeviceKind(CanOpenDrive, _CAN_KEYS, times_commands=False),
     "modbus-tcp": DeviceKind(_modbus_drive, {"channel": "host", "port": "port"}, _modbus_sensors),
     "modbus-rtu": DeviceKind(_modbus_drive, {"channel": "device"}, _modbus_sensors),
+    "scpi": DeviceKind(_scpi_drive, {"channel": "host", "port": "port"}),
 }

@@ -14,6 +14,7 @@ from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import Findings, find_flaws, read_text
 from adaptdrive.config.modbus import ModbusBus, ModbusLink
+from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.sensors import AnySensorBus, sensor_flaws
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.demands import NO_DEMANDS, demands_of
@@ -86,7 +87,7 @@ def _unknown_registers(bus: AnySensorBus, place: str) -> Iterator[Flaw]:
 
 def _leads_somewhere(findings: Findings) -> bool:
     """Return whether names in `[signals]` can be looked up, which needs a valid register map."""
-    if not isinstance(findings.configuration.bus, ModbusBus):
+    if not isinstance(findings.configuration.bus, ModbusBus | ScpiBus):
         return True
     flawed = any(flaw.place.startswith(("bus", "signals")) for flaw in findings.flaws)
     return findings.sound >= _OF_PORT and not flawed

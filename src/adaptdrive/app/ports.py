@@ -55,6 +55,10 @@ def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:
                 from adaptdrive.hardware.canopen.kind import CANOPEN  # noqa: PLC0415
 
             return CANOPEN
+        case "scpi":
+            from adaptdrive.hardware.scpi.kind import SCPI  # noqa: PLC0415
+
+            return SCPI
         case _:
             from adaptdrive.hardware.modbus.kind import MODBUS  # noqa: PLC0415
 

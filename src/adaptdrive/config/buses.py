@@ -10,12 +10,13 @@ from adaptdrive.config.cadence import clock_flaws, poll_flaws, sync_flaws
 from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.config.references import modbus_flaws
+from adaptdrive.config.scpi import ScpiBus, scpi_flaws
 from adaptdrive.errors import Flaw
 
 Check = Callable[[Any, Any], Iterator[Flaw]]
 """Yields what is wrong; takes the `[bus]` section and what it is compared with."""
 
-AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu
+AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu | ScpiBus
 
 BUS_TYPES: tuple[str, ...] = tuple(
     name for kind in get_args(AnyBus) for name in get_args(kind.model_fields["type"].annotation)
@@ -33,5 +34,6 @@ BUS_CHECKS: Mapping[type[BusSection], tuple[Check, Check]] = {
     CanOpenBus: (canopen_flaws, sync_flaws),
     ModbusTcp: _MODBUS,
     ModbusRtu: _MODBUS,
+    ScpiBus: (scpi_flaws, lambda bus, rest: poll_flaws(bus.as_registers(), rest)),
 }
 """Checks of each kind of `[bus]`: against `[signals]`, and of its pace against all sections."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
+from adaptdrive.hardware.modbus.link import ExchangeError, OvertakenError, PolledLink
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, block_words
 from adaptdrive.hardware.modbus.pace import WritePace, has_switch
 from adaptdrive.hardware.modbus.sight import Sight
@@ -176,7 +176,7 @@ class Commander:
         command = self._command
         return command is not None and command.bridge and self._sight.fed_s < since_s
 
-    async def read(self, link: ModbusConnection, exchange: Exchange, *, joined: bool) -> list[int]:
+    async def read(self, link: PolledLink, exchange: Exchange, *, joined: bool) -> list[int]:
         """Read a block, and write the command with it where it joins the read.
 
         Raises:
@@ -195,9 +195,7 @@ class Commander:
             self._reported_s = link.asked_s
         return registers
 
-    async def _read_with(
-        self, link: ModbusConnection, exchange: Exchange, command: Command
-    ) -> list[int]:
+    async def _read_with(self, link: PolledLink, exchange: Exchange, command: Command) -> list[int]:
         """Read a block and write a command at once.
 
         Raises:
@@ -223,7 +221,7 @@ class Commander:
         self._confirm(command, link.asked_s)
         return registers
 
-    async def write(self, link: ModbusConnection) -> None:
+    async def write(self, link: PolledLink) -> None:
         """Write the newest command, unless it is void, or the drive was not seen in this poll.
 
         One that has the bridge off begins with that: the other writes may have no answer.
@@ -252,13 +250,13 @@ class Commander:
             self.refused_write = ""
             self._confirm(command, link.asked_s, sent=sent)
 
-    async def leave_safe(self, link: ModbusConnection) -> None:
+    async def leave_safe(self, link: PolledLink) -> None:
         """Write the safe command as the last one, unless it is in force or none was ever given."""
         if link.lost is None and not self._safe and self._command is not None:
             self._command = SAFE_COMMAND
             await self.write(link)
 
-    async def _read(self, link: ModbusConnection, exchange: Exchange) -> list[int]:
+    async def _read(self, link: PolledLink, exchange: Exchange) -> list[int]:
         """Read a block, unless the safe command becomes urgent before it is asked for.
 
         Each look during the wait for a silent line is a step: the wait is no standstill.
@@ -273,7 +271,7 @@ class Commander:
 
     async def _exchange(
         self,
-        link: ModbusConnection,
+        link: PolledLink,
         exchange: Exchange,
         words: list[int],
         *,
@@ -293,7 +291,7 @@ class Commander:
 
     async def _wrote(
         self,
-        link: ModbusConnection,
+        link: PolledLink,
         exchange: Exchange,
         registers: list[int],
         command: Command,

@@ -74,16 +74,22 @@ def _lock_names(configuration: Configuration) -> Iterator[str]:
     bus = _bus(configuration)
     if isinstance(bus, ModbusTcp):
         yield describe_bus(bus)
-        for address in sorted({*map(_plain, _addresses(bus))}):
-            yield f"modbus-tcp address {address} port {bus.port} device {bus.device_id}"
+        for address in tcp_addresses(bus.host, bus.port):
+            yield f"modbus-tcp address {address} device {bus.device_id}"
 
 
-def _addresses(bus: ModbusTcp) -> tuple[str, ...]:
-    """Return the addresses of a host, none where its name server does not answer."""
+def tcp_addresses(host: str, port: int) -> list[str]:
+    """Return each address of a host with its port, none where its name server does not answer.
+
+    Args:
+        host: Name or address.
+        port: TCP port.
+    """
     try:
-        return look_up(bus.host, bus.port).result(_LOOK_UP_S)
+        found = look_up(host, port).result(_LOOK_UP_S)
     except (OSError, ValueError, TimeoutError):
-        return ()
+        return []
+    return sorted(f"{one} port {port}" for one in {*map(_plain, found)})
 
 
 def _plain(address: str) -> str:

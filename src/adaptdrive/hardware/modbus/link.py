@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable
+from typing import Protocol
 
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
@@ -69,6 +70,34 @@ class ExchangeError(AdaptdriveError):
 
 class OvertakenError(ExchangeError):
     """An exchange was not made, as it was no longer wanted: this says nothing of the device."""
+
+
+class PolledLink(Protocol):
+    """An open link to a device that answers each exchange.
+
+    Attributes:
+        lost: Why the link can no longer be used, None while it can.
+        asked_s: When the last request was sent; monotonic.
+    """
+
+    lost: str | None
+    asked_s: float
+
+    async def exchange(
+        self,
+        exchange: Exchange,
+        words: list[int],
+        *,
+        at_once: bool = False,
+        void: Callable[[], bool] = lambda: False,
+    ) -> list[int]:
+        """Ask for registers, or write some, as `ModbusConnection.exchange` does."""
+
+    def suspect(self) -> None:
+        """Take what comes next for what is left of something else."""
+
+    def close(self) -> None:
+        """Disconnect."""
 
 
 class ModbusConnection:

@@ -24,7 +24,12 @@ from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
 from adaptdrive.hardware.modbus.heartbeat import STANDS_STILL, DriveHeartbeat
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
+from adaptdrive.hardware.modbus.link import (
+    ExchangeError,
+    ModbusConnection,
+    OvertakenError,
+    PolledLink,
+)
 from adaptdrive.hardware.modbus.mapping import Poll, written
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
@@ -63,7 +68,7 @@ class ModbusPort:
         sight = Sight(poll.reports_bridge, timing, look_s, clock)
         self._commander = Commander(poll, sight, self._counts, clock, timing)
         self._listener: Listener | None = None
-        self._link: ModbusConnection | None = None
+        self._link: PolledLink | None = None
         self._wake = asyncio.Event()
         self._closing = False
         self._assembly = PollAssembly(poll)
@@ -178,7 +183,7 @@ class ModbusPort:
     async def reset_fault(self) -> None:
         """No-op: a register map has no fault reset; the drive clears its fault word by itself."""
 
-    async def _try_first(self) -> tuple[ModbusConnection | None, str]:
+    async def _try_first(self) -> tuple[PolledLink | None, str]:
         try:
             return await self._open(), ""
         except BusError as problem:
@@ -186,12 +191,12 @@ class ModbusPort:
                 raise
             return None, problem.problem
 
-    async def _open(self) -> ModbusConnection:
+    async def _open(self) -> PolledLink:
         link = ModbusConnection(self._config, self._counts, self._clock, serial=self._serial)
         await link.open()
         return link
 
-    async def _work(self, link: ModbusConnection | None, problem: str) -> None:
+    async def _work(self, link: PolledLink | None, problem: str) -> None:
         """Serve one link after the other until the port is closed."""
         backoff = BusBackoff(lambda: self._counts["received"])
         while link is not None or not self._closing:
@@ -204,14 +209,14 @@ class ModbusPort:
             problem = await self._serve(link)
             link = None
 
-    async def _reopen(self) -> ModbusConnection | None:
+    async def _reopen(self) -> PolledLink | None:
         with contextlib.suppress(BusError):
             link = await self._open()
             self._counts["reconnects"] += 1
             return link
         return None
 
-    async def _serve(self, link: ModbusConnection) -> str:
+    async def _serve(self, link: PolledLink) -> str:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""
         self._link = link
         self._heartbeat.forget()
@@ -240,7 +245,7 @@ class ModbusPort:
             link.close()
         return link.lost or "closed"
 
-    async def _set_up(self, link: ModbusConnection) -> None:
+    async def _set_up(self, link: PolledLink) -> None:
         """Write what the drive needs before it is commanded; a link without that is lost."""
         for block, sink, reads in self._poll.setup:
             words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
@@ -259,7 +264,7 @@ class ModbusPort:
                 link.lost = f"set-up of {name!r}: {block} holds {found} after {wanted} was written"
                 return
 
-    async def _ask(self, link: ModbusConnection, exchange: Exchange, words: list[int]) -> list[int]:
+    async def _ask(self, link: PolledLink, exchange: Exchange, words: list[int]) -> list[int]:
         """Exchange one part of the set-up; a safe command that is urgent goes before it."""
         if self._commander.urgent:
             await self._commander.write(link)
@@ -271,7 +276,7 @@ class ModbusPort:
         late = max(0.0, self._clock() - last_s)
         return last_s + max(1, int(late / self._poll_s)) * self._poll_s
 
-    async def _idle(self, link: ModbusConnection, until_s: float) -> None:
+    async def _idle(self, link: PolledLink, until_s: float) -> None:
         """Wait for the next poll; a safe command goes out at once."""
         while link.lost is None and not self._closing and self._clock() < until_s:
             self._wake.clear()
@@ -285,7 +290,7 @@ class ModbusPort:
             async with asyncio.timeout(max(0.0, seconds)):
                 await self._wake.wait()
 
-    async def _poll_once(self, link: ModbusConnection) -> None:
+    async def _poll_once(self, link: PolledLink) -> None:
         """Read all registers, pass the reading on, and write the resulting command."""
         start_s = self._clock()
         known, self._foreign = self._foreign, self._counts["foreign"]
@@ -310,7 +315,7 @@ class ModbusPort:
         if link.lost is None and self._commander.pending:
             await self._commander.write(link)
 
-    async def _read(self, link: ModbusConnection) -> None:
+    async def _read(self, link: PolledLink) -> None:
         """Read every block.
 
         Raises:

@@ -1,0 +1,151 @@
+"""The simulated drive as a supply that speaks SCPI over TCP.
+
+It answers with what was measured in the last half cycle. What it does not know, or may not do, goes
+into its queue of errors, which `SYST:ERR?` or whatever the configuration names for it empties.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable, Mapping
+
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.references import MEASURED
+from adaptdrive.config.scpi import ScpiBus, ScpiValue
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.scpi.link import describe_supply
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.frames import quantities_of
+from adaptdrive_sim.devices.pacing import run_half_cycles
+
+NO_NUMBER = "9.91E37"
+UNDEFINED, OUT_OF_RANGE = '-113,"Undefined header"', '-222,"Data out of range"'
+
+
+class ScpiDrive:
+    """One simulated supply.
+
+    Attributes:
+        counts: Questions answered, commands obeyed and refused, by name.
+    """
+
+    def __init__(
+        self,
+        drive: SimulatedDrive,
+        config: ScpiBus,
+        signals: Signals,
+        report: Report,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.counts: collections.Counter[str] = collections.Counter()
+        self._drive = drive
+        self._config = config
+        self._signals = signals
+        self._report = report
+        self._clock = clock
+        self._shown: Mapping[str, float] = {}
+        self._held: dict[str, float] = {}
+        self._errors: collections.deque[str] = collections.deque(maxlen=20)
+
+    async def run(self, opened: Callable[[str], None]) -> None:
+        """Open the port, pass its description to `opened`, and serve it until cancelled.
+
+        Raises:
+            BusError: The port cannot be opened.
+        """
+        async with self.serving():
+            opened(describe_supply(self._config))
+            await run_half_cycles(self._drive, self._clock, self.show, self._report)
+
+    @contextlib.asynccontextmanager
+    async def serving(self) -> AsyncIterator[None]:
+        """Serve the port while the block runs.
+
+        Raises:
+            BusError: The port cannot be opened.
+        """
+        clients: set[asyncio.StreamWriter] = set()
+
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            clients.add(writer)
+            with contextlib.suppress(ConnectionError):
+                while line := await reader.readline():
+                    reply = self.obey(line.decode("ascii", "replace").strip())
+                    writer.write("".join(f"{one}\n" for one in reply).encode())
+
+        try:
+            server = await asyncio.start_server(serve, self._config.host, self._config.port)
+        except OSError as problem:
+            raise BusError(describe_supply(self._config), str(problem)) from problem
+        try:
+            yield
+        finally:
+            server.close()
+            for one in clients:
+                one.close()
+
+    def show(self, frame: Frame) -> None:
+        """Keep a half cycle for the questions that follow."""
+        self._shown = quantities_of(frame)
+
+    def obey(self, line: str) -> list[str]:
+        """Return the lines that answer a question; obey a command, which has none."""
+        self.counts["requests"] += 1
+        if line == "*OPC?":
+            return ["1"]
+        for name, value in self._config.values.items():
+            if value.query == line:
+                return [self._answer(name)]
+            head = (value.write or "").partition("{")[0]
+            if value.write is not None and line.startswith(head):
+                self._take(name, value, line.removeprefix(head))
+                return []
+        self._refuse(UNDEFINED)
+        return []
+
+    def _answer(self, name: str) -> str:
+        quantities = {
+            one: source
+            for one in (*MEASURED, "fault", "bridge")
+            if (source := getattr(self._signals, one)) is not None and source.signal == name
+        }
+        for quantity, source in quantities.items():
+            if quantity == "fault":
+                return self._next_error()
+            if not self._shown:
+                return NO_NUMBER
+            number = (self._shown[quantity] - source.offset) / source.scale
+            return f"{number:.0f}" if quantity == "bridge" else f"{number:.8E}"
+        return f"{self._held.get(name, 0.0):.8E}"
+
+    def _next_error(self) -> str:
+        if self._errors:
+            return self._errors.popleft()
+        fault = int(self._shown.get("fault", 0))
+        return f'{fault},"Protection"' if fault else '+0,"No error"'
+
+    def _take(self, name: str, value: ScpiValue, argument: str) -> None:
+        """Keep a number that is in range, and obey the command that results."""
+        number, limits = value.number(argument), value.range
+        if limits is not None and not limits.low <= number <= limits.high:
+            self._refuse(OUT_OF_RANGE)
+            return
+        self._held[name] = number
+        command = self._signals.command
+        reference, bridge = command.boost_reference_V, command.bridge
+        if reference is None or bridge is None or name not in {reference.signal, bridge.signal}:
+            return
+        self.counts["obeyed"] += 1
+        wanted_V = self._held.get(reference.signal, 0.0) * reference.scale + reference.offset
+        on = bool(self._held.get(bridge.signal, 0.0))
+        self._drive.hold(wanted_V, on, self._clock())
+
+    def _refuse(self, error: str) -> None:
+        """Queue an error, and report the first of its kind: a flood must not fill the log."""
+        self._errors.append(error)
+        self.counts[error] += 1
+        if self.counts[error] == 1:
+            self._report("command refused", reason=error)

@@ -1,0 +1,162 @@
+"""`[bus]` of a supply that speaks SCPI, lines of text over TCP, and the values behind them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from adaptdrive.config.bus import BusSection, CommandWatch, Signals
+from adaptdrive.config.modbus import ModbusTcp, Register, RegisterRange
+from adaptdrive.config.proposals import nearest
+from adaptdrive.config.references import commanded_names, measured_names, register_flaws
+from adaptdrive.config.section import PositiveFloat, Section, key
+from adaptdrive.config.services import check_host
+from adaptdrive.errors import Flaw
+
+_STEP = 8
+"""Registers from one value to the next: four hold it, and a gap keeps requests apart."""
+
+_REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([Ee][+-]?\d+)?", re.ASCII)
+_WHOLE = re.compile(r"[+-]?(\d+)(,.*)?", re.ASCII)
+
+
+class ScpiValue(Section):
+    """`[bus.values.NAME]`: one value of the supply, and the lines that ask for it and set it."""
+
+    query: str | None = key(None, "question, as `MEAS:VOLT?`", pattern=r"^[!-~][ -~]*\?[ -~]*$")
+    write: str | None = key(
+        None, "command with a Python format, as `VOLT {:.3f}`", pattern=r"^[!-~][ -~]*$"
+    )
+    integer: bool = key(
+        False,
+        "whole number without its sign, as where there are `names`; text may follow, as of "
+        "`SYST:ERR?`",
+    )
+    unit: str = key("", "unit of the value, for people")
+    range: RegisterRange | None = key(None, "a value outside is refused")
+    names: dict[str, int] = key({}, "words for numbers, such as { OFF = 0, ON = 1 }")
+
+    @model_validator(mode="after")
+    def _can_be_used(self) -> Self:
+        if self.query is None and self.write is None:
+            raise ValueError("needs `query` or `write`")
+        try:
+            for number in (0.5, *self.names.values()):
+                self.line(number)
+        except (ValueError, LookupError, AttributeError) as problem:
+            raise ValueError(f"write = {self.write!r} takes no value: {problem}") from problem
+        return self
+
+    @property
+    def whole(self) -> bool:
+        """True for a whole number."""
+        return self.integer or bool(self.names)
+
+    def line(self, number: float) -> str:
+        """Return the command for a number.
+
+        Args:
+            number: A finite value in the unit of the supply.
+        """
+        words = (name for name, one in self.names.items() if one == number)
+        return (self.write or "").format(next(words, number))
+
+    def number(self, reply: str) -> float:
+        """Return the number that a reply stands for, NaN for none.
+
+        Args:
+            reply: The line without its end.
+        """
+        if reply in self.names:
+            return self.names[reply]
+        found = (_WHOLE if self.whole else _REAL).fullmatch(reply)
+        return float(found[self.whole]) if found else math.nan
+
+    def register(self, address: int) -> Register:
+        """Return the value as four registers.
+
+        Args:
+            address: The first of them.
+        """
+        return Register(
+            address=address,
+            table="input" if self.write is None else "holding",
+            type="uint64" if self.whole else "float64",
+            unit=self.unit,
+            range=self.range,
+            names=self.names,
+        )
+
+
+class ScpiBus(CommandWatch, BusSection):
+    """`[bus]` with `type = "scpi"`."""
+
+    type: Literal["scpi"] = Field(description="kind of bus")
+    host: Annotated[str, AfterValidator(check_host)] = Field(
+        description="name or address of the device or its gateway"
+    )
+    port: int = key(5025, "port of the device", span=(1, 65535))
+    timeout_s: PositiveFloat = key(
+        0.05, "longest time from a request to its reply", span=(1e-3, 2.0)
+    )
+    turnaround_s: float = key(
+        0.005, "time that the device and the link take for a reply", span=(0.0, 1.0)
+    )
+    poll_ticks: int = key(
+        12, "half line cycles from one poll of the drive to the next", span=(1, 120)
+    )
+    values: dict[str, ScpiValue] = key({}, "values, by name; set in this order", max_length=1000)
+
+    @property
+    def ticks_per_reading(self) -> int:
+        """Half cycles from one poll to the next."""
+        return self.poll_ticks
+
+    def as_registers(self) -> ModbusTcp:
+        """Return a bus with a register for each value, which is polled in the same way."""
+        values = self.values.items()
+        unread = [name for name, value in values if value.query is None]
+        return ModbusTcp(
+            type="modbus-tcp",
+            host=self.host,
+            port=self.port,
+            timeout_s=self.timeout_s,
+            turnaround_s=self.turnaround_s,
+            poll_ticks=self.poll_ticks,
+            command_timeout_s=self.command_timeout_s,
+            setup=self.setup,
+            setup_unread=[*self.setup_unread, *unread],
+            max_gap=0,
+            max_block=4,
+            registers={
+                name: value.register(_STEP * number) for number, (name, value) in enumerate(values)
+            },
+        )
+
+    def value_at(self, address: int) -> ScpiValue:
+        """Return the value that begins at an address of the registers."""
+        return [*self.values.values()][address // _STEP]
+
+
+def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
+    """Yield the errors in the values of a supply, and in references to them.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+    """
+    for name, register in bus.as_registers().registers.items():
+        yield from register_flaws(f"bus.values.{name}", register)
+    setup = [(f"bus.setup.{name}", name) for name in bus.setup]
+    written = [*commanded_names(signals), *setup]
+    for line, references in (("query", measured_names(signals)), ("write", written)):
+        for place, name in references:
+            if name not in bus.values:
+                hint = nearest(name, bus.values)
+                yield Flaw(place, f"[bus.values] has no value {name!r}{hint}")
+            elif getattr(bus.values[name], line) is None:
+                yield Flaw(place, f"bus.values.{name} has no `{line}`")

@@ -1,0 +1,1 @@
+"""Supplies that speak SCPI over TCP."""

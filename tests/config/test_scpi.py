@@ -1,0 +1,70 @@
+"""Supplies that speak SCPI: what the page and the example say, and what is refused."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.examine import examine_text
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.scpi import ScpiBus, scpi_flaws
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.modbus.mapping import map_drive
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "deploy" / "examples" / "motor-scpi.toml"
+
+
+def test_the_values_of_the_page_are_valid_and_set_in_two_lines() -> None:
+    page = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (shown,) = [tomllib.loads(text) for text in blocks if "[bus.values]" in text]
+    bus = ScpiBus.model_validate({"type": "scpi", "host": "drive", **shown["bus"]})
+    command = {"boost_reference_V": "set_voltage", "bridge": "output"}
+    tables = {"boost_voltage_V": "voltage", "fault": "error", "bridge": "output"}
+    signals = Signals.model_validate({**tables, "command": command})
+    assert list(scpi_flaws(bus, signals)) == []
+    poll = map_drive(bus.as_registers(), signals, 1.0 / 120.0)
+    assert (len(poll.reads), len(poll.writes)) == (3, 2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "problem"),
+    [
+        ('= "voltage"', '= "voltge"', "signals.boost_voltage_V.signal", "'voltage'"),
+        (
+            '= "voltage"',
+            '= "clear"',
+            "signals.boost_voltage_V.signal",
+            "has no `query`",
+        ),
+        ('V = "voltage_set"', 'V = "voltage"', "signals.command.boost_reference_V", "no `write`"),
+        ("clear = 1", "voltage = 1", "bus.setup.voltage", "no `write`"),
+        ("clear = 1", "cler = 1", "bus.setup.cler", "no value 'cler'"),
+        ("{:.3f}", "{:d}", "bus.values.voltage_set", "takes no value: Unknown format code"),
+        ("{:.3f}", "{} {}", "bus.values.voltage_set", "takes no value"),
+        ("OUTP {}", "OUTP {:.0f}", "bus.values.output", "takes no value"),
+        ('"OUTP?"', '"OUTP"', "bus.values.output.query", "pattern"),
+        ("VOLT {:.3f}", "VOLT\\n{:.3f}", "bus.values.voltage_set.write", "one line"),
+        ("high = 600.0 } }\npower", "high = 200.0 } }\npower", "signals.boost_voltage_V", "200"),
+        ("low = -8.0", "low = 9.0", "bus.values.tachometer.range", "must be below"),
+        ('write = "*CLS"', 'unit = "V"', "bus.values.clear", "needs `query` or `write`"),
+        ("timeout_s = 0.05", "timeout_s = 0.1", "bus.timeout_s", "must be below one poll"),
+        ("turnaround_s = 0.005", "turnaround_s = 0.02", "bus.poll_ticks", "poll_ticks = 22 fits"),
+        ("integer = true, names", "names", "", ""),
+    ],
+)
+def test_what_cannot_be_used_is_named(old: str, new: str, place: str, problem: str) -> None:
+    text = EXAMPLE.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    text = text.replace(old, new)
+    if not place:
+        examine_text(text, EXAMPLE)
+        return
+    with pytest.raises(ConfigurationError) as error:
+        examine_text(text, EXAMPLE)
+    found = {flaw.place: flaw.message for flaw in error.value.flaws}
+    assert problem in found[place], found

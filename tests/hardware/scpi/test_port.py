@@ -1,0 +1,240 @@
+"""A supply that speaks SCPI, answered by a server that shares no code with the port."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import socket
+import time
+import tomllib
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.ports import build_port
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.port import Port
+from tests.hardware.modbus.bench import Ear, until
+from tests.support import free_port
+
+EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "motor-scpi.toml"
+RUN = Command(current_scale_S=0.0, boost_reference_V=287.6543, bridge=True)
+Answer = Callable[[str], bytes | None]
+
+
+class Supply:
+    """The server: its lines, what it was told, and how a test spoils it.
+
+    Attributes:
+        told: Every command, in order; a question is none.
+        replies: By question; numbers of every measurement differ.
+        spoil: Gives the bytes that answer a question in place of the reply, None for the reply.
+        obeys: Whether `OUTP` does something.
+    """
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self.told: list[str] = []
+        self.connections = 0
+        self.obeys = True
+        self.spoil: Answer = lambda _: None
+        self.replies = {
+            "MEAS:VOLT?": "+3.0012E+02",
+            "MEAS:POW?": "4.5E1",
+            "MEAS:AUX?": "3.25",
+            "SYST:ERR?": '+0,"No error"',
+            "VOLT?": "0",
+            "OUTP?": "0",
+            "*OPC?": "1",
+        }
+        self._writers: set[asyncio.StreamWriter] = set()
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        self._writers.add(writer)
+        with contextlib.suppress(ConnectionError):
+            while line := (await reader.readline()).decode().strip():
+                writer.write(self.reply(line))
+        writer.close()
+
+    def reply(self, line: str) -> bytes:
+        if not line.endswith("?"):
+            self.told.append(line)
+            if line.startswith("OUTP ") and self.obeys:
+                self.replies["OUTP?"] = str(int(line == "OUTP ON"))
+            return b""
+        spoilt = self.spoil(line)
+        return f"{self.replies[line]}\r\n".encode() if spoilt is None else spoilt
+
+    def hang_up(self) -> None:
+        for writer in self._writers:
+            writer.transport.abort()
+
+
+class Rig:
+    """A port between a supply and an ear."""
+
+    def __init__(self, port: Port, supply: Supply, ear: Ear) -> None:
+        self.port, self.supply, self.ear = port, supply, ear
+
+    async def hears(self, more: int = 2) -> None:
+        """Wait for more readings."""
+        count = len(self.ear.readings) + more
+        await until(lambda: len(self.ear.readings) >= count)
+
+    async def runs(self) -> None:
+        """Command the supply on until a reading shows that it is."""
+
+        def renewed() -> bool:
+            self.port.send(RUN)
+            return bool(self.ear.readings) and self.ear.readings[-1].bridge
+
+        await until(renewed)
+
+
+@pytest.fixture
+async def rig() -> AsyncIterator[Rig]:
+    """The example on a port of its own, patient with a busy machine."""
+    supply, ear = Supply(free_port(socket.SOCK_STREAM)), Ear()
+    tables = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
+    tables["bus"] |= {"port": supply.port, "poll_ticks": 24, "timeout_s": 0.15}
+    tables["bus"] |= {"command_timeout_s": 1.0}
+    tables["load"]["latency_ticks"], tables["interlocks"]["stale_s"] = 24, 1.0
+    port = build_port(validate_configuration(tables, EXAMPLE), time.monotonic, EXAMPLE)
+    server = await asyncio.start_server(supply.serve, "127.0.0.1", supply.port)
+    task = asyncio.create_task(port.run(ear, lambda: None))
+    try:
+        yield Rig(port, supply, ear)
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+        server.close()
+        supply.hang_up()
+
+
+async def test_it_is_set_up_measured_and_commanded_by_lines_of_text(rig: Rig) -> None:
+    await rig.runs()
+    reading = rig.ear.readings[-1]
+    assert reading.boost_voltage_V == pytest.approx(300.12)
+    assert (reading.load_power_W, reading.output, reading.fault) == (45.0, 3.25, 0)
+    assert math.isnan(reading.line_voltage_V)
+    assert rig.supply.told[:2] == ["*CLS", "SYST:REM"]
+    assert rig.supply.told[2:4] == ["VOLT 287.654", "OUTP ON"]
+    assert rig.port.description == f"scpi 127.0.0.1:{rig.supply.port}"
+    assert "MEAS:AUX? 3.25" in rig.port.details()
+
+
+async def test_a_stop_begins_with_the_output_and_is_confirmed_by_its_question_alone(
+    rig: Rig,
+) -> None:
+    await rig.runs()
+    rig.supply.obeys = False
+    rig.port.send(SAFE_COMMAND)
+    await until(lambda: rig.port.safe_s < math.inf)
+    told = rig.supply.told
+    assert told.index("OUTP OFF") < told.index("VOLT 0.000")
+    await rig.hears(3)
+    assert rig.ear.readings[-1].bridge
+    assert "OUTP ON" not in told[told.index("OUTP OFF") :]
+    rig.supply.obeys = True
+    await until(lambda: not rig.ear.readings[-1].bridge)
+
+
+async def test_a_missing_reply_never_moves_the_others_to_other_questions(rig: Rig) -> None:
+    await rig.runs()
+    late: list[bytes] = []
+
+    def delayed(question: str) -> bytes | None:
+        """Keep the reply to one question back, and send it with the next reply."""
+        if question == "MEAS:POW?" and not late:
+            late.append(b"45\n")
+            return b""
+        return late.pop() + b"3.25\n" if late else None
+
+    known = len(rig.ear.readings)
+    rig.supply.spoil = delayed
+    connections = rig.supply.connections
+    await until(lambda: rig.supply.connections > connections)
+    rig.supply.spoil = lambda _: None
+    await rig.hears(3)
+    for reading in rig.ear.readings[known:]:
+        assert (reading.load_power_W, reading.output) == (45.0, 3.25)
+    assert rig.port.statistics.timeouts >= 1
+
+
+async def test_a_reply_that_nothing_asked_for_ends_the_connection(rig: Rig) -> None:
+    await rig.hears()
+    rig.supply.spoil = lambda line: b"45\n45\n" if line == "MEAS:POW?" else None
+    connections, known = rig.supply.connections, len(rig.ear.readings)
+    await until(lambda: rig.supply.connections > connections)
+    rig.supply.spoil = lambda _: None
+    await rig.hears()
+    assert {one.output for one in rig.ear.readings[known:]} == {3.25}
+    assert rig.port.statistics.foreign >= 1
+
+
+async def test_a_supply_that_went_off_while_nothing_was_heard_is_not_switched_on_again(
+    rig: Rig,
+) -> None:
+    await rig.runs()
+    rig.supply.replies["OUTP?"], rig.supply.told[:] = "0", []
+    rig.supply.hang_up()
+    await until(lambda: rig.port.complaint is not None)
+    assert "drive stopped" in (rig.port.complaint or "")
+    rig.port.send(RUN)
+    await rig.hears()
+    assert "OUTP ON" not in rig.supply.told
+    assert rig.supply.told[:2] == ["*CLS", "SYST:REM"]
+
+
+async def test_a_supply_that_comes_late_or_returns_is_set_up_before_it_is_commanded(
+    rig: Rig,
+) -> None:
+    await rig.runs()
+    rig.supply.told.clear()
+    rig.supply.hang_up()
+    await until(lambda: "OUTP ON" in rig.supply.told or rig.port.send(RUN) is None)
+    assert rig.supply.told[:2] == ["*CLS", "SYST:REM"]
+
+
+@pytest.mark.parametrize(
+    ("reply", "word", "name"),
+    [('-113,"Undefined header"', 113, "undefined header"), ("7", 7, "")],
+)
+async def test_an_error_in_the_queue_is_a_fault(rig: Rig, reply: str, word: int, name: str) -> None:
+    await rig.hears()
+    queue = [f"{reply}\n".encode()]
+    rig.supply.spoil = lambda line: queue.pop() if line == "SYST:ERR?" and queue else None
+    await until(lambda: any(one.fault for one in rig.ear.readings))
+    fault = next(one for one in rig.ear.readings if one.fault)
+    assert (fault.fault, name in fault.fault_name) == (word, True)
+
+
+@pytest.mark.parametrize("reply", [b"9.91E37\n", b"nan\n", b"1_0\n", b"---\n", b"1E999\n", b"-1\n"])
+async def test_a_reply_that_is_no_voltage_is_not_used_and_the_stop_is_confirmed_all_the_same(
+    rig: Rig, reply: bytes
+) -> None:
+    await rig.runs()
+    rig.supply.spoil = lambda line: reply if line == "MEAS:VOLT?" else None
+    rig.port.send(SAFE_COMMAND)
+    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: not rig.ear.readings[-1].bridge)
+    assert {round(one.boost_voltage_V, 6) for one in rig.ear.readings} == {300.12}
+
+
+@pytest.mark.parametrize("reply", [b"1" * 5000, b"0\n", b"ON\nOFF\n", b"\xff\n"])
+async def test_a_command_counts_as_taken_only_when_the_supply_says_that_it_is_done(
+    rig: Rig, reply: bytes
+) -> None:
+    await rig.runs()
+    rig.supply.spoil = lambda line: reply if line == "*OPC?" else None
+    rig.port.send(SAFE_COMMAND)
+    known = len(rig.supply.told)
+    await until(lambda: rig.supply.told[known:].count("OUTP OFF") >= 2)
+    assert rig.port.safe_s == math.inf
+    rig.supply.spoil = lambda _: None
+    await until(lambda: rig.port.safe_s < math.inf)
