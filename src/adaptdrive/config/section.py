@@ -52,7 +52,9 @@ class Section(BaseModel):
     Types are those of TOML: neither `"1883"` nor `true` is a number.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
+    )
 
 
 class Range(Section):
