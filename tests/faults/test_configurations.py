@@ -66,7 +66,7 @@ def live(course: Course, draw: random.Random) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(FILES))
 @settings(
-    max_examples=int(os.environ.get("CONFIGURATIONS", "8")),
+    max_examples=int(os.environ.get("CONFIGURATIONS", "4")),
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )

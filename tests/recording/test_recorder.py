@@ -38,9 +38,6 @@ FREE = resource.getrlimit(resource.RLIMIT_FSIZE)
 ROOMY = 1 << 24
 """Backlog for a writer that is slow on a busy machine: nothing may be dropped."""
 
-UNAVAILABLE_STACK_BYTES = 1 << 46
-"""A stack for which no machine has the addresses: no thread starts with it."""
-
 TIGHT = 50_000
 """Backlog that a stalled writer fills within a second."""
 

@@ -224,11 +224,6 @@ class FastBench:
         self.frames(3)
         assert self.state() is State.RUNNING
 
-    def run_to(self, tick: int) -> None:
-        """Run until a tick is complete."""
-        while self.loop.tick < tick:
-            self.frame()
-
     def run_to_snapshot(self) -> Snapshot:
         """Run until the next snapshot."""
         known = len(self.around.snapshots)

@@ -185,13 +185,13 @@ def test_a_fault_that_is_the_drives_initial_value_ends_no_rehearsal(tmp_path: Pa
 
 @pytest.mark.slow
 @pytest.mark.calculating
-def test_memory_is_flat_over_an_hour_of_ticks() -> None:
+def test_memory_is_flat_over_twenty_minutes_of_ticks() -> None:
     """What grows with each tick would show, in a process that does nothing else."""
-    command = [sys.executable, "-m", "tests.runtime.hour_of_ticks"]
+    command = [sys.executable, "-m", "tests.runtime.many_ticks"]
     run = subprocess.run(command, check=False, capture_output=True, text=True, cwd=ROOT)
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     assert found["state"] == State.RUNNING
     assert found["missed"] == 0
-    assert found["grown_objects"] < 100
+    assert found["grown_objects"] < 40
     assert found["grown_KiB"] < 512
