@@ -21,11 +21,12 @@ from adaptdrive_sim.parameters import ParameterError
 STANDARD = Path("standard.toml")
 
 
-def test_a_campaign_leaves_a_row_for_each_seed_and_pictures(
+def test_a_campaign_leaves_a_row_for_each_seed_that_is_the_same_in_any_process_and_pictures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = run_campaign(STANDARD, tmp_path, scheduler=None, processes=2, runs=12)
     assert [row["seed"] for row in rows] == list(range(1, 13))
+    assert rows[2] == run_seed(read_campaign(STANDARD), 3)
     table = pq.read_table(tmp_path / "results.parquet").to_pylist()
     assert [row["ratio"] for row in table] == [row["ratio"] for row in rows]
     assert (tmp_path / "costs.png").stat().st_size > 10_000
@@ -41,11 +42,6 @@ def test_a_number_that_makes_no_campaign_is_refused(tmp_path: Path, number: str)
     with pytest.raises(ParameterError, match=f"^{number.replace('=', ' = ')} must lie in "):
         cli.app(["campaign", str(STANDARD), "--output", str(output), number])
     assert not output.exists()
-
-
-def test_the_same_seed_gives_the_same_row_in_any_process(tmp_path: Path) -> None:
-    rows = run_campaign(STANDARD, tmp_path, scheduler=None, processes=1, runs=3)
-    assert rows[2] == run_seed(read_campaign(STANDARD), 3)
 
 
 def test_a_run_is_repeated_on_the_deployed_controller_with_the_same_result(
