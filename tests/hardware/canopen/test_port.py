@@ -54,15 +54,15 @@ async def test_a_drive_that_syncs_is_told_to(peer: Peer) -> None:
         await until(lambda: peer.node.nmt.state == "OPERATIONAL")
         await bench.complains("not known yet")  # nobody sends SYNC here
         assert peer.number(0x1005) == 0x40000080
-        bus = can.Bus(interface="virtual", channel=peer.channel, ignore_config=True)
-        with contextlib.closing(_Shutting(bus)):
-            bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
-            await until(lambda: len(bench.ear.readings) == 1)
+        send_foreign(peer, (0x080, b""))
+        await until(lambda: len(bench.ear.readings) == 1)
 
 
-class _Shutting:
-    def __init__(self, bus: can.BusABC) -> None:
-        self.close = bus.shutdown
+def send_foreign(peer: Peer, *frames: tuple[int, bytes]) -> None:
+    """Send frames as another node of the bus."""
+    with can.Bus(interface=peer.interface, channel=peer.channel, ignore_config=True) as bus:
+        for can_id, data in frames:
+            bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
 
 
 async def test_a_reading_is_what_the_drive_measured_at_one_sync(peer: Peer) -> None:
@@ -489,12 +489,10 @@ async def test_another_drive_than_that_of_the_eds_is_left_alone(
 async def test_what_the_drive_has_not_though_the_eds_says_so_is_named(
     tmp_path: Path, index: str, verb: str
 ) -> None:
-    peer = Peer(f"canopen {tmp_path.name}", other_eds(tmp_path, without(index)))
-    try:
+    eds = other_eds(tmp_path, without(index))
+    with contextlib.closing(Peer(f"canopen {tmp_path.name}", eds)) as peer:
         async with running(peer) as bench:
             assert "object does not exist" in await bench.complains(f"cannot {verb}")
-    finally:
-        peer.close()
 
 
 QUICK_STOP = """[605A]
@@ -526,12 +524,9 @@ async def test_a_frame_id_that_is_too_long_is_refused_like_any_other_answer(
 ) -> None:
     entry = "DataType={}\nAccessType=rw\nDefaultValue=$NODEID+{}"
     longer = entry.format("0x0007", "0x80000300"), entry.format("0x001B", "0x300")
-    peer = Peer(f"canopen {tmp_path.name}", other_eds(tmp_path, longer))
-    try:
+    with contextlib.closing(Peer(f"canopen {tmp_path.name}", other_eds(tmp_path, longer))) as peer:
         async with running(peer) as bench:
             await bench.complains("0x1401.1 has 8 bytes, a number has at most 4")
-    finally:
-        peer.close()
 
 
 async def test_a_drive_that_keeps_another_value_is_not_trusted(peer: Peer) -> None:
@@ -545,12 +540,9 @@ async def test_a_drive_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
     absent.close()
     async with running(absent, sdo_timeout_s=0.1) as bench:
         await bench.complains("no answer when asked to read 0x1000")
-        peer = Peer(absent.channel)
-        try:
+        with contextlib.closing(Peer(absent.channel)) as peer:
             peer.boot()
             await bench.ready()
-        finally:
-            peer.close()
 
 
 async def test_a_bus_that_cannot_be_opened_is_an_error_at_once(peer: Peer) -> None:
@@ -608,10 +600,7 @@ async def test_a_heartbeat_or_sync_in_place_of_the_daemons_is_a_complaint(
         await bench.run_drive()
         await until(lambda: len(peer.beats) > 2)
         assert bench.port.complaint is None
-        bus = can.Bus(interface=peer.interface, channel=peer.channel, ignore_config=True)
-        with contextlib.closing(_Shutting(bus)):
-            bus.send(can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\x05"))
-            bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
+        send_foreign(peer, (0x77E, b"\x05"), (can_id, data))
         await bench.complains(f"another sender commands this drive: 1 x frame {name}")
         assert bench.port.statistics.foreign_commands == 1
 
@@ -622,10 +611,7 @@ async def test_another_master_of_the_node_is_a_complaint(peer: Peer) -> None:
         assert bench.port.complaint is None
         harmless = [(0x605, b"\x40\x41\x60\0\0\0\0\0"), (0x000, b"\x01\x05"), (0x123, bytes(8))]
         commands = [(0x605, b"\x2b\x40\x60\0\x06\0\0\0"), (0x205, bytes(8))]
-        bus = can.Bus(interface=peer.interface, channel=peer.channel, ignore_config=True)
-        with contextlib.closing(_Shutting(bus)):
-            for can_id, data in [*harmless, *commands]:
-                bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
+        send_foreign(peer, *harmless, *commands)
         await until(lambda: bench.port.statistics.foreign_commands == len(commands))
         await bench.complains("another sender commands this drive: 2 x frame 0x205")
 
@@ -636,10 +622,7 @@ async def test_a_node_whose_watch_another_sender_has_switched_off_is_set_up_agai
     async with running(peer) as bench:
         await bench.ready()
         watch = peer.number(0x1016, 1)
-        bus = can.Bus(interface=peer.interface, channel=peer.channel, ignore_config=True)
-        with contextlib.closing(_Shutting(bus)):
-            off = b"\x23\x16\x10\x01\0\0\0\0"
-            bus.send(can.Message(arbitration_id=0x605, is_extended_id=False, data=off))
+        send_foreign(peer, (0x605, b"\x23\x16\x10\x01\0\0\0\0"))
         await until(lambda: peer.number(0x1016, 1) == 0)
         await bench.complains("another sender commands this drive")
 
