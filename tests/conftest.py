@@ -55,7 +55,7 @@ COMPILING = {"campaign", "compiled"}
 """Folders whose tests compile the simulators.
 
 Their tests come before all others, so that one worker runs them and compiles once; the other
-workers find the compiled code on disk.
+workers find the compiled code on disk. They count as slow: `make quick` compiles nothing.
 """
 
 COMPILATION_S = 3600.0
@@ -73,6 +73,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.calculating if calculating else pytest.mark.waiting)
         if _folder(item) in COMPILING:
             item.add_marker(pytest.mark.timeout(COMPILATION_S))
+            item.add_marker(pytest.mark.slow)
     items.sort(key=_turn)
 
 
