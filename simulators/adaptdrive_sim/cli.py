@@ -125,8 +125,8 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
             stays. Without it they land at rest and share its momentum, as in the paper.
     """
     from adaptdrive_sim.claims import print_claims  # noqa: PLC0415  # keeps --help fast
-    from adaptdrive_sim.experiments.case import disturbance_of  # noqa: PLC0415
-    from adaptdrive_sim.experiments.reproduce import ReproduceRequest, find_experiment, run_request  # noqa: PLC0415
+    from adaptdrive_sim.experiments.case import ReproduceRequest, disturbance_of  # noqa: PLC0415
+    from adaptdrive_sim.experiments.reproduce import find_experiment, run_request  # noqa: PLC0415
 
     chosen = find_experiment(experiment, keep_speed=keep_speed)
     disturbance = disturbance_of(chosen.noise if noise is None else noise, spikes)

@@ -130,12 +130,13 @@ def _plant(drive: Disturbed, kind: type[Plant]) -> Plant:
     return drive.world.load
 
 
+def _put(kind: type, name: str) -> Callable[[Disturbed, Any, float], None]:
+    """Return the effect that sets an attribute of a plant of one kind."""
+    return lambda drive, value, _: setattr(_plant(drive, kind), name, value)
+
+
 def _change_disks(drive: Disturbed, disks: int, _: float) -> None:
     _plant(drive, Motor).disks += disks
-
-
-def _load_shaft(drive: Disturbed, torque_Nm: float, _: float) -> None:
-    _plant(drive, Motor).torque_Nm = torque_Nm
 
 
 def _set_noise(drive: Disturbed, noise_V: float, _: float) -> None:
@@ -147,14 +148,6 @@ def _spoil_sensors(drive: Disturbed, sensor_fault: int, _: float) -> None:
         raise RefusedError("this drive has no sensor modules")
     check_range("sensor_fault", sensor_fault, 0, max(SensorFault), "")
     drive.world.sensor_fault = sensor_fault
-
-
-def _set_inflow(drive: Disturbed, inflow_L_per_min: float, _: float) -> None:
-    _plant(drive, Bath).inflow_L_per_min = inflow_L_per_min
-
-
-def _set_series(drive: Disturbed, series_Ohm: float, _: float) -> None:
-    _plant(drive, Battery).series_Ohm = series_Ohm
 
 
 def _set_charge(drive: Disturbed, charge: float, _: float) -> None:
@@ -172,14 +165,14 @@ _LASTING = ("sag", "volume_gal")
 
 _ACTIONS: dict[str, Callable[[Disturbed, Any, float], None]] = {
     "disks": _change_disks,
-    "torque_Nm": _load_shaft,
+    "torque_Nm": _put(Motor, "torque_Nm"),
     "sag": lambda drive, sag, duration_s: drive.world.line.sag(sag, duration_s),
     "noise_V": _set_noise,
     "fault": lambda drive, fault, _: drive.inject(fault),
     "sensor_fault": _spoil_sensors,
     "volume_gal": lambda drive, gal, duration_s: _plant(drive, Bath).fill(gal, duration_s),
-    "inflow_L_per_min": _set_inflow,
-    "series_Ohm": _set_series,
+    "inflow_L_per_min": _put(Bath, "inflow_L_per_min"),
+    "series_Ohm": _put(Battery, "series_Ohm"),
     "charge": _set_charge,
 }
 """Effect of each, with its value and with its duration."""

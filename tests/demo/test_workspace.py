@@ -12,8 +12,7 @@ import pytest
 
 from adaptdrive.config.file import load_configuration
 from adaptdrive.household.ports import Ports
-from adaptdrive_sim.demo.bus import choose_bus
-from adaptdrive_sim.demo.real import RealStage
+from adaptdrive_sim.demo.real import RealStage, choose_bus
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import read_story
 
@@ -32,7 +31,7 @@ def test_the_configuration_is_valid_and_has_this_bus_and_broker(tmp_path: Path) 
     assert f"127.0.0.1:{configuration.mqtt.port}" == made.broker
     assert configuration.recording.directory == tmp_path / "run" / "sessions"
     bus = tomllib.loads(made.workspace.configuration.read_text())["bus"]
-    assert f"{bus['interface']} {bus['channel']}:{bus['udp_port']}" == str(made.bus)
+    assert f"{bus['interface']} {bus['channel']}:{bus['udp_port']}" == made.places["bus"]
     assert (tmp_path / "run" / bus["database"]).read_text().startswith("VERSION")
 
 
@@ -43,7 +42,7 @@ def test_two_demonstrations_in_one_second_share_nothing(
     with stage() as one, stage() as other:
         assert one.workspace.directory != other.workspace.directory
         assert one.workspace.directory.parent == tmp_path / "build" / "demo"
-        assert one.bus.udp_port != other.bus.udp_port
+        assert one.places["bus"] != other.places["bus"]
         assert one.broker != other.broker
 
 
@@ -71,6 +70,8 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 
 
 def test_a_bus_that_is_asked_for_is_taken() -> None:
-    assert choose_bus("socketcan", "can7", 1).channel == "can7"
-    assert str(choose_bus("socketcan", None, 1)) == "socketcan vcan0"
-    assert choose_bus("udp_multicast", "239.1.2.3", 1).channel == "239.1.2.3"
+    named = DemoSettings(interface="socketcan", channel="can7")
+    assert choose_bus(named, 1) == {"interface": "socketcan", "channel": "can7"}
+    assert choose_bus(DemoSettings(interface="socketcan"), 1)["channel"] == "vcan0"
+    group = DemoSettings(interface="udp_multicast", channel="239.1.2.3")
+    assert choose_bus(group, 7)["channel"] == "239.1.2.3"

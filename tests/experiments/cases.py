@@ -11,6 +11,7 @@ from adaptdrive_sim.experiments.case import (
     Case,
     Design,
     Disturbance,
+    ReproduceRequest,
     Variant,
     case_settings,
     run_case,
@@ -58,10 +59,7 @@ def outcomes(
     records = dict(zip(wanted, run(cases), strict=True))
     return [
         judge(
-            experiment,
-            "paper",
-            noise,
-            seed,
+            ReproduceRequest(experiment, "paper", noise, seed),
             {variant: records[seed, variant] for variant in variants},
         )
         for seed in dict.fromkeys(seed for seed, _ in wanted)

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
-from adaptdrive_sim.experiments.case import Disturbance, Variant, run_case
+from adaptdrive_sim.experiments.case import Disturbance, ReproduceRequest, Variant, run_case
 from adaptdrive_sim.experiments.experiment import LoadChange
 from adaptdrive_sim.experiments.figure import experiment_figure
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
@@ -27,7 +27,7 @@ VARIANTS: tuple[Variant, ...] = ("fixed", "adaptive", "direct_rls")
 @pytest.fixture(scope="module")
 def outcome() -> ExperimentOutcome:
     records = {one: run_case(make_case(SHORT, one, seed=81_200)) for one in VARIANTS}
-    return judge(SHORT, "paper", Disturbance(SHORT.noise), 81_200, records)
+    return judge(ReproduceRequest(SHORT, "paper", Disturbance(SHORT.noise), 81_200), records)
 
 
 @pytest.fixture(scope="module")

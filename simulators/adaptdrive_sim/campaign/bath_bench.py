@@ -11,25 +11,14 @@ import numpy as np
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import realise
 from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive_sim.campaign import drawn as draws
 from adaptdrive_sim.campaign.bath_settings import (
     BathCampaign,
     BathReferenceRanges,
     bath_parameters,
     bath_reach,
 )
-from adaptdrive_sim.campaign.drawn import (
-    Deployed,
-    Drawn,
-    DrawnRun,
-    Numbers,
-    Row,
-    each,
-    read_deployed,
-    several_sizes,
-    times,
-    uniform,
-    whole,
-)
+from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Numbers, Row
 from adaptdrive_sim.campaign.life import moving
 from adaptdrive_sim.course import Array
 from adaptdrive_sim.plants.bath import Bath, BathParameters
@@ -69,15 +58,6 @@ class BathScenario(Drawn):
     constant: bool
     offset_K: float
 
-    def targets_gal_at(self, times_s: Array) -> Array:
-        """Return the volume that is asked for at each time."""
-        return moving(times_s, self.fill_times_s, self.volumes_gal, (0.0,) * len(self.fill_times_s))
-
-    def inflows_at(self, times_s: Array) -> Array:
-        """Return the flow at each time, relative to the model's."""
-        jumps = (0.0,) * len(self.inflow_times_s)
-        return moving(times_s, self.inflow_times_s, self.inflows, jumps)
-
     def references_at(self, times_s: Array) -> Array:
         """Return the set-point at each time."""
         if self.constant:
@@ -90,16 +70,19 @@ def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
     generator = np.random.default_rng([seed, _STREAM])
     water, sensor = campaign.water, campaign.sensor
     quiet_s, end_s = water.quiet_s, max(water.quiet_s, campaign.duration_s - water.quiet_s)
-    volumes_gal = several_sizes(
+    volumes_gal = draws.several_sizes(
         generator, water.volume_gal, water.unchanged, water.fills, water.fill_min
     )
-    fill_times_s = times(generator, len(volumes_gal) - 1, quiet_s, end_s)
-    moves = whole(generator, water.inflow_changes)
-    inflows = tuple(uniform(generator, water.inflow) for _ in range(moves + 1))
-    drift = uniform(generator, water.drift_K_per_h) * float(generator.choice((-1.0, 1.0)))
-    turn_s, offset_K = uniform(generator, water.turn_s), uniform(generator, sensor.offset_K)
-    resistance = uniform(generator, campaign.heater.resistance)
-    ageing = uniform(generator, campaign.heater.ageing_per_h)
+    fill_times_s = draws.times(generator, len(volumes_gal) - 1, quiet_s, end_s)
+    moves = draws.whole(generator, water.inflow_changes)
+    inflows = tuple(draws.uniform(generator, water.inflow) for _ in range(moves + 1))
+    drift = draws.uniform(generator, water.drift_K_per_h) * float(generator.choice((-1.0, 1.0)))
+    turn_s, offset_K = (
+        draws.uniform(generator, water.turn_s),
+        draws.uniform(generator, sensor.offset_K),
+    )
+    resistance = draws.uniform(generator, campaign.heater.resistance)
+    ageing = draws.uniform(generator, campaign.heater.ageing_per_h)
     aged = resistance * (1.0 + ageing * campaign.duration_s / 3600.0)
     shift_K = abs(drift) * turn_s / 3600.0 + abs(offset_K)
     room = bath_reach(inflows, (resistance, aged), shift_K)
@@ -108,24 +91,24 @@ def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
         duration_s=campaign.duration_s,
         volumes_gal=volumes_gal,
         fill_times_s=fill_times_s,
-        fill_s=uniform(generator, water.fill_s),
+        fill_s=draws.uniform(generator, water.fill_s),
         inflows=inflows,
-        inflow_times_s=times(generator, moves, quiet_s, end_s),
+        inflow_times_s=draws.times(generator, moves, quiet_s, end_s),
         drift_K_per_h=drift,
         turn_s=turn_s,
         resistance=resistance,
         ageing_per_h=ageing,
         reference=_waveform(generator, campaign.reference, room),
         constant=bool(generator.random() < campaign.reference.constant),
-        sigma=uniform(generator, sensor.sigma_K),
-        spike_share=uniform(generator, sensor.spike_share),
+        sigma=draws.uniform(generator, sensor.sigma_K),
+        spike_share=draws.uniform(generator, sensor.spike_share),
         spike_sigma=sensor.spike_K,
-        output_quantum=uniform(generator, sensor.output_K),
+        output_quantum=draws.uniform(generator, sensor.output_K),
         offset_K=offset_K,
-        output_delay_ticks=whole(generator, sensor.output_delay_ticks),
-        line_voltage=uniform(generator, campaign.line.voltage),
-        frequency_Hz=uniform(generator, campaign.line.frequency_Hz),
-        **each(generator, campaign.wire, "voltage_V", "power_W", "scale_S"),
+        output_delay_ticks=draws.whole(generator, sensor.output_delay_ticks),
+        line_voltage=draws.uniform(generator, campaign.line.voltage),
+        frequency_Hz=draws.uniform(generator, campaign.line.frequency_Hz),
+        **draws.each(generator, campaign.wire, "voltage_V", "power_W", "scale_S"),
     )
 
 
@@ -135,17 +118,17 @@ def _waveform(
     """Draw a waveform and move it into what V_c holds."""
     shape = ranges.shapes[int(generator.integers(len(ranges.shapes)))]
     least, most = room
-    height = min(uniform(generator, ranges.step), most - least)
-    wanted = ranges.low + uniform(generator, ranges.low_above)
+    height = min(draws.uniform(generator, ranges.step), most - least)
+    wanted = ranges.low + draws.uniform(generator, ranges.low_above)
     low = min(max(wanted, least), most - height)
-    period_s = float(round(uniform(generator, ranges.period_s)))
+    period_s = float(round(draws.uniform(generator, ranges.period_s)))
     return Waveform(Shape(shape), low, low + height, period_s)
 
 
 @cache
 def deployed_bath() -> Deployed:
     """The example configuration."""
-    return read_deployed("bath.toml")
+    return draws.read_deployed("bath.toml")
 
 
 class BathStand(DrawnRun):
@@ -155,16 +138,15 @@ class BathStand(DrawnRun):
         super().__init__(deployed_bath(), scenario, scenario.offset_K, scenario.reference.low)
         self.scenario = scenario
         self.change_times_s = scenario.fill_times_s
-        ramps_s = (scenario.fill_s,) * len(self.change_times_s)
-        self.sizes = moving(self.times_s, self.change_times_s, scenario.volumes_gal, ramps_s)
-        self.inflows = scenario.inflows_at(self.times_s)
-        self.targets = scenario.targets_gal_at(self.times_s) / scenario.volumes_gal[0]
+        flows, volumes_gal = scenario.inflows, scenario.volumes_gal
+        self.sizes = moving(self.times_s, self.change_times_s, volumes_gal, scenario.fill_s)
+        self.inflows = moving(self.times_s, scenario.inflow_times_s, flows)
+        self.targets = moving(self.times_s, self.change_times_s, volumes_gal) / volumes_gal[0]
         self.over_s = scenario.fill_s
         moved = bool(scenario.inflow_times_s)
-        self.burdens = self.inflows / scenario.inflows[0] if moved else np.empty(0)
+        self.burdens = self.inflows / flows[0] if moved else np.empty(0)
         self.references = scenario.references_at(self.times_s)
         self.disturbances = scenario.disturbances(self.ticks + 1, self.offset)
-        flows = scenario.inflows
         moved_K = (max(flows) / min(flows) - 1.0) * scenario.reference.high
         self.largest_movement = max(self.step, moved_K)
 

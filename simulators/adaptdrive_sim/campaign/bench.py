@@ -11,19 +11,8 @@ import numpy as np
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive_sim.campaign.drawn import (
-    Deployed,
-    Drawn,
-    DrawnRun,
-    Numbers,
-    Row,
-    each,
-    read_deployed,
-    several_sizes,
-    times,
-    uniform,
-    whole,
-)
+from adaptdrive_sim.campaign import drawn as draws
+from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Numbers, Row
 from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
 from adaptdrive_sim.campaign.settings import MIDDLE, NOMINAL_GAIN, Campaign, ReferenceRanges, reach
 from adaptdrive_sim.course import Array
@@ -80,7 +69,7 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
     """The run of a campaign that a seed stands for."""
     generator = np.random.default_rng([seed, 0])
     load, reference, noise = campaign.load, campaign.reference, campaign.noise
-    inertias = several_sizes(
+    inertias = draws.several_sizes(
         generator,
         load.inertia,
         load.unchanged if campaign.duration_s > 2.0 * load.quiet_s else 1.0,
@@ -88,12 +77,12 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
         load.change_min,
     )
     end_s = max(load.quiet_s, campaign.duration_s - load.quiet_s)
-    times_s = times(generator, len(inertias) - 1, load.quiet_s, end_s)
-    step = uniform(generator, reference.step)
+    times_s = draws.times(generator, len(inertias) - 1, load.quiet_s, end_s)
+    step = draws.uniform(generator, reference.step)
     shape = reference.shapes[int(generator.integers(len(reference.shapes)))]
-    period_s = round(uniform(generator, reference.period_s))
+    period_s = round(draws.uniform(generator, reference.period_s))
     line, wire = campaign.line, campaign.wire
-    gain, above = uniform(generator, load.gain), _low_above(reference, seed)
+    gain, above = draws.uniform(generator, load.gain), _low_above(reference, seed)
     life = draw_life(campaign.life, seed, campaign.duration_s, len(times_s))
     low, high = _reachable(reference.low + above, step, gain, life)
     return Scenario(
@@ -102,23 +91,23 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
         inertias=inertias,
         change_times_s=times_s,
         gain=gain,
-        filter=uniform(generator, load.filter),
+        filter=draws.uniform(generator, load.filter),
         reference=Waveform(Shape(shape), low, high, float(period_s)),
-        sigma=(high - low) * uniform(generator, noise.sigma),
-        spike_share=uniform(generator, noise.spike_share),
+        sigma=(high - low) * draws.uniform(generator, noise.sigma),
+        spike_share=draws.uniform(generator, noise.spike_share),
         spike_sigma=(high - low) * noise.spike_sigma,
-        line_voltage=uniform(generator, line.voltage),
-        frequency_Hz=uniform(generator, line.frequency_Hz),
-        output_delay_ticks=whole(generator, wire.output_delay_ticks),
-        output_quantum=uniform(generator, wire.output_V),
-        **each(generator, wire, "voltage_V", "power_W", "scale_S"),
+        line_voltage=draws.uniform(generator, line.voltage),
+        frequency_Hz=draws.uniform(generator, line.frequency_Hz),
+        output_delay_ticks=draws.whole(generator, wire.output_delay_ticks),
+        output_quantum=draws.uniform(generator, wire.output_V),
+        **draws.each(generator, wire, "voltage_V", "power_W", "scale_S"),
         life=life,
     )
 
 
 def _low_above(reference: ReferenceRanges, seed: int) -> float:
     """Draw from a separate stream, so that a file without it draws the same as ever."""
-    return uniform(np.random.default_rng([seed, 2]), reference.low_above)
+    return draws.uniform(np.random.default_rng([seed, 2]), reference.low_above)
 
 
 def _reachable(low: float, step: float, gain: float, life: Life) -> tuple[float, float]:
@@ -136,7 +125,7 @@ WARM_UP_s = 90.0
 @cache
 def deployed() -> Deployed:
     """The example configuration, for a run that starts at rest."""
-    return at_rest(read_deployed("motor.toml"))
+    return at_rest(draws.read_deployed("motor.toml"))
 
 
 def at_rest(own: Deployed) -> Deployed:

@@ -75,16 +75,20 @@ class Life:
         return found
 
 
-def moving(times_s: Array, starts_s: Numbers, levels: Numbers, ramps_s: Numbers) -> Array:
+def moving(
+    times_s: Array, starts_s: Numbers, levels: Numbers, ramps_s: Numbers | float = 0.0
+) -> Array:
     """Return a quantity that moves from level to level.
 
     Args:
         times_s: When it is asked for.
         starts_s: When it begins to move to the next level.
         levels: One more than there are starts.
-        ramps_s: How long each movement takes; the next one ends it early.
+        ramps_s: How long each movement takes, or all of them; the next one ends it early.
     """
     found = np.full(times_s.size, levels[0])
+    if isinstance(ramps_s, float):
+        ramps_s = (ramps_s,) * len(starts_s)
     ends_s = (*starts_s, np.inf)[1:]
     value = levels[0]
     for start_s, end_s, level, ramp_s in zip(starts_s, ends_s, levels[1:], ramps_s, strict=True):

@@ -73,11 +73,6 @@ _BATCH = 10
 class ClusterError(AdaptdriveError):
     """A Dask cluster cannot be used."""
 
-    def __init__(self, address: str, reason: str) -> None:
-        self.address = address
-        self.reason = reason
-        super().__init__(f"scheduler {address}: {reason}")
-
 
 def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[Row]:
     """Run every seed of a campaign; rows arrive in the order of their seeds."""
@@ -97,25 +92,19 @@ def workers(count: int | None, scheduler: str | None) -> Iterator[Executor]:
     Raises:
         ClusterError: There is no such cluster, or no way to talk to one.
     """
-    if scheduler is not None:
-        with _cluster(scheduler) as executor:
+    if scheduler is None:
+        with processes(count or len(os.sched_getaffinity(0))) as executor:
             yield executor
         return
-    with processes(count or len(os.sched_getaffinity(0))) as executor:
-        yield executor
-
-
-@contextmanager
-def _cluster(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client  # noqa: PLC0415  # an optional extra
+
+        client = Client(scheduler, timeout=10)
     except ImportError as problem:
         reason = "needs the optional extra: pip install 'adaptdrive[cluster]'"
-        raise ClusterError(address, reason) from problem
-    try:
-        client = Client(address, timeout=10)
+        raise ClusterError(f"scheduler {scheduler}: {reason}") from problem
     except (OSError, ValueError) as problem:
-        raise ClusterError(address, str(problem)) from problem
+        raise ClusterError(f"scheduler {scheduler}: {problem}") from problem
     with client:
         yield client.get_executor()
 

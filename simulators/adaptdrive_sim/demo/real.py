@@ -8,7 +8,6 @@ import socket
 import time
 from collections.abc import Coroutine
 from contextlib import AsyncExitStack, suppress
-from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -27,7 +26,6 @@ from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.main import follow_drive
 from adaptdrive.watch.sending import over_mqtt
 from adaptdrive_sim.broker import parse_address
-from adaptdrive_sim.demo.bus import choose_bus
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story
@@ -47,6 +45,22 @@ _ASKED = 3
 _LOOK_s = 0.05
 _WAIT_s = 0.1
 
+VIRTUAL_INTERFACE = "vcan0"
+
+
+def choose_bus(settings: DemoSettings, port: int) -> dict[str, Any]:
+    """Return the bus for the configuration; by default one that no other demonstration has.
+
+    Args:
+        settings: The interface and channel that are asked for, if any.
+        port: UDP port for multicast.
+    """
+    if settings.interface == "socketcan":
+        return {"interface": "socketcan", "channel": settings.channel or VIRTUAL_INTERFACE}
+    number = os.getpid()
+    group = settings.channel or f"239.74.{number >> 8 & 255}.{number & 255}"
+    return {"interface": "udp_multicast", "channel": group, "udp_port": port}
+
 
 class RealStage:
     """The processes of a demonstration. Use it as an async context manager.
@@ -54,7 +68,6 @@ class RealStage:
     Attributes:
         drive_name: Name of the drive.
         workspace: Its folder.
-        bus: Its bus.
         places: What the help shows of the surroundings.
     """
 
@@ -68,7 +81,7 @@ class RealStage:
         self.workspace = make_workspace(settings.directory, story.configuration)
         self._ports = Ports()
         port = self._ports.take(socket.SOCK_DGRAM)
-        self.bus = choose_bus(settings.interface, settings.channel, port)
+        bus = choose_bus(settings, port)
         document = story.document()
         self.drive_name = str(document["drive"]["name"])
         if settings.broker is None:
@@ -78,7 +91,7 @@ class RealStage:
             self._broker = parse_address(settings.broker)
             self.drive_name = f"{self.drive_name}-{os.getpid()}"  # others share that broker
         document["drive"]["name"] = self.drive_name
-        document["bus"] |= asdict(self.bus)
+        document["bus"] |= bus
         document["mqtt"] = {"host": self._broker.host, "port": self._broker.port}
         document["recording"] = {"directory": str(self.workspace.sessions)}
         self.workspace.write(document)
@@ -86,9 +99,10 @@ class RealStage:
         self._household = Household({**os.environ, **state})
         self._ask = over_mqtt(self._broker, self.drive_name, _ANSWER_s)
         self._closing = AsyncExitStack()
+        place = [str(bus[name]) for name in ("channel", "udp_port") if name in bus]
         self.places = {
             "folder": str(self.workspace.directory),
-            "bus": str(self.bus),
+            "bus": f"{bus['interface']} {':'.join(place)}",
             "broker": self.broker,
             "try": f"{program()} mode {self.drive_name} adaptive --broker {self.broker}",
         }

@@ -23,7 +23,7 @@ from adaptdrive_sim.course import Array, Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.noise import NoiseParameters, read_spikes, samples
-from adaptdrive_sim.parameters import check_range
+from adaptdrive_sim.parameters import SEED_MAX, check_range
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World
 
@@ -104,6 +104,38 @@ def case_settings(experiment: Experiment, variant: Variant, design: Design) -> C
     method = _METHODS.get(variant, settings.learning.method)
     learning = dataclasses.replace(settings.learning, method=method)
     return dataclasses.replace(settings, learning=learning)
+
+
+@dataclass(frozen=True, slots=True)
+class ReproduceRequest:
+    """Experiment to reproduce, and its options.
+
+    Attributes:
+        experiment: The experiment.
+        design: The paper's controller or the daemon's default one.
+        disturbance: Measurement noise.
+        seed: Of the noise.
+    """
+
+    experiment: Experiment
+    design: Design
+    disturbance: Disturbance
+    seed: int
+
+    def __post_init__(self) -> None:
+        check_range("seed", self.seed, 0, SEED_MAX, "")
+
+    def case(self, variant: Variant) -> Case:
+        """The run of one controller."""
+        settings = case_settings(self.experiment, variant, self.design)
+        return Case(self.experiment, variant, settings, self.disturbance, self.seed)
+
+    def listener(self) -> Case:
+        """The plain estimator that other settings are tried with; it always hears some noise."""
+        settings = case_settings(self.experiment, "fixed", "paper")
+        silent = self.disturbance.scaled(1.0).silent
+        disturbance = Disturbance(self.experiment.noise) if silent else self.disturbance
+        return Case(self.experiment, "fixed", settings, disturbance, self.seed)
 
 
 def daemon_settings(experiment: Experiment) -> ControllerSettings:

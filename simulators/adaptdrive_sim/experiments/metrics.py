@@ -64,21 +64,16 @@ def model_errors(experiment: Experiment, design: Design, record: Run) -> Array:
 
 def ideal_output(experiment: Experiment, design: Design) -> Array:
     """Output of the ideal loop at every slow instant, from rest on the lower reference."""
-    periods = round(experiment.duration_s / experiment.period_s)
     desired = desired_polynomial(experiment.pole, 2 * experiment.nominal().order)
-    low = experiment.reference.low
-    outputs = [0.0] * (len(desired) - 1)
-    references = [0.0] * len(desired)
-    found = np.empty(periods)
-    for k in range(periods):
-        time_s = k * experiment.period_s
-        references = [experiment.reference.value(time_s) - low, *references[:-1]]
+    low, times_s = experiment.reference.low, experiment.times_s()
+    steps = [experiment.reference.value(time_s) - low for time_s in times_s]
+    found = np.zeros(len(times_s))
+    for k, time_s in enumerate(times_s):
         weights = _weights(experiment.true_load(experiment.size_at(time_s)), design, experiment)
-        output = sum(weights[i] * references[i] for i in range(len(weights)))
-        output -= sum(desired[i + 1] * outputs[i] for i in range(len(outputs)))
-        outputs = [output, *outputs[:-1]]
-        found[k] = low + output
-    return found
+        forced = sum(weights[i] * steps[k - i] for i in range(min(k + 1, len(weights))))
+        free = sum(desired[i] * found[k - i] for i in range(1, min(k + 1, len(desired))))
+        found[k] = forced - free
+    return low + found
 
 
 def _weights(load: Load, design: Design, experiment: Experiment) -> Vector:
@@ -98,7 +93,8 @@ def _numerator(load: Load, design: Design, period_s: float) -> Vector:
 
 def rms_between(record: Run, errors: Array, first_s: float, last_s: float) -> float:
     """Root of the mean square over first <= t < last."""
-    return _rms(errors[_between(record, first_s, last_s)])
+    values = errors[_between(record, first_s, last_s)]
+    return float(np.sqrt(np.mean(values * values)))
 
 
 def _cycle(experiment: Experiment, record: Run, errors: Array, start_s: float) -> Cycle:
@@ -170,10 +166,6 @@ def distances(experiment: Experiment, estimates: Array, first: int, last: int) -
 def _between(record: Run, first_s: float, last_s: float) -> NDArray[np.bool_]:
     times = record["time_s"]
     return (times >= first_s) & (times < last_s)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values * values)))
 
 
 def estimate_moves(experiment: Experiment, record: Run) -> dict[str, float]:

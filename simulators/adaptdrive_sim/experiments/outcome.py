@@ -14,21 +14,16 @@ from typing import Any
 
 from adaptdrive_sim.claims import Claim
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.case import Design, Disturbance, Variant
-from adaptdrive_sim.experiments.experiment import Experiment
+from adaptdrive_sim.experiments.case import Disturbance, ReproduceRequest, Variant
 from adaptdrive_sim.experiments.metrics import Cycle, convergence_cycles, cycles, estimate_moves
 from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
 
 
 @dataclass(frozen=True, slots=True)
-class ExperimentOutcome:
+class ExperimentOutcome(ReproduceRequest):
     """Everything that was found.
 
     Attributes:
-        experiment: What was done.
-        design: In which design.
-        disturbance: Under which noise.
-        seed: Of the noise.
         records: Recorded runs by controller.
         cycles: Metrics of each run by controller.
         converged: Cycles until the adaptive run's estimates were right, for each load change.
@@ -36,10 +31,6 @@ class ExperimentOutcome:
         over_tau_lambda: What other values of τ_λ do.
     """
 
-    experiment: Experiment
-    design: Design
-    disturbance: Disturbance
-    seed: int
     records: dict[Variant, Run]
     cycles: dict[Variant, list[Cycle]]
     converged: list[float | None]
@@ -57,18 +48,14 @@ class ExperimentOutcome:
         return math.sqrt(sum(squares) / len(squares))
 
 
-def judge(
-    experiment: Experiment,
-    design: Design,
-    disturbance: Disturbance,
-    seed: int,
-    records: dict[Variant, Run],
-) -> ExperimentOutcome:
+def judge(request: ReproduceRequest, records: dict[Variant, Run]) -> ExperimentOutcome:
     """Work out the metrics of all runs."""
+    experiment, design = request.experiment, request.design
     judged = {variant: cycles(experiment, design, record) for variant, record in records.items()}
     adaptive = records["adaptive"]
     converged = [convergence_cycles(experiment, adaptive, one) for one in experiment.changes]
-    return ExperimentOutcome(experiment, design, disturbance, seed, records, judged, converged)
+    noise, seed = request.disturbance, request.seed
+    return ExperimentOutcome(experiment, design, noise, seed, records, judged, converged)
 
 
 def summary(
@@ -199,19 +186,19 @@ def _forgetting(outcome: ExperimentOutcome) -> Claim:
 def _tau_lambda(outcome: ExperimentOutcome) -> Claim:
     experiment = outcome.experiment
     limit_s = settling_time_s(experiment.nominal(), 0.1 * experiment.period_s)
-    points = outcome.over_tau_lambda
-    below = min(
-        (one for one in points if one.setting.tau_lambda_s <= limit_s),
-        key=lambda one: one.deviation,
-    )
-    beyond = min(
-        (one for one in points if one.setting.tau_lambda_s > limit_s), key=lambda one: one.deviation
+    below, beyond = (
+        min(
+            one.deviation
+            for one in outcome.over_tau_lambda
+            if (one.setting.tau_lambda_s > limit_s) is slower
+        )
+        for slower in (False, True)
     )
     return Claim(
         f"λ filters slower than the load's settling time of {limit_s:.0f} s gain nothing",
-        f"noise in the estimates at best {100.0 * beyond.deviation:.2g} %",
-        f"no more than a tenth below the {100.0 * below.deviation:.2g} % of faster ones",
-        beyond.deviation >= 0.9 * below.deviation,
+        f"noise in the estimates at best {100.0 * beyond:.2g} %",
+        f"no more than a tenth below the {100.0 * below:.2g} % of faster ones",
+        beyond >= 0.9 * below,
     )
 
 

@@ -7,7 +7,6 @@ import json
 import os
 import time
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +15,9 @@ import pyarrow.parquet as pq
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.claims import Claim
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.case import (
-    Case,
-    Design,
-    Disturbance,
-    Variant,
-    case_settings,
-    run_case,
-)
+from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.outcome import (
-    ExperimentOutcome,
-    claims,
-    judge,
-    summary,
-)
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome, claims, judge, summary
 from adaptdrive_sim.experiments.published import BATH, DROPPED, MOTOR
 from adaptdrive_sim.experiments.sweep import (
     listen,
@@ -39,7 +26,6 @@ from adaptdrive_sim.experiments.sweep import (
     try_settings,
 )
 from adaptdrive_sim.jobs import processes, progress
-from adaptdrive_sim.parameters import SEED_MAX, check_range
 from adaptdrive_sim.recorded import table_of
 
 VARIANTS: dict[str, tuple[Variant, ...]] = {
@@ -61,38 +47,6 @@ class OutputError(AdaptdriveError):
 
 class RunError(AdaptdriveError):
     """A process that ran a controller has died."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReproduceRequest:
-    """Experiment to reproduce, and its options.
-
-    Attributes:
-        experiment: The experiment.
-        design: The paper's controller or the daemon's default one.
-        disturbance: Measurement noise.
-        seed: Of the noise.
-    """
-
-    experiment: Experiment
-    design: Design
-    disturbance: Disturbance
-    seed: int
-
-    def __post_init__(self) -> None:
-        check_range("seed", self.seed, 0, SEED_MAX, "")
-
-    def case(self, variant: Variant) -> Case:
-        """The run of one controller."""
-        settings = case_settings(self.experiment, variant, self.design)
-        return Case(self.experiment, variant, settings, self.disturbance, self.seed)
-
-    def listener(self) -> Case:
-        """The plain estimator that other settings are tried with; it always hears some noise."""
-        settings = case_settings(self.experiment, "fixed", "paper")
-        silent = self.disturbance.scaled(1.0).silent
-        disturbance = Disturbance(self.experiment.noise) if silent else self.disturbance
-        return Case(self.experiment, "fixed", settings, disturbance, self.seed)
 
 
 def find_experiment(name: str, *, keep_speed: bool) -> Experiment:
@@ -162,7 +116,7 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
         for variant, run in runs.items():
             records[variant] = run.result()
             done(1, f"ran the {variant} controller")
-        outcome = judge(experiment, request.design, request.disturbance, request.seed, records)
+        outcome = judge(request, records)
         draw_experiment(outcome, folder / "figure.png")
         done(1, "drew the experiment")
         outcome = dataclasses.replace(
