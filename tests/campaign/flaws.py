@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.errors import ConfigurationError
 from adaptdrive_sim.campaign.main import read_any_campaign
-from adaptdrive_sim.campaign.settings import CampaignError
 
 
 def message_about(path: Path, text: str, old: str, new: str) -> str:
@@ -21,6 +21,6 @@ def message_about(path: Path, text: str, old: str, new: str) -> str:
     """
     assert old in text
     path.write_text(text.replace(old, new), encoding="utf-8")
-    with pytest.raises(CampaignError) as problem:
+    with pytest.raises(ConfigurationError) as problem:
         read_any_campaign(path)
     return str(problem.value)

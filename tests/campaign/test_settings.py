@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.errors import ConfigurationError
 from adaptdrive_sim.campaign.main import read_any_campaign
-from adaptdrive_sim.campaign.settings import FOLDER, CampaignError, read_campaign
+from adaptdrive_sim.campaign.settings import FOLDER, read_campaign
 from tests.campaign.flaws import message_about
 
 STANDARD = (FOLDER / "standard.toml").read_text(encoding="utf-8")
@@ -39,13 +40,13 @@ def test_an_error_names_key_and_value(tmp_path: Path, old: str, new: str, flaw: 
 def test_a_file_that_is_not_utf_8_is_one_error(tmp_path: Path, named: bytes) -> None:
     path = tmp_path / "mine.toml"
     path.write_bytes(named + b"# 20 \xb0C\n")
-    with pytest.raises(CampaignError) as problem:
+    with pytest.raises(ConfigurationError) as problem:
         read_any_campaign(path)
     place = len(named) + 5
-    expected = f"{path}: is not UTF-8 text: invalid start byte at byte {place}"
-    assert str(problem.value) == expected
+    assert str(problem.value).startswith(f"{path}: ")
+    assert str(problem.value).endswith(f"in position {place}: invalid start byte")
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(CampaignError, match=r"missing\.toml: No such file"):
+    with pytest.raises(ConfigurationError, match=r"missing\.toml: .*No such file"):
         read_campaign(tmp_path / "missing.toml")

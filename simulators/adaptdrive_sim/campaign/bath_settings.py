@@ -96,11 +96,6 @@ class WaterRanges(CampaignTable):
     turn_s: Annotated[Range, within(60.0, 1e6)]
     quiet_s: float = Field(ge=0.0)
 
-    @property
-    def largest_shift_K(self) -> float:
-        """Largest distance of the inflow's temperature from that at the start."""
-        return self.drift_K_per_h[1] * self.turn_s[1] / 3600.0
-
 
 class HeaterRanges(CampaignTable):
     """The heater: its resistance, relative to the settings of the controller, and how it ages."""
@@ -157,7 +152,8 @@ class BathCampaign(CampaignFile):
         """Make sure that every drawn bath has set-points that V_c can hold."""
         aged = 1.0 + self.heater.ageing_per_h[1] * self.duration_s / 3600.0
         low, high = self.heater.resistance
-        shift_K = self.water.largest_shift_K + max(map(abs, self.sensor.offset_K))
+        drifted_K = self.water.drift_K_per_h[1] * self.water.turn_s[1] / 3600.0
+        shift_K = drifted_K + max(map(abs, self.sensor.offset_K))
         least, most = bath_reach(self.water.inflow, (low, high * aged), shift_K)
         if most <= least:
             taken = f"between {least:.3g} and {most:.3g} K"

@@ -45,7 +45,7 @@ def read_any_campaign(path: Path) -> AnyCampaign:
     """Read a file of any type; one without the key `type` is of motors.
 
     Raises:
-        CampaignError: It cannot be read, or a value is not allowed.
+        ConfigurationError: It cannot be read, or a value is not allowed.
     """
     return read_campaign_of(path, {name: contents for name, (contents, *_) in _TYPES.items()})
 

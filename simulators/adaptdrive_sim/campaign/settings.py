@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from adaptdrive.errors import AdaptdriveError, reason_of
+from adaptdrive.config.file import read_text
+from adaptdrive.errors import ConfigurationError, Flaw
 
 Range = tuple[float, float]
 WholeRange = tuple[int, int]
@@ -29,15 +30,11 @@ def within(low: float, high: float) -> AfterValidator:
     def check(pair: tuple[float, float]) -> tuple[float, float]:
         if not (low <= pair[0] and pair[1] <= high):
             raise ValueError(f"must lie within {low:g}…{high:g}")
-        return _ordered(pair)
+        if pair[0] > pair[1]:
+            raise ValueError(f"the lower end {pair[0]:g} is above the upper end {pair[1]:g}")
+        return pair
 
     return AfterValidator(check)
-
-
-def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
-    if pair[0] > pair[1]:
-        raise ValueError(f"the lower end {pair[0]:g} is above the upper end {pair[1]:g}")
-    return pair
 
 
 class LifeRanges(CampaignTable):
@@ -106,15 +103,6 @@ def reach(gain: float, brake_V: float, drag_V: float) -> tuple[float, float]:
 
 MOST_RUNS = 10_000_000
 FOLDER = Path(__file__).resolve().parent
-
-
-class CampaignError(AdaptdriveError):
-    """A campaign's file cannot be used."""
-
-    def __init__(self, path: Path, problems: list[str]) -> None:
-        self.path = path
-        self.problems = problems
-        super().__init__("\n".join(f"{path}: {problem}" for problem in problems))
 
 
 class CampaignFile(CampaignTable):
@@ -214,7 +202,7 @@ def read_campaign(path: Path) -> Campaign:
     """Read a file of motors.
 
     Raises:
-        CampaignError: It cannot be read, or a value is not allowed.
+        ConfigurationError: It cannot be read, or a value is not allowed.
     """
     return read_campaign_of(path, {"motor": Campaign})
 
@@ -227,23 +215,18 @@ def read_campaign_of(path: Path, types: Mapping[str, type[FileOfAnyType]]) -> Fi
         types: The contents that its key `type` may name; without the key it is of motors.
 
     Raises:
-        CampaignError: It cannot be read, or a value is not allowed.
+        ConfigurationError: It cannot be read, or a value is not allowed.
     """
     shipped = FOLDER / path.name
     found = path if path.exists() or not shipped.exists() else shipped
     try:
         # strict validation takes arrays for tuples from JSON only
-        tables = tomllib.loads(found.read_text(encoding="utf-8"))
+        tables = tomllib.loads(read_text(found))
         return _kind(path, tables, types).model_validate_json(json.dumps(tables))
-    except OSError as problem:
-        raise CampaignError(path, [reason_of(problem)]) from problem
-    except UnicodeDecodeError as problem:
-        reason = f"is not UTF-8 text: {problem.reason} at byte {problem.start}"
-        raise CampaignError(path, [reason]) from problem
     except tomllib.TOMLDecodeError as problem:
-        raise CampaignError(path, [str(problem)]) from problem
+        raise ConfigurationError(path, [Flaw("TOML", str(problem))]) from problem
     except ValidationError as problem:
-        raise CampaignError(path, [_described(error) for error in problem.errors()]) from problem
+        raise ConfigurationError(path, [_flaw(error) for error in problem.errors()]) from problem
 
 
 def _kind(
@@ -251,14 +234,12 @@ def _kind(
 ) -> type[FileOfAnyType]:
     named = tables.get("type", "motor")
     if named not in types:
-        raise CampaignError(path, [f"type = {named!r}: must be one of {', '.join(types)}"])
+        flaw = Flaw(f"type = {named!r}", f"must be one of {', '.join(types)}")
+        raise ConfigurationError(path, [flaw])
     return types[named]
 
 
-def _described(error: ErrorDetails) -> str:
-    place = ".".join(str(part) for part in error["loc"])
-    if not place:
-        return error["msg"]
-    if error["type"] in {"missing", "extra_forbidden"}:
-        return f"{place}: {error['msg']}"
-    return f"{place} = {error['input']!r}: {error['msg']}"
+def _flaw(error: ErrorDetails) -> Flaw:
+    place = ".".join(str(part) for part in error["loc"]) or "file"
+    valued = place != "file" and error["type"] not in {"missing", "extra_forbidden"}
+    return Flaw(f"{place} = {error['input']!r}" if valued else place, error["msg"])

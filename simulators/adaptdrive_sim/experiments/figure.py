@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -176,15 +176,17 @@ _TITLES: dict[Variant, str] = {
 }
 
 
-def draw_experiment(outcome: ExperimentOutcome, path: Path) -> None:
-    """Draw the figure of an experiment as a PNG."""
-    with style.journal():
-        save(experiment_figure(outcome), path)
-
-
 def experiment_figure(outcome: ExperimentOutcome) -> Figure:
     """Return the figure of an experiment."""
     return _DRAW[outcome.experiment.name](outcome)
+
+
+def draw(
+    figure_of: Callable[[ExperimentOutcome], Figure], outcome: ExperimentOutcome, path: Path
+) -> None:
+    """Draw a figure of an experiment as a PNG."""
+    with style.journal():
+        save(figure_of(outcome), path)
 
 
 def save(figure: Figure, path: Path) -> None:

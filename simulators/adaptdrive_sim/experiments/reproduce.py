@@ -106,8 +106,8 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
             for variant in variants
         }
         # Drawing takes a while to import: meanwhile the runs are under way.
-        from adaptdrive_sim.experiments.figure import draw_experiment  # noqa: PLC0415
-        from adaptdrive_sim.experiments.sweep_figure import draw_sweep  # noqa: PLC0415
+        from adaptdrive_sim.experiments.figure import draw, experiment_figure  # noqa: PLC0415
+        from adaptdrive_sim.experiments.sweep_figure import sweep_figure  # noqa: PLC0415
 
         heard = listen(request.listener(), runs["fixed"].result())
         over_forgetting = pool.submit(try_settings, heard, settings_over_forgetting(experiment))
@@ -117,7 +117,7 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
             records[variant] = run.result()
             done(1, f"ran the {variant} controller")
         outcome = judge(request, records)
-        draw_experiment(outcome, folder / "figure.png")
+        draw(experiment_figure, outcome, folder / "figure.png")
         done(1, "drew the experiment")
         outcome = dataclasses.replace(
             outcome,
@@ -125,7 +125,7 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
             over_tau_lambda=over_tau_lambda.result(),
         )
         done(1, "tried other settings of the estimator")
-        draw_sweep(outcome, folder / "sweep.png")
+        draw(sweep_figure, outcome, folder / "sweep.png")
         done(1, "drew them")
     return outcome
 

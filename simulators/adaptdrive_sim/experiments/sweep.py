@@ -237,13 +237,9 @@ class _Chain:
 
 
 def _speed(experiment: Experiment, estimates: Array) -> float | None:
-    slowest = 0.0
-    for change in experiment.changes:
-        cycles = cycles_until_right(experiment, estimates, change)
-        if cycles is None:
-            return None
-        slowest = max(slowest, cycles)
-    return slowest
+    found = [cycles_until_right(experiment, estimates, one) for one in experiment.changes]
+    known = [one for one in found if one is not None]
+    return max(known, default=0.0) if len(known) == len(found) else None
 
 
 def _spread(heard: Heard, quiet: Array, noisy: list[Array]) -> float:

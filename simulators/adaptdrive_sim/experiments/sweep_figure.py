@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -13,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from adaptdrive.analysis import style
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.figure import describe, save
+from adaptdrive_sim.experiments.figure import describe
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome
 from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
 
@@ -29,12 +28,6 @@ _CROWDED = (0.96, 0.985)
 _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 
 Grid = Sequence[Sequence[Axes]]
-
-
-def draw_sweep(outcome: ExperimentOutcome, path: Path) -> None:
-    """Draw what other values of ρ and τ_λ do as a PNG."""
-    with style.journal():
-        save(sweep_figure(outcome), path)
 
 
 def sweep_figure(outcome: ExperimentOutcome) -> Figure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from textwrap import wrap
 
 from rich.table import Table
@@ -72,8 +72,3 @@ def event_line(time: str, kind: str, detail: str, severity: str) -> Text:
     """Return an event in one line."""
     style = _SEVERITY_STYLES.get(severity, "")
     return Text.assemble((f" {time} ", DIM), (f"{kind:<11} ", "bold"), (detail, style))
-
-
-def event_lines(events: Sequence[Text]) -> Text:
-    """Return the lines of events, or that there were none."""
-    return lines(events) if events else Text(" no events yet", DIM)

@@ -18,7 +18,6 @@ from adaptdrive.watch.tables import (
     DIM,
     STATE_STYLES,
     event_line,
-    event_lines,
     figure,
     flow,
     lines,
@@ -219,7 +218,7 @@ def _events(record: WatchRecord, count: int) -> Text:
         )
         for event in list(record.events)[-count:]
     ]
-    return event_lines(shown)
+    return lines(shown) if shown else Text(" no events yet", DIM)
 
 
 def _footer(record: WatchRecord, around: Surroundings, width: int) -> list[Text]:
