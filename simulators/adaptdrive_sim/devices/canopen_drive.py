@@ -20,9 +20,8 @@ from pathlib import Path
 
 import can
 
-from adaptdrive.config.bus import SignalSource
+from adaptdrive.config.bus import COMMANDED, MEASURED, WORDS, SignalSource
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_dictionary

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from adaptdrive.config.bus import Signals, SignalSource
+from adaptdrive.config.bus import COMMANDED, MEASURED, WORDS, Signals, SignalSource
 from adaptdrive.config.modbus import ModbusBus, Register
-from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.field import Field, Raw
 from adaptdrive.hardware.modbus.codec import (

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section, key
 from adaptdrive.config.units import Converted
+
+MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
+WORDS = ("counter", "fault", "bridge")
+COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
 
 Byte = Annotated[int, Field(ge=0, le=0xFF)]
 
@@ -290,3 +295,11 @@ class Signals(Section):
         {}, "values that nobody measures, in SI units, such as line_voltage_V = 230.0"
     )
     command: CommandSignals = Field(default_factory=CommandSignals)
+
+    def entries(self) -> Iterator[tuple[str, SignalSource, str]]:
+        """Yield every value that the drive sends: its name, its entry, and the place of that."""
+        named = {name: getattr(self, name) for name in (*MEASURED, *WORDS)}
+        yield from ((name, one, f"signals.{name}") for name, one in named.items() if one)
+        for number, fault in enumerate(self.faults):
+            yield f"fault.{number}", fault, f"signals.faults.{number}"
+        yield from ((name, one, f"signals.other.{name}") for name, one in self.other.items())

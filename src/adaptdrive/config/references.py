@@ -5,15 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping
 
-from adaptdrive.config.bus import Signals
+from adaptdrive.config.bus import COMMANDED, Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.units import WANTED, Converted, stated_problem
 from adaptdrive.errors import Flaw
-
-MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
-WORDS = ("counter", "fault", "bridge")
-COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
 
 
 def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
@@ -21,7 +17,8 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     for name, register in bus.registers.items():
         yield from register_flaws(f"bus.registers.{name}", register)
     yield from map_flaws("bus.registers", bus.registers, zero_based=bus.zero_based)
-    for place, name in (*measured_names(signals), *_heartbeat(bus, "drive")):
+    measured = ((f"{place}.signal", one.signal) for _, one, place in signals.entries())
+    for place, name in (*measured, *_heartbeat(bus, "drive")):
         yield from _known(bus, place, name)
     for place, name in _written(bus, signals):
         yield from _known(bus, place, name)
@@ -34,32 +31,21 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     yield from _overlap_flaws(bus, signals)
 
 
-def measured_names(signals: Signals) -> list[tuple[str, str]]:
-    """Place and name of each signal that carries a measurement."""
-    given = [(quantity, getattr(signals, quantity)) for quantity in (*MEASURED, *WORDS)]
-    given += [(f"other.{name}", one) for name, one in signals.other.items()]
-    given += [(f"faults.{number}", one) for number, one in enumerate(signals.faults)]
-    return [(f"signals.{name}.signal", one.signal) for name, one in given if one is not None]
-
-
-def commanded_names(signals: Signals) -> list[tuple[str, str]]:
-    """Place and name of each signal that carries a part of the command."""
-    given = [(name, getattr(signals.command, name)) for name in COMMANDED]
-    named = [(f"signals.command.{name}", one.signal) for name, one in given if one is not None]
-    return [
-        *named,
-        *((f"signals.command.constants.{one}", one) for one in signals.command.constants),
-    ]
-
-
 def _heartbeat(bus: ModbusBus, side: str) -> list[tuple[str, str]]:
     name = getattr(bus.heartbeat, side)
     return [] if name is None else [(f"bus.heartbeat.{side}", name)]
 
 
 def _written(bus: ModbusBus, signals: Signals) -> list[tuple[str, str]]:
-    setup = [(f"bus.setup.{name}", name) for name in bus.setup]
-    return [*commanded_names(signals), *_heartbeat(bus, "daemon"), *setup]
+    """Place and name of each register that the daemon writes."""
+    given, place = signals.command, "signals.command"
+    named = ((name, getattr(given, name)) for name in COMMANDED)
+    return [
+        *((f"{place}.{name}", one.signal) for name, one in named if one is not None),
+        *((f"{place}.constants.{one}", one) for one in given.constants),
+        *_heartbeat(bus, "daemon"),
+        *((f"bus.setup.{name}", name) for name in bus.setup),
+    ]
 
 
 def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:

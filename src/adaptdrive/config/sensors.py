@@ -7,10 +7,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from adaptdrive.config.bus import CanDescription, Quantity
+from adaptdrive.config.bus import WORDS, CanDescription, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.proposals import nearest
-from adaptdrive.config.references import WORDS, map_flaws, register_flaws
+from adaptdrive.config.references import map_flaws, register_flaws
 from adaptdrive.config.section import PositiveFloat, Section, key
 from adaptdrive.errors import Flaw
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from adaptdrive.config.bus import Signals
+from adaptdrive.config.bus import MEASURED, WORDS, Signals
 from adaptdrive.config.derived import Derived, cycle_flaws, rule_flaws
 from adaptdrive.config.modbus import RtuLink
-from adaptdrive.config.references import MEASURED, WORDS
 from adaptdrive.config.section import Section
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.errors import Flaw

@@ -13,9 +13,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar
 
-from adaptdrive.config.bus import CommandSignals, CommandSwitch, Signals, SignalSource, SwitchSource
+from adaptdrive.config.bus import (
+    MEASURED,
+    WORDS,
+    CommandSignals,
+    CommandSwitch,
+    Signals,
+    SignalSource,
+    SwitchSource,
+)
 from adaptdrive.config.proposals import nearest
-from adaptdrive.config.references import MEASURED, WORDS
 from adaptdrive.config.sensors import SensorBusSection
 from adaptdrive.config.units import unit_caution, unit_problem
 from adaptdrive.control.signals import Command
@@ -42,15 +49,6 @@ Item = TypeVar("Item")
 
 Given = tuple[str, SignalSource, str]
 """A quantity, its entry in the configuration, and the place of that."""
-
-
-def entries(signals: Signals) -> Iterator[Given]:
-    """Yield every quantity that a drive sends."""
-    named = [(name, getattr(signals, name), f"signals.{name}") for name in (*MEASURED, *WORDS)]
-    yield from (one for one in named if one[1] is not None)
-    for number, fault in enumerate(signals.faults):
-        yield f"{FAULT}.{number}", fault, f"signals.faults.{number}"
-    yield from ((name, one, f"signals.other.{name}") for name, one in signals.other.items())
 
 
 def is_word(quantity: str) -> bool:
@@ -205,15 +203,9 @@ class Catalogue(ABC, Generic[Item]):
             command: `[signals.command]`.
             demands: What the signals must be able to carry.
         """
-        values = (
-            ("current_scale_S", command.current_scale_S),
-            (
-                "boost_reference_V",
-                command.boost_reference_V,
-            ),
-        )
         found = self.settings(command.constants, f"{_COMMAND}.constants")
-        for name, entry in values:
+        for name in ("current_scale_S", "boost_reference_V"):
+            entry: SignalSource | None = getattr(command, name)
             item = None if entry is None else self.find(entry.signal, f"{_COMMAND}.{name}")
             if entry is not None and item is not None:
                 found.append(self._value(name, entry, item, demands))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.references import MEASURED
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.port import Port, SensorPort

@@ -12,14 +12,8 @@ from pathlib import Path
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.binding import Sink, Source, entries, fault_words
-from adaptdrive.hardware.canopen.dictionary import (
-    Address,
-    Entry,
-    ObjectCatalogue,
-    label,
-    read_eds,
-)
+from adaptdrive.hardware.binding import Sink, Source, fault_words
+from adaptdrive.hardware.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.hardware.canopen.pdo import (
     Channel,
     Pdo,
@@ -137,7 +131,7 @@ def map_drive(
     """
     catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     catalogue.flaws.extend(channel_flaws(bus))
-    sources = catalogue.sources(entries(signals), demands)
+    sources = catalogue.sources(signals.entries(), demands)
     plan = _Plan(catalogue, bus, signals, sources, catalogue.sinks(signals.command, demands))
     mapping = plan.mapping()
     if mapping is None or catalogue.flaws:

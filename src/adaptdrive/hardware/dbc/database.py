@@ -321,14 +321,16 @@ class SignalCatalogue(Catalogue[Located]):
             hint = f"{nearest(name, known)}{self._remark(name)}"
             self.note(place, f"message {message.name!r} has no signal {name!r}{hint}")
         self.note(place, self._description.unfit.get((message.name, name)))
-        if found is not None and not is_usable(found):
-            self.note(
-                place, f"signal {name!r} has factor {found.scale:g} and offset {found.offset:g}"
-            )
+        if found is None:
             return None
-        if found is not None and is_reversed(found):
-            ends = f"[{found.minimum:g}|{found.maximum:g}]"
-            self.note(place, f"the range {ends} of signal {name!r} ends below its start")
+        low, high = found.minimum, found.maximum
+        if not found.scale or not math.isfinite(found.scale) or not math.isfinite(found.offset):
+            problem = f"has factor {found.scale:g} and offset {found.offset:g}"
+            self.note(place, f"signal {name!r} {problem}")
+            return None
+        if low is not None and high is not None and low > high:
+            problem = f"the range [{low:g}|{high:g}] of signal {name!r} ends below its start"
+            self.note(place, problem)
             return None
         return found
 
@@ -364,22 +366,10 @@ class SignalCatalogue(Catalogue[Located]):
             self._check_counter(message, integrity, f"{place}.counter")
         if integrity.checksum:
             self._check_checksum(message, integrity, f"{place}.checksum")
-        self._check_form(message, integrity, place)
-        if integrity.counter and integrity.counter == integrity.checksum:
-            self.note(place, f"{integrity.counter!r} cannot be both counter and checksum")
-        self._check_data_id(message, integrity, place)
-
-    def _check_data_id(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
-        mode, plain = integrity.data_id_mode, integrity.algorithm != "autosar-p01"
-        if plain and (mode != "both" or integrity.nibble or integrity.data_id):
-            problem = f"{integrity.algorithm!r} has no data id; 'autosar-p01' has one"
-            self.note(f"{place}.algorithm", problem)
-        if follows_counter(integrity) and not integrity.counter:
-            self.note(f"{place}.counter", "is missing: the data id of the checksum follows it")
-        if (mode == "nibble") != (integrity.nibble is not None):
-            self.note(f"{place}.nibble", "is what data_id_mode = 'nibble' needs, and no other mode")
-        elif integrity.nibble:
+        if integrity.nibble and integrity.data_id_mode == "nibble":
             self._check_nibble(message, integrity.nibble, f"{place}.nibble")
+        for key, problem in _form_flaws(message, integrity):
+            self.note(f"{place}{key}", problem)
 
     def _check_nibble(self, message: Message, name: str, place: str) -> None:
         signal = self.signal_of(message, name, place)
@@ -412,39 +402,38 @@ class SignalCatalogue(Catalogue[Located]):
             problem = f"must fill {size} of every frame"
             self.note(place, f"signal {name!r} {problem}")
 
-    def _check_form(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
-        crc = integrity.crc
-        if (integrity.algorithm == "crc") != (crc is not None):
-            self.note(f"{place}.crc", "is what algorithm = 'crc' needs, and no other")
-        if crc is None:
-            return
-        if not integrity.checksum:
-            self.note(f"{place}.checksum", "is missing: the signal that holds the `crc`")
-        missing = [at for at in crc.covers or () if at >= message.length]
-        if missing:
-            problem = f"{missing}: message {message.name!r} has {message.length} bytes, from 0"
-            self.note(f"{place}.crc.covers", problem)
-        found = crc_function(crc)(CHECK_INPUT)
-        if crc.check is not None and crc.check != found:
-            problem = f"{crc.check:#x} is not what these parameters give, {found:#x}"
-            self.note(f"{place}.crc.check", f"{problem}: one of them is copied wrongly")
+
+def _form_flaws(message: Message, integrity: FrameIntegrity) -> Iterator[tuple[str, str]]:
+    """Yield the keys below `[bus.integrity.NAME]` that do not fit each other, and why."""
+    crc, mode, algorithm = integrity.crc, integrity.data_id_mode, integrity.algorithm
+    has_data_id = mode != "both" or integrity.nibble or integrity.data_id
+    if integrity.counter and integrity.counter == integrity.checksum:
+        yield "", f"{integrity.counter!r} cannot be both counter and checksum"
+    if algorithm != "autosar-p01" and has_data_id:
+        yield ".algorithm", f"{algorithm!r} has no data id; 'autosar-p01' has one"
+    if follows_counter(integrity) and not integrity.counter:
+        yield ".counter", "is missing: the data id of the checksum follows it"
+    if (mode == "nibble") != (integrity.nibble is not None):
+        yield ".nibble", "is what data_id_mode = 'nibble' needs, and no other mode"
+    if (algorithm == "crc") != (crc is not None):
+        yield ".crc", "is what algorithm = 'crc' needs, and no other"
+    if crc is None:
+        return
+    if not integrity.checksum:
+        yield ".checksum", "is missing: the signal that holds the `crc`"
+    if missing := [at for at in crc.covers or () if at >= message.length]:
+        length = f"message {message.name!r} has {message.length} bytes, from 0"
+        yield ".crc.covers", f"{missing}: {length}"
+    found = crc_function(crc)(CHECK_INPUT)
+    if crc.check is not None and crc.check != found:
+        problem = f"{crc.check:#x} is not what these parameters give, {found:#x}"
+        yield ".crc.check", f"{problem}: one of them is copied wrongly"
 
 
 def cycle_time_s(message: Message) -> float:
     """Return the cycle time of a message in s, 0 without one and for a text."""
     cycle_ms: object = message.cycle_time
     return 1e-3 * cycle_ms if isinstance(cycle_ms, int | float) else 0.0
-
-
-def is_usable(signal: Signal) -> bool:
-    """Return whether the factor and the offset of a signal give it a value."""
-    return signal.scale != 0 and math.isfinite(signal.scale) and math.isfinite(signal.offset)
-
-
-def is_reversed(signal: Signal) -> bool:
-    """Return whether the declared range of a signal has its ends the wrong way round."""
-    low, high = signal.minimum, signal.maximum
-    return low is not None and high is not None and low > high
 
 
 def _key(message: Message) -> int:

@@ -16,14 +16,9 @@ from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.binding import Source, entries, fault_words, is_word, other_names
+from adaptdrive.hardware.binding import Source, fault_words, is_word, other_names
 from adaptdrive.hardware.dbc.command_frame import CommandFrame
-from adaptdrive.hardware.dbc.database import (
-    Located,
-    SignalCatalogue,
-    cycle_time_s,
-    describe,
-)
+from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, cycle_time_s, describe
 from adaptdrive.hardware.dbc.orders import build_orders, find_orders
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
@@ -127,7 +122,7 @@ def map_drive(
     catalogue.warn_of_file("bus.database", description.remarks)
     catalogue.flaws.extend(channel_flaws(bus))
     clock = catalogue.message(bus.clock, "bus.clock")
-    bound = {one.quantity: one for one in catalogue.sources(entries(signals), demands)}
+    bound = {one.quantity: one for one in catalogue.sources(signals.entries(), demands)}
     sources: _Sources = {}
     for one in bound.values():
         sources.setdefault(one.item.message.name, []).append(

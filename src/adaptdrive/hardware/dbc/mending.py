@@ -24,7 +24,7 @@ _OF_ID = re.compile(
 )
 _NAMED_BY_DIGIT = re.compile(
     r"^([ \t]*(?:BO_[ \t]+\d+|SG_|(?:VAL_|SIG_VALTYPE_|SG_MUL_VAL_)[ \t]+\d+|BA_.*SG_[ \t]+\d+))"
-    r"[ \t]+(?=\d+[A-Za-z_])",
+    r"[ \t]+(?=\d+[A-Za-z_])"
 )
 _BARE_POINT = re.compile(r"(?<=[(,\[|])([ \t]*-?)\.(?=\d)")
 

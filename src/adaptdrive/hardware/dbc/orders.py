@@ -13,13 +13,7 @@ from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.hardware.binding import Sink
 from adaptdrive.hardware.dbc.command_frame import CommandFrame, Part
 from adaptdrive.hardware.dbc.database import Located, SignalCatalogue
-from adaptdrive.hardware.dbc.pages import (
-    Page,
-    absent_pages,
-    carried_signals,
-    page_of,
-    sent_pages,
-)
+from adaptdrive.hardware.dbc.pages import Page, absent_pages, carried_signals, page_of, sent_pages
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.layout import bit_mask, initial_value
 

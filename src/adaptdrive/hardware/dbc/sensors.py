@@ -94,10 +94,7 @@ class CanSensorPort:
     """One connection to the sensors on one CAN bus."""
 
     def __init__(
-        self,
-        config: Config,
-        messages: tuple[SensorMessage, ...],
-        clock: Callable[[], float],
+        self, config: Config, messages: tuple[SensorMessage, ...], clock: Callable[[], float]
     ) -> None:
         self._config = config
         self._messages = {

@@ -19,11 +19,7 @@ from adaptdrive.hardware.link.integrity import (
     checksum_function,
     covered_bytes,
 )
-from adaptdrive.hardware.link.layout import (
-    compile_field,
-    compile_pack,
-    compile_unpack,
-)
+from adaptdrive.hardware.link.layout import compile_field, compile_pack, compile_unpack
 
 CLASSIC_LENGTH = 8
 """Most bytes of a frame without CAN FD."""

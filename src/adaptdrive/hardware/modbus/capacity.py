@@ -6,7 +6,7 @@ around each. On TCP the bytes cost next to nothing; the drive's turnaround is wh
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from adaptdrive.config.modbus import ModbusBus, ModbusLink, RtuLink
@@ -88,24 +88,14 @@ def capacity_flaws(
         exchanges: The exchanges of one poll.
         half_cycle_s: Half a line cycle.
     """
-    exchanges = list(exchanges)
-    needed_s = sum(exchange_s(bus, exchange) for exchange in exchanges)
     poll_s = bus.poll_ticks * half_cycle_s
-    if needed_s > USABLE_SHARE * poll_s:
-        fitting = int(needed_s / (USABLE_SHARE * half_cycle_s)) + 1
-        yield Flaw(
-            "bus.poll_ticks",
-            f"{bus.poll_ticks} half cycles ask for a poll every {poll_s * 1e3:.1f} ms "
-            f"({1.0 / poll_s:.3g} per second); {_figures(bus, exchanges)} take "
-            f"{needed_s * 1e3:.1f} ms, and {USABLE_SHARE:.0%} of the cycle may be used: "
-            f"poll_ticks = {fitting} fits",
-        )
-    slowest_s = max((exchange_s(bus, exchange) for exchange in exchanges), default=0.0)
-    if bus.timeout_s <= slowest_s:
-        yield Flaw(
-            "bus.timeout_s",
-            f"{bus.timeout_s} s must be above the slowest exchange, {slowest_s * 1e3:.1f} ms",
-        )
+    rate = f"a poll every {poll_s * 1e3:.1f} ms ({1.0 / poll_s:.3g} per second)"
+    wanted = "bus.poll_ticks", f"{bus.poll_ticks} half cycles ask for {rate}"
+
+    def fitting(usable_s: float) -> str:
+        return f"poll_ticks = {int(usable_s / half_cycle_s) + 1}"
+
+    yield from _time_flaws(bus, [*exchanges], poll_s, wanted, fitting)
 
 
 def cycle_flaws(
@@ -119,20 +109,29 @@ def cycle_flaws(
         cycle_s: The wanted cycle time.
         place: Where the link stands in the configuration.
     """
-    exchanges = list(exchanges)
-    needed_s = sum(exchange_s(bus, exchange) for exchange in exchanges)
+    wanted = f"{place}.cycle_s", f"{cycle_s:g} s is too short"
+    yield from _time_flaws(bus, [*exchanges], cycle_s, wanted, lambda s: f"{s:.3g} s")
+
+
+def _time_flaws(
+    bus: ModbusLink,
+    exchanges: list[Exchange],
+    cycle_s: float,
+    wanted: tuple[str, str],
+    fitting: Callable[[float], str],
+) -> Iterator[Flaw]:
+    """Yield a cycle, and a time-out, that is too short; `fitting` names a cycle that is not."""
+    times_s = [exchange_s(bus, exchange) for exchange in exchanges]
+    (key, asked), needed_s = wanted, sum(times_s)
     if needed_s > USABLE_SHARE * cycle_s:
-        yield Flaw(
-            f"{place}.cycle_s",
-            f"{cycle_s:g} s is too short: {_figures(bus, exchanges)} take {needed_s * 1e3:.1f} ms, "
-            f"and {USABLE_SHARE:.0%} of the cycle may be used: "
-            f"{needed_s / USABLE_SHARE:.3g} s fits",
-        )
-    slowest_s = max((exchange_s(bus, exchange) for exchange in exchanges), default=0.0)
+        takes = f"{asked}; {_figures(bus, exchanges)} take {needed_s * 1e3:.1f} ms"
+        fits = f"{fitting(needed_s / USABLE_SHARE)} fits"
+        yield Flaw(key, f"{takes}, and {USABLE_SHARE:.0%} of the cycle may be used: {fits}")
+    slowest_s = max(times_s, default=0.0)
     if bus.timeout_s <= slowest_s:
+        slowest = f"the slowest exchange, {slowest_s * 1e3:.1f} ms"
         yield Flaw(
-            f"{place}.timeout_s",
-            f"{bus.timeout_s} s must be above the slowest exchange, {slowest_s * 1e3:.1f} ms",
+            f"{key.rpartition('.')[0]}.timeout_s", f"{bus.timeout_s} s must be above {slowest}"
         )
 
 

@@ -26,11 +26,7 @@ _LOOK_UP_S = 2.0
 
 
 def _build(
-    configuration: Configuration,
-    clock: Callable[[], float],
-    source: Path | str,
-    *,
-    passive: bool,
+    configuration: Configuration, clock: Callable[[], float], source: Path | str, *, passive: bool
 ) -> Port:
     bus, signals = _bus(configuration), configuration.signals
     timing, demands = configuration.timing, demands_of(configuration)

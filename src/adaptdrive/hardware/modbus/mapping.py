@@ -21,7 +21,6 @@ from adaptdrive.hardware.binding import (
     Sink,
     Source,
     Use,
-    entries,
     fault_words,
     other_names,
 )
@@ -237,7 +236,7 @@ def map_drive(
         ConfigurationError: Something does not fit; every flaw is listed.
     """
     catalogue = RegisterCatalogue(bus.registers)
-    bound = catalogue.sources(entries(signals), demands)
+    bound = catalogue.sources(signals.entries(), demands)
     sources, sinks = [*bound], catalogue.sinks(signals.command, demands)
     setup = catalogue.settings(bus.setup, "bus.setup", "setup")
     if bus.heartbeat.drive is not None:

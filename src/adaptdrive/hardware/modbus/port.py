@@ -52,11 +52,7 @@ class ModbusPort:
     """A poll is no frame of the drive: its counter cannot be the time base."""
 
     def __init__(
-        self,
-        config: ModbusTcp | ModbusRtu,
-        poll: Poll,
-        timing: Timing,
-        clock: Callable[[], float],
+        self, config: ModbusTcp | ModbusRtu, poll: Poll, timing: Timing, clock: Callable[[], float]
     ) -> None:
         self._config = config
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None

@@ -22,11 +22,7 @@ class Sight:
     """
 
     def __init__(
-        self,
-        reported: bool,
-        timing: Timing,
-        look_s: float,
-        clock: Callable[[], float],
+        self, reported: bool, timing: Timing, look_s: float, clock: Callable[[], float]
     ) -> None:
         """See and feed nothing yet.
 
