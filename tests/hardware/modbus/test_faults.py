@@ -336,6 +336,27 @@ async def test_a_half_open_connection_is_given_up_and_made_anew(
         one.check_honesty()
 
 
+async def test_a_gateway_that_wakes_its_line_before_its_first_reply_keeps_its_connection(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    asked_s: dict[int, float] = {}
+
+    async with watched("tcp", tmp_path, free_tcp_port) as one:
+        peer = one.peer
+        assert isinstance(peer, TcpPeer)
+
+        def asleep(reply: bytes) -> Pieces:
+            woken_s = asked_s.setdefault(peer.connections, time.monotonic()) + 0.8
+            return untouched(reply) if time.monotonic() > woken_s else []
+
+        peer.spoil = asleep
+        peer.hang_up()
+        await until(lambda: peer.connections >= 2)
+        await one.hears(3)
+        assert peer.connections == 2
+        one.check_honesty()
+
+
 async def test_a_server_that_restarts_is_found_again(tmp_path: Path, free_tcp_port: int) -> None:
     async with watched("tcp", tmp_path, free_tcp_port) as one:
         assert isinstance(one.peer, TcpPeer)

@@ -41,6 +41,9 @@ _PATIENCE_S = 0.25
 """Time for which they must be missing where the requests arrive: short time-outs are lost in a row
 by chance. Where they do not, they are dropped at once: they would arrive with the network."""
 
+_FIRST_S = 2.0
+"""The same before the first reply on a connection: a gateway may wake its line for it."""
+
 _SILENT_TIMEOUTS = 2.0
 """Silence after a failure, in time-outs: a reply up to three time-outs old answers nothing."""
 
@@ -142,6 +145,7 @@ class ModbusConnection:
         self._strange = b""
         self._suspect_s: float | None = None if self._numbered else clock()
         self._missed = 0
+        self._patience_s = _FIRST_S
         self._replied_s = clock()
         self._commands = False
         self.lost: str | None = None
@@ -269,7 +273,7 @@ class ModbusConnection:
         if self.lost is not None or self._serial or self._missed < _PATIENCE:
             return
         stuck = self._client is not None and undelivered_bytes(self._client) > 0
-        if stuck or self._clock() - self._replied_s >= _PATIENCE_S:
+        if stuck or self._clock() - self._replied_s >= self._patience_s:
             self.lost = f"no reply to {self._missed} requests in a row"
 
     def _came_instead(self, exchange: Exchange) -> str:
@@ -283,7 +287,7 @@ class ModbusConnection:
         return f"; {explain_other(self._heard, transaction, self._device_of(exchange))}"
 
     def _checked(self, reply: ModbusPDU, exchange: Exchange) -> list[int]:
-        self._missed, self._replied_s = 0, self._clock()
+        self._missed, self._replied_s, self._patience_s = 0, self._clock(), _PATIENCE_S
         if self._numbered and reply.transaction_id != int.from_bytes(self._transaction):
             self._counts["foreign"] += 1
             raise ExchangeError("a reply with another transaction id")
