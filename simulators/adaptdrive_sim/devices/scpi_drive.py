@@ -12,8 +12,7 @@ import contextlib
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 
-from adaptdrive.config.bus import Signals
-from adaptdrive.config.references import MEASURED
+from adaptdrive.config.bus import MEASURED, Signals
 from adaptdrive.config.scpi import ScpiBus, ScpiValue
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.scpi.link import describe_supply

@@ -17,8 +17,7 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     for name, register in bus.registers.items():
         yield from register_flaws(f"bus.registers.{name}", register)
     yield from map_flaws("bus.registers", bus.registers, zero_based=bus.zero_based)
-    measured = ((f"{place}.signal", one.signal) for _, one, place in signals.entries())
-    for place, name in (*measured, *_heartbeat(bus, "drive")):
+    for place, name in (*measured_names(signals), *_heartbeat(bus, "drive")):
         yield from _known(bus, place, name)
     for place, name in _written(bus, signals):
         yield from _known(bus, place, name)
@@ -31,21 +30,27 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     yield from _overlap_flaws(bus, signals)
 
 
+def measured_names(signals: Signals) -> list[tuple[str, str]]:
+    """Place and name of each signal that carries a measurement."""
+    return [(f"{place}.signal", one.signal) for _, one, place in signals.entries()]
+
+
+def commanded_names(signals: Signals) -> list[tuple[str, str]]:
+    """Place and name of each signal that carries a part of the command."""
+    given, place = signals.command, "signals.command"
+    named = ((name, getattr(given, name)) for name in COMMANDED)
+    values = [(f"{place}.{name}", one.signal) for name, one in named if one is not None]
+    return [*values, *((f"{place}.constants.{one}", one) for one in given.constants)]
+
+
 def _heartbeat(bus: ModbusBus, side: str) -> list[tuple[str, str]]:
     name = getattr(bus.heartbeat, side)
     return [] if name is None else [(f"bus.heartbeat.{side}", name)]
 
 
 def _written(bus: ModbusBus, signals: Signals) -> list[tuple[str, str]]:
-    """Place and name of each register that the daemon writes."""
-    given, place = signals.command, "signals.command"
-    named = ((name, getattr(given, name)) for name in COMMANDED)
-    return [
-        *((f"{place}.{name}", one.signal) for name, one in named if one is not None),
-        *((f"{place}.constants.{one}", one) for one in given.constants),
-        *_heartbeat(bus, "daemon"),
-        *((f"bus.setup.{name}", name) for name in bus.setup),
-    ]
+    setup = [(f"bus.setup.{name}", name) for name in bus.setup]
+    return [*commanded_names(signals), *_heartbeat(bus, "daemon"), *setup]
 
 
 def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:
