@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import functools
 import math
-from collections import Counter
 from collections.abc import Callable
 
 import can
@@ -30,11 +29,12 @@ from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.canopen.unseen import UnseenStop
+from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.obedience import Obedience
-from adaptdrive.hardware.port import Listener, PortStatistics
+from adaptdrive.hardware.port import Listener
 from adaptdrive.hardware.rival import Rival
 
 _FAULT_RESET_S = 1.0
@@ -44,7 +44,7 @@ _LOOK_S = 0.005
 """Time between two looks whether the fault is gone: short compared with the longest wait."""
 
 
-class CanOpenPort:
+class CanOpenPort(CountingPort):
     """One connection to one drive on CANopen."""
 
     def __init__(
@@ -62,11 +62,11 @@ class CanOpenPort:
             timing: Times of the drive.
             clock: Monotonic clock, in seconds.
         """
+        super().__init__()
         self._config = config
         self._mapping = mapping
         self._clock = clock
         self._arrivals = ArrivalClock(clock)
-        self._counts: Counter[str] = Counter()
         self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._control = DriveControl()
         self._unseen = UnseenStop(self._control, timing)
@@ -95,11 +95,6 @@ class CanOpenPort:
         return self._mapping.counter_modulus
 
     @property
-    def statistics(self) -> PortStatistics:
-        """Counts since the port was built."""
-        return PortStatistics(**self._counts)
-
-    @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for no reason."""
         for seen in (self._rival, self._reports.faults, self._connection.uptake):
@@ -114,16 +109,6 @@ class CanOpenPort:
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
         return self._obedience.heard_s
-
-    @property
-    def stop_slack_s(self) -> float | None:
-        """Return 0: each statusword contains the state of the bridge."""
-        return 0.0
-
-    @property
-    def bridge_cycle_s(self) -> float:
-        """Return 0: each reading has a statusword."""
-        return 0.0
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -178,9 +163,6 @@ class CanOpenPort:
         """Process the frames that have arrived, but were not read yet."""
         self._connection.catch_up()
 
-    def rehearse(self) -> None:
-        """Not worth it: what a PDO costs is little compared with what a tick does."""
-
     def explain_age(self) -> str:
         """Return the PDO that is missing for a reading, and the likeliest cause."""
         return self._reports.explain()
@@ -216,11 +198,6 @@ class CanOpenPort:
             self._counts["foreign_commands"] += 1
             if self._foreign.writes_objects(frame):
                 self._master.doubt()
-
-    def take_garbage(self) -> None:
-        """Count something on the bus that is no frame."""
-        self._counts["received"] += 1
-        self._counts["foreign"] += 1
 
     def _make_takers(self) -> dict[int, Callable[[can.Message], None]]:
         """Return the handler of each frame."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections import Counter
 from collections.abc import Callable
 
 import can
@@ -16,20 +15,18 @@ from adaptdrive.hardware.binding import other_names
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveState, state_of
 from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
+from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.reader import read_frames
-from adaptdrive.hardware.port import Listener, PortStatistics, Reading, composed
+from adaptdrive.hardware.port import Listener, Reading, composed
 
 _PAUSE_S = 0.2
 """Pause between two readings: five lines a second are as many as can be read."""
 
 
-class CanOpenWatch:
+class CanOpenWatch(CountingPort):
     """Read-only port to one drive: it sends no command and leaves the node unchanged."""
-
-    counter_modulus = None
-    """Objects read at intervals have no ticks."""
 
     complaint = None
     """None: this port cannot energise the drive."""
@@ -37,10 +34,10 @@ class CanOpenWatch:
     def __init__(
         self, config: CanOpenBus, mapping: CanOpenMapping, clock: Callable[[], float]
     ) -> None:
+        super().__init__()
         self._config = config
         self._mapping = mapping
         self._clock = clock
-        self._counts: Counter[str] = Counter()
         self._link: SdoLink | None = None
         self._bus: can.BusABC | None = None
 
@@ -50,24 +47,9 @@ class CanOpenWatch:
         return f"{describe_bus(self._config)} {describe_node(self._config)}"
 
     @property
-    def statistics(self) -> PortStatistics:
-        """Counts since the watch was built."""
-        return PortStatistics(**self._counts)
-
-    @property
     def safe_s(self) -> float:
         """Never: nothing is commanded."""
         return math.inf
-
-    @property
-    def stop_slack_s(self) -> float | None:
-        """Return 0: each statusword contains the state of the bridge."""
-        return 0.0
-
-    @property
-    def bridge_cycle_s(self) -> float:
-        """Return 0: each reading has a statusword."""
-        return 0.0
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and read the drive again and again until cancelled.
@@ -94,22 +76,9 @@ class CanOpenWatch:
         self._counts["send_drops"] += 1
         return False
 
-    def catch_up(self) -> None:
-        """Nothing waits: each answer is taken where it was asked for."""
-
-    def rehearse(self) -> None:
-        """No-op: a probe has no deadline."""
-
     def explain_age(self) -> str:
         """Name nothing: nothing is driven from here."""
         return ""
-
-    def details(self) -> list[str]:
-        """An object that is refused is announced on its own."""
-        return []
-
-    async def reset_fault(self) -> None:
-        """Leave the drive as it is."""
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""
@@ -120,11 +89,6 @@ class CanOpenWatch:
             self._counts["foreign"] += 1
         elif self._link is not None:
             self._link.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
-
-    def take_garbage(self) -> None:
-        """Count something on the bus that is no frame."""
-        self._counts["received"] += 1
-        self._counts["foreign"] += 1
 
     async def _look(self, listener: Listener) -> None:
         """Read all objects at intervals; report when the drive stops or resumes its replies."""

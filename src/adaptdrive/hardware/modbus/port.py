@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections import Counter
 from collections.abc import Callable
 
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
@@ -19,6 +18,7 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.modbus.assembly import PollAssembly
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
@@ -34,7 +34,7 @@ from adaptdrive.hardware.modbus.mapping import Poll, written
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.sight import Sight, look_limit_s
-from adaptdrive.hardware.port import Listener, PortStatistics
+from adaptdrive.hardware.port import Listener
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is reported lost."""
@@ -45,21 +45,18 @@ _MIXED_UP = (
 )
 
 
-class ModbusPort:
+class ModbusPort(CountingPort):
     """One connection to one drive on Modbus."""
-
-    counter_modulus = None
-    """A poll is no frame of the drive: its counter cannot be the time base."""
 
     def __init__(
         self, config: ModbusTcp | ModbusRtu, poll: Poll, timing: Timing, clock: Callable[[], float]
     ) -> None:
+        super().__init__()
         self._config = config
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self._poll = poll
         self._poll_s = timing.reading_s
         self._clock = clock
-        self._counts: Counter[str] = Counter()
         look_s = look_limit_s(config.timeout_s, len(poll.writes))
         sight = Sight(poll.reports_bridge, timing, look_s, clock)
         self._commander = Commander(poll, sight, self._counts, clock, timing)
@@ -83,11 +80,6 @@ class ModbusPort:
         return describe_bus(self._config)
 
     @property
-    def statistics(self) -> PortStatistics:
-        """Counts since the port was built."""
-        return PortStatistics(**self._counts)
-
-    @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or had a fault."""
         return self._commander.complaint or self._assembly.faults.complaint
@@ -101,11 +93,6 @@ class ModbusPort:
     def stop_slack_s(self) -> float | None:
         """Nothing, or None for a drive whose map has no register for its bridge."""
         return 0.0 if self._poll.reports_bridge else None
-
-    @property
-    def bridge_cycle_s(self) -> float:
-        """Return 0: each poll that reads it has a report of the bridge."""
-        return 0.0
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the link, call `opened`, and poll until cancelled; reconnect when it is lost.
@@ -152,12 +139,6 @@ class ModbusPort:
             self._wake.set()
         return True
 
-    def catch_up(self) -> None:
-        """A reply is handed over by the task that polls, and only one is ever awaited."""
-
-    def rehearse(self) -> None:
-        """A drive that is polled has time."""
-
     def explain_age(self) -> str:
         """Return the missing registers of the last poll; every value is as old as its poll."""
         none = (
@@ -175,9 +156,6 @@ class ModbusPort:
         ]
         problems = (self._failure, self._commander.refused_write)
         return [*read, *(f"refused: {one}" for one in problems if one)]
-
-    async def reset_fault(self) -> None:
-        """No-op: a register map has no fault reset; the drive clears its fault word by itself."""
 
     async def _try_first(self) -> tuple[PolledLink | None, str]:
         try:
