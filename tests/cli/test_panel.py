@@ -73,7 +73,7 @@ def test_a_port_in_use_is_named(port: int) -> None:
 
 def test_the_address_carries_the_broker() -> None:
     address = panel_address(8088, "ws://host:8083/mqtt?x")
-    assert address == "http://127.0.0.1:8088/?broker=ws://host:8083/mqtt%3Fx"
+    assert address == "http://127.0.0.1:8088/?broker=ws://host:8083/mqtt%3Fx&report"
 
 
 async def test_the_command_prints_the_address_and_ends_on_a_signal(tmp_path: Path) -> None:

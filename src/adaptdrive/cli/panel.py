@@ -1,20 +1,23 @@
-"""`adaptdrive panel`: the panel's folder on the loopback interface, for a desk."""
+"""`adaptdrive panel`: the panel's folder and reports of sessions on loopback, for a desk."""
 
 from __future__ import annotations
 
 import functools
 import sys
+import threading
 import webbrowser
 from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
-from urllib.parse import quote
+from urllib.parse import parse_qs, quote, urlsplit
 
 from cyclopts import Parameter, validators
 
 from adaptdrive.aside import in_thread
 from adaptdrive.cli.integers import Integer
+from adaptdrive.cli.session_report import last_report
 from adaptdrive.errors import AdaptdriveError
 
 FOLDER = Path(__file__).parents[1] / "panel"
@@ -26,6 +29,10 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-cache",
 }
+_REPORT = "/report.html"
+_REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'"
+_ONE_REPORT = threading.Lock()
+"""Reports are drawn one by one: each takes a processor for seconds."""
 
 
 class PanelError(AdaptdriveError):
@@ -33,11 +40,43 @@ class PanelError(AdaptdriveError):
 
 
 class PanelHandler(SimpleHTTPRequestHandler):
-    """Serves the files of the panel; lists no folder and writes no log."""
+    """Serves the files of the panel and reports; lists no folder and writes no log."""
+
+    _headers_sent = HEADERS
+
+    def do_GET(self) -> None:
+        """Send a file of the panel, or the report of the last session of a drive."""
+        asked = urlsplit(self.path)
+        if asked.path != _REPORT:
+            super().do_GET()
+        elif self._is_foreign():
+            self.send_error(HTTPStatus.FORBIDDEN)
+        else:
+            self._send_report(parse_qs(asked.query).get("drive", [""])[0])
+
+    def _is_foreign(self) -> bool:
+        """Return whether another site asks, by a link or by a name that it gave to this host."""
+        host = self.headers.get("Host", "").rpartition(":")[0]
+        site = self.headers.get("Sec-Fetch-Site", "none")
+        return host not in ("127.0.0.1", "localhost") or site not in ("none", "same-origin")
+
+    def _send_report(self, drive: str) -> None:
+        try:
+            with _ONE_REPORT:
+                page = last_report(drive)
+        except (AdaptdriveError, OSError) as problem:
+            self.send_error(HTTPStatus.NOT_FOUND, explain=str(problem))
+            return
+        self._headers_sent = HEADERS | {"Content-Security-Policy": _REPORT_POLICY}
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(page)))
+        self.end_headers()
+        self.wfile.write(page)
 
     def end_headers(self) -> None:
         """Add the headers that keep foreign scripts and frames away."""
-        for name, value in HEADERS.items():
+        for name, value in self._headers_sent.items():
             self.send_header(name, value)
         super().end_headers()
 
@@ -81,13 +120,14 @@ def panel_server(port: int) -> PanelServer:
 
 
 def panel_address(port: int, broker: str) -> str:
-    """Return the address of the page.
+    """Return the address of the page, which links to reports where they can be drawn.
 
     Args:
         port: TCP port of the server.
         broker: Address of the broker's WebSocket listener.
     """
-    return f"http://127.0.0.1:{port}/?broker={quote(broker, safe=':/')}"
+    report = "&report" if find_spec("matplotlib") else ""
+    return f"http://127.0.0.1:{port}/?broker={quote(broker, safe=':/')}{report}"
 
 
 def panel(

@@ -21,7 +21,7 @@ const DrivePage = (() => {
       bar,
       alarm,
       Dom.make("div.columns", {}, Dom.make("div.left", {}, now.root, now.details), plotted, controls.root),
-      Dom.make("section", {}, Dom.make("h2", {}, "Events"), events),
+      Dom.make("section", {}, Dom.make("h2", {}, "Events"), events, ...report(drive.name)),
     );
     const plots = Plots.open(plotted, drive);
     Link.askHistory(drive.name);
@@ -48,6 +48,12 @@ const DrivePage = (() => {
     }
     document.addEventListener("keydown", press);
     return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); } };
+  }
+
+  /** A link to the plot of the session, where the server of the page draws it. @param {string} name */
+  function report(name) {
+    if (!new URLSearchParams(location.search).has("report")) return [];
+    return [Dom.make("a.report", { href: `report.html?drive=${name}`, target: "_blank", rel: "noopener" }, "Plot of the last session, with all its events")];
   }
 
   /** Whether a letter that is typed there means something else. @param {EventTarget|null} target */
@@ -94,8 +100,7 @@ const DrivePage = (() => {
       ["reachable", limitText(state?.reach, drive.unit).replace("limits ", "") || "–", ""],
       ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
     ]);
-    const unit = state?.manipulated?.unit ?? "V";
-    const given = unit === "V" ? "boost voltage" : state?.manipulated?.name ?? "";
+    const { name: given, unit } = drive.given;
     drawRows(parts.rest, [
       [`${given} asked for`, Dom.number(load?.boost_reference_V, unit), limitText(state?.limits?.boost_V, unit)],
       [given, Dom.number(fast?.boost_voltage_V, unit), limitText(state?.limits?.boost_trip_V, unit)],

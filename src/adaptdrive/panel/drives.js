@@ -73,9 +73,15 @@ const Drives = (() => {
       return this.state?.output?.unit ?? "";
     }
 
+    /** What the drive applies. */
+    get given() {
+      const { name, unit } = this.state?.manipulated ?? { name: "", unit: "V" };
+      return { name: unit === "V" ? "boost voltage" : name, unit };
+    }
+
     /** What a page of the drive is built from; the page is built again when it changes. */
     get build() {
-      return JSON.stringify([this.outputName, this.unit, this.state?.modes, this.features]);
+      return JSON.stringify([this.outputName, this.unit, this.given, this.state?.modes, this.features]);
     }
 
     get outputName() {
@@ -141,7 +147,6 @@ const Drives = (() => {
       this.points = [...missed, ...this.points].sort((a, b) => a.timeS - b.timeS).slice(-POINTS);
       this.slowVersion += 1;
     }
-
 
     /** @param {Load} message @param {boolean} retained */
     _takeLoad(message, retained) {

@@ -6,6 +6,7 @@ const Plots = (() => {
   const HOUR_S = 3600;
   const SPANS_S = [300, 1200, HOUR_S];
   const SHORTEST_ZOOM_S = 1;
+  const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, HOUR_S]; // between two marks of the time axis
   const SYNC = "drive";
 
   /** @typedef {{from: number, to: number}} Window */
@@ -78,7 +79,7 @@ const Plots = (() => {
       width: 300, height: HEIGHT,
       cursor: { sync: { key: SYNC }, points: { size: 5 }, drag: { x: true, y: false, setScale: false } },
       legend: { live: true },
-      axes: [{ ...axis(), size: 26, space: 70, values: clock }, axis()],
+      axes: [{ ...axis(), size: 26, space: 70, incrs: STEPS_S, values: clock }, axis()],
       series: [{ label: "time", value: (/** @type {any} */ _, /** @type {number|null} */ at) => (at == null ? "–" : Dom.clock(at)) }, ...lines.map(series)],
       bands,
       hooks: {
@@ -126,8 +127,9 @@ const Plots = (() => {
       { label: "reference", colour: "--series-2", step: true, dash: [6, 4] },
       { label: drive.outputName, colour: "--series-1" },
     ], owner);
-    const voltage = plot(parent, "boost voltage, V", [
-      { label: "V_c asked for", colour: "--series-2", step: true, dash: [6, 4] },
+    const given = drive.given;
+    const voltage = plot(parent, `${given.name}, ${given.unit}`, [
+      { label: "asked for", colour: "--series-2", step: true, dash: [6, 4] },
       { label: "applied", colour: "--series-1" },
     ], owner);
     const strip = Dom.make("canvas.strip", { "aria-label": "controller in force and verdict over time" });
@@ -161,7 +163,7 @@ const Plots = (() => {
       const inner = /** @type {HTMLElement} */ (output.frame.querySelector(".u-over"));
       drawStrip(/** @type {HTMLCanvasElement} */ (strip), rows, window, inner);
       Dom.say(key, drive.marks.filter((one) => one.timeS >= window.from && one.timeS <= window.to).slice(-6)
-        .map((one) => `${(SHAPES[one.kind] ?? SHAPES.command).sign} ${Dom.clock(one.timeS)} ${one.text}`).join("   "));
+        .map((one) => `${(SHAPES[one.kind] ?? SHAPES.command).sign}\u00a0${Dom.clock(one.timeS)}\u00a0${one.text}`).join("   "));
     }
 
     /** @param {string} name @param {(Load & {timeS: number})[]} rows @param {Window} window */
