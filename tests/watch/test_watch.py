@@ -156,6 +156,12 @@ def test_a_trip_is_shown_with_its_remedy() -> None:
     last = {"time": "x", "text": "over-voltage", "remedy": "look for a load that feeds back"}
     text = "\n".join(shown(live_record(Clock(), trip="over-voltage", last_trip=last)))
     assert "trip: over-voltage" in text
+    cause = (
+        "stale: measurement is 1005 ms old, limit 1000 ms; the oldest value is the voltage: mute"
+    )
+    lines = shown(live_record(Clock(), trip=cause, last_trip=last), (80, 24))
+    assert cause in " ".join(line.strip() for line in lines[1:3])
+    assert len(lines) == 24
     assert "remedy: look for a load that feeds back" in text
 
 
@@ -180,10 +186,10 @@ def test_old_data_are_unmistakable() -> None:
     clock = Clock()
     record = live_record(clock)
     clock.now_s = LIVE_S + 0.1
-    assert "OLD DATA" in "\n".join(shown(record))
-    record = live_record(Clock())
+    assert "OLD DATA" in shown(record, (80, 24))[0]
+    record = live_record(Clock(), stop="missing")
     record.take("availability", {"availability": "offline"})
-    assert "OLD DATA" in "\n".join(shown(record))
+    assert "OLD DATA" in shown(record, (80, 24))[0]
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ _ROWS = 6
 _SHORTEST_WINDOW_S = 30.0
 _EVENTS, _WIDE = 6, 110
 _LEAST_PLOT = 9
+_TRIP_LINES = 2
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
 
 
@@ -76,7 +77,7 @@ def screen(record: WatchRecord, size: tuple[int, int], around: Surroundings = WA
         around: What is shown around the drive.
     """
     width, height = size
-    header = [*_header(record), *around.lead]
+    header = [*_header(record, width), *around.lead]
     footer = _footer(record, around, width)
     middle = _middle(record, around, size)
     rows = _ROWS + 1
@@ -93,25 +94,29 @@ def screen(record: WatchRecord, size: tuple[int, int], around: Surroundings = WA
     return layout
 
 
-def _header(record: WatchRecord) -> Iterator[Text]:
+def _header(record: WatchRecord, width: int) -> Iterator[Text]:
+    """Return the line of the drive, of which only the end may be cut, and those of a trip."""
     state = record.state
     name = printable(state.get("state") if record.availability == "online" else record.availability)
     style = STATE_STYLES.get(name, "bold yellow")
     line = Text.assemble((f" {record.drive} ", "bold reverse"), " ", (f" {name} ", style), "  ")
+    if stop := state and unconfirmed_stop(state):
+        line.append(f"stop {stop}  ", "bold yellow")
+    if not record.live and (state or record.problem):
+        line.append("OLD DATA ", "bold red")
+        line.append(f"{record.problem} ".lstrip(), "red")
     if state:
-        if stop := unconfirmed_stop(state):
-            line.append(f"stop {stop}  ", "bold yellow")
         _add_controller(line, state)
     elif record.availability == "unknown" and not record.problem:
-        line.append("nothing heard of this drive; see adaptdrive list for the names")
-    if not record.live and (state or record.problem):
-        line.append("   OLD DATA", "bold red")
-        line.append(f" {record.problem}", "red")
+        line.append("nothing heard of this drive; see adaptdrive list")
     yield line
     if state.get("trip"):
-        last = part(state, "last_trip")
-        yield Text(f" trip: {printable(state['trip'])}", "red")
-        yield Text(f" remedy: {printable(last.get('remedy') or 'see the manual')}")
+        remedy = part(state, "last_trip").get("remedy") or "see the manual"
+        for text, style in (
+            (f"trip: {printable(state['trip'])}", "red"),
+            (f"remedy: {printable(remedy)}", ""),
+        ):
+            yield from (Text(one, style) for one in flow([text], width)[:_TRIP_LINES])
 
 
 def _add_controller(line: Text, state: Payload) -> None:
@@ -198,8 +203,8 @@ def _health(record: WatchRecord) -> Iterator[str]:
     lateness, bus, sensors = part(fast, "lateness_us"), part(fast, "bus"), part(fast, "sensors")
     times = "/".join(f"{1e-3 * number(lateness.get(name)):.2f}" for name in ("p50", "p99", "max"))
     yield f"late {times.replace('nan', '–')} ms"
-    yield printable(f"missed {fast.get('missed')}")
-    yield printable(f"held {fast.get('held')} of {fast.get('ticks')}")
+    yield printable(f"missed {fast.get('missed', '–')}")
+    yield printable(f"held {fast.get('held', '–')} of {fast.get('ticks', '–')}")
     yield f"refused {sum(number(bus.get(name, 0)) for name in _REFUSED):.0f}"
     yield f"age {figure(1e3 * number(fast.get('age_s')))} ms"
     if down := [name for name in sensors if not part(sensors, name).get("up")]:
