@@ -147,7 +147,7 @@ const Plots = (() => {
     }
 
     function draw() {
-      const version = `${drive.version} ${drive.slowVersion}`;
+      const version = `${drive.version} ${drive.slowVersion} ${parent.clientWidth}`; // a strip is as wide as the plots
       if (drawn === version) return;
       drawn = version;
       const points = course(drive);
