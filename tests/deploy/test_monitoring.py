@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from adaptdrive.runtime.reports import EVENT_KINDS
 from tests.operation.asyncapi import schema
 from tests.operation.peers import PATIENCE_S, drive_report, load_report, serving
 from tests.operation.topic_table import topics
@@ -115,4 +116,13 @@ def test_the_dashboard_shows_fields_that_telegraf_stores() -> None:
     flat = {key.replace(".", "_") for key in PUBLISHED | keys("event") | keys("state")}
     assert fields
     assert {field for field in fields if not field.startswith("estimates_")} <= flat
-    assert all('r._measurement == "adaptdrive_' in query for query in queries)
+    telegraf = tomllib.loads((FOLDER / "telegraf.conf").read_text(encoding="utf-8"))
+    stored = {one["name_override"] for one in telegraf["inputs"]["mqtt_consumer"]}
+    assert {
+        name for one in queries for name in re.findall(r'_measurement == "(\w+)"', one)
+    } == stored
+    # both messages have the output: drawn from both, it would be two lines
+    sources = [re.findall(r'"(\w+)" and r._field == "output"', query) for query in queries]
+    assert [source for source in sources if source] == [["drive"]]
+    assert sum('r.kind == "trip"' in query for query in queries) == 1
+    assert "trip" in EVENT_KINDS

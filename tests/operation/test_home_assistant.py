@@ -33,6 +33,31 @@ from tests.support import Broker
 TOPIC = "homeassistant/device/adaptdrive-{}/config"
 
 
+ANY = {"platform", "name", "unique_id", "device_class", "enabled_by_default", "qos"}
+ANY |= {"json_attributes_topic", "json_attributes_template"}
+READ = {"state_topic", "value_template"}
+WRITTEN = {"command_topic", "command_template"}
+DOCUMENTED = {  # keys that must be there, and those that may, by the manual of each platform
+    "sensor": ({"state_topic"}, READ | {"unit_of_measurement", "state_class", "options"}),
+    "binary_sensor": ({"state_topic"}, READ),
+    "button": ({"command_topic"}, WRITTEN),
+    "select": ({"command_topic", "options"}, READ | WRITTEN | {"options"}),
+    "number": (
+        {"command_topic"},
+        READ | WRITTEN | {"min", "max", "step", "mode", "unit_of_measurement"},
+    ),
+}
+CLASS_UNITS: dict[
+    str | None, set[str | None]
+] = {  # units that Home Assistant takes for a class of a sensor
+    "voltage": {"V", "mV", "µV", "kV", "MV"},
+    "current": {"A", "mA"},
+    "temperature": {"°C", "°F", "K"},
+    "temperature_delta": {"°C", "°F", "K"},
+    "enum": {None},
+    "problem": {None},
+    None: {None, "rad/s", "%"},
+}
 COMMANDS = [
     ("setpoint", "3.1", SetSetpoint(3.1)),
     ("mode", "adaptive", SetMode(Mode.ADAPTIVE)),
@@ -142,6 +167,22 @@ async def test_what_home_assistant_shows_is_in_the_messages(
     attributes = payload["components"]["last_trip"]["json_attributes_template"]
     assert "remedy" in json.loads(rendered(attributes, value_json=tripped.content))
     assert rendered(attributes, value_json={"last_trip": None}) == "{}"
+
+
+@pytest.mark.parametrize("unit", ["V", "A", "°C", "K", "rad/s", "%", ""])
+def test_each_key_is_one_that_home_assistant_documents(unit: str) -> None:
+    known = replace(profile("x"), output=Output("output", unit))
+    message = json.loads(encode(discovery(known, "homeassistant")[1]))
+    assert message.keys() == {"device", "origin", "availability_topic", "qos", "components"}
+    assert message["device"].keys() == {"identifiers", "name", "manufacturer", "sw_version"}
+    for component in message["components"].values():
+        needed, allowed = DOCUMENTED[component["platform"]]
+        assert needed | {"unique_id"} <= component.keys() <= allowed | ANY
+        if component["platform"] in ("sensor", "binary_sensor"):
+            kind = component.get("device_class")
+            assert component.get("unit_of_measurement") in CLASS_UNITS[kind]
+            assert ("options" in component) == (kind == "enum")
+            assert not ("options" in component and "state_class" in component)
 
 
 def test_a_rise_of_temperature_is_no_temperature() -> None:
