@@ -84,8 +84,8 @@ TRIPS = (
         f"{_STALE}; …",
         "no usable measurement for `interlocks.stale_s`; if the text names no value and events "
         "`latency` come, the machine is overloaded",
-        "check the part that the text names; if it names none, reduce the load of the machine and "
-        "see `[realtime]`",
+        "check the part that the text names; without one, reduce the load of the machine, lengthen "
+        "`interlocks.stale_s`, or set `realtime.priority`",
     ),
     Trip(
         r"^stale: ",
@@ -355,7 +355,7 @@ TRIPS = (
         r"^slow loop: ",
         "slow loop: no decision for three slow periods",
         "the machine is overloaded",
-        "reduce its load; see `[realtime]`",
+        "reduce its load, or set `realtime.priority`",
     ),
     Trip(
         r"^second broker client: ",
