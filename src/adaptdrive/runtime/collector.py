@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import gc
 
-COLLECT_TICKS = 12
-"""Ticks between two collections: about ten in a second."""
+COLLECT_TICKS = 240
+"""Ticks between two collections: one in two seconds."""
 
 _MIDDLE_EVERY = 10
 """Collections of the youngest objects to one of the middle ones: the ratio of Python's own."""
 
-_FULL_EVERY = 6000
+_FULL_EVERY = 300
 """Least collections between two full ones: each takes 10 ms and more, even with the drive off."""
 
 
