@@ -51,8 +51,7 @@ class StatusAssembly:
     @property
     def powered(self) -> bool:
         """True if the drive's last report has its bridge on."""
-        bridge = self._values.get("bridge")
-        return bridge is not None and bridge == self._bridge_on
+        return self._values.get("bridge") == self._bridge_on
 
     def forget(self) -> None:
         """Discard every arrival: the bus was opened again, and counters may have advanced."""
@@ -86,7 +85,7 @@ class StatusAssembly:
                     dues[part.quantity] = arrival_s + part.slack_s, part.slack_s
         for fault in self._faults:
             self.faults.see(values.get(fault), fault)
-        self._note_bridge(on=self.powered)
+        self._note_bridge(on=values.get("bridge") == self._bridge_on)
 
     def keep_words(
         self,

@@ -21,12 +21,24 @@ def crc_function(form: Crc, before: bytes = b"") -> Callable[[bytes], int]:
         form: The parameters.
         before: Bytes that the checksum always runs over first.
     """
-    run = _mirrored(form) if form.refin else _plain(form)
+    run = _mirrored(form) if form.refin else _plain(form) if form.width > 8 else _single(form)
     init = _mirror(form.init, form.width) if form.refin else form.init
     start, width, xorout = run(before, init), form.width, form.xorout
     if form.refin == form.refout:
         return lambda data: run(data, start) ^ xorout
     return lambda data: _mirror(run(data, start), width) ^ xorout
+
+
+def _single(form: Crc) -> Callable[[bytes, int], int]:
+    """Highest bit first, in a register of one byte."""
+    table = tuple(_shifted_out(byte, form) for byte in range(256))
+
+    def run(data: bytes, register: int) -> int:
+        for byte in data:
+            register = table[register ^ byte]
+        return register
+
+    return run
 
 
 def _plain(form: Crc) -> Callable[[bytes, int], int]:

@@ -20,6 +20,7 @@ from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limit
 
 Unpack = Callable[[bytes], Mapping[str, Raw]]
 Pack = Callable[[Mapping[str, Raw]], bytes]
+_ByteOrder = Literal["little", "big"]
 
 _UNKNOWN = re.compile(
     "(sna|n/?a|unknown|undefined|invalid)$|(signal[ _]?)?(not[ _]?available|unavailable)",
@@ -126,13 +127,12 @@ def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
     signals = [message.get_signal_by_name(name) for name in names]
     if not all(map(_is_plain, signals)):
         return _slow_unpack(message, frozenset(signal.name for signal in signals))
-    little, big = _cuts(message, signals, "little"), _cuts(message, signals, "big")
-    if not big:
-        return lambda data: _cut_out(int.from_bytes(data, "little"), little)
-    return lambda data: {
-        **_cut_out(int.from_bytes(data, "little"), little),
-        **_cut_out(int.from_bytes(data, "big"), big),
-    }
+    orders: tuple[_ByteOrder, _ByteOrder] = ("little", "big")
+    found = [(_cuts(message, signals, order), order) for order in orders]
+    little, big = (_cutter(cuts, order) for cuts, order in found)
+    if not all(cuts for cuts, _ in found):
+        return big if found[1][0] else little
+    return lambda data: {**little(data), **big(data)}
 
 
 def compile_pack(message: Message, idle: Mapping[str, Raw]) -> Pack:
@@ -194,9 +194,7 @@ class _Cut(NamedTuple):
     sign: int
 
 
-def _cuts(
-    message: Message, signals: Iterable[Signal], order: Literal["little", "big"]
-) -> list[_Cut]:
+def _cuts(message: Message, signals: Iterable[Signal], order: _ByteOrder) -> list[_Cut]:
     chosen = [signal for signal in signals if signal.byte_order == f"{order}_endian"]
     return [_cut(signal, message.length) for signal in chosen]
 
@@ -211,9 +209,16 @@ def _cut(signal: Signal, frame_length: int) -> _Cut:
     return _Cut(signal.name, shift, (1 << signal.length) - 1, sign)
 
 
-def _cut_out(word: int, cuts: Iterable[_Cut]) -> dict[str, Raw]:
-    # (x ^ sign) - sign extends the sign; an unsigned signal has sign = 0
-    return {name: ((word >> shift & mask) ^ sign) - sign for name, shift, mask, sign in cuts}
+def _cutter(cuts: Collection[_Cut], order: _ByteOrder) -> Unpack:
+    def cut_out(data: bytes) -> dict[str, Raw]:
+        word = int.from_bytes(data, order)
+        raw: dict[str, Raw] = {}
+        for name, shift, mask, sign in cuts:
+            # (x ^ sign) - sign extends the sign; an unsigned signal has sign = 0
+            raw[name] = ((word >> shift & mask) ^ sign) - sign
+        return raw
+
+    return cut_out
 
 
 def _put_in(raw: Mapping[str, Raw], cuts: Iterable[_Cut]) -> int:
