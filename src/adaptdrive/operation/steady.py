@@ -232,4 +232,9 @@ class SteadyClient(Client):
             if sock.fileno() >= 0:
                 self._loop.add_writer(sock.fileno(), write)
 
-        self._loop.call_soon_threadsafe(watch)
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:  # a connection is opened in another thread
+            self._loop.call_soon_threadsafe(watch)
+        else:
+            watch()

@@ -59,8 +59,10 @@ class CommandFrame:
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it.
         """
-        values = {part.signal: part.value(command) for part in self.parts}
-        return self.codec.encode({**self.fixed, **values})
+        values = dict(self.fixed)
+        for part in self.parts:
+            values[part.signal] = part.value(command)
+        return self.codec.encode(values)
 
 
 def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:

@@ -143,8 +143,9 @@ class MessageCodec:
             ValueError: A value is not finite, or outside the range of its signal.
             KeyError: The message has no signal of that name.
         """
-        raw = {name: self._fields[name].raw(value) for name, value in values.items()}
-        counter = self._next
+        raw, counter = {}, self._next
+        for name, value in values.items():
+            raw[name] = self._fields[name].raw(value)
         if self._counter:
             raw[self._counter] = counter
         data = self._with_checksum(self._pack(raw), counter)
