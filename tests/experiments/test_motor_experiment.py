@@ -117,7 +117,7 @@ def test_without_noise_the_estimates_end_on_the_truth() -> None:
 
 @pytest.mark.slow
 def test_under_spikes_lm_rls_is_worth_a_factor_of_1_8() -> None:
-    found = outcomes(MOTOR, ("adaptive", "direct_rls"), NOISY)
+    found = outcomes(MOTOR, ("adaptive", "direct_rls"), NOISY, run=run_all_compiled)
     ratios = [one.model_error("direct_rls") / one.model_error("adaptive") for one in found]
     assert statistics.median(ratios) >= 1.8
 
