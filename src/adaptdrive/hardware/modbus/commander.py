@@ -12,9 +12,8 @@ from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, OvertakenError, PolledLink
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, block_words
 from adaptdrive.hardware.modbus.pace import WritePace, has_switch
-from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
-from adaptdrive.hardware.modbus.validity import CommandValidity
+from adaptdrive.hardware.modbus.witness import PollWitness
 from adaptdrive.hardware.obedience import Obedience
 
 
@@ -22,7 +21,6 @@ class Commander:
     """The newest command of one drive; nothing is queued behind it.
 
     Attributes:
-        bridge: Bridge of the last command that the drive acknowledged.
         safe_s: Time at which it acknowledged the safe command, infinite without one in force.
         refused_write: Why the last command was not taken, empty if it was.
     """
@@ -30,7 +28,7 @@ class Commander:
     def __init__(
         self,
         poll: Poll,
-        sight: Sight,
+        witness: PollWitness,
         counts: Counter[str],
         clock: Callable[[], float],
         timing: Timing,
@@ -39,7 +37,7 @@ class Commander:
 
         Args:
             poll: Registers of the drive.
-            sight: Freshness of what is known of the drive.
+            witness: Knows what the drive has reported and taken.
             counts: `sent`, `send_drops` and `withheld_commands` are counted here.
             clock: Monotonic clock, in s.
             timing: Times of the drive.
@@ -51,25 +49,21 @@ class Commander:
         self._command: Command | None = None
         self._written: Command | None = None
         self._withheld = False
-        self._sight = sight
-        self._validity = CommandValidity(timing.frozen_s, sight, clock)
+        self._witness = witness
         self._safe = False
         self._untaken = UntakenCommands()
-        self._reported_s = -math.inf
         self._alive = 0
         self._stopped_s = math.inf
         self._begun_s = -math.inf
         self._taken_s = timing.taken_s
         self._obedience = Obedience(timing.obeyed_s(timing.reading_s), clock)
-        self._tried_bridge = False
-        self.bridge = False
         self.safe_s = math.inf
         self.refused_write = ""
 
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or has stopped."""
-        return self._untaken.complaint or self._validity.complaint
+        return self._untaken.complaint or self._witness.complaint
 
     @property
     def urgent(self) -> bool:
@@ -85,7 +79,7 @@ class Commander:
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
         now_s = self._clock()
-        on = self._obedience.overdue_s(powered=self._validity.may_be_on) > 0.0
+        on = self._obedience.overdue_s(powered=self._witness.may_be_on) > 0.0
         untaken_s = now_s - max(self._stopped_s, self._begun_s)
         return on or (not self._safe and untaken_s > self._taken_s)
 
@@ -107,7 +101,7 @@ class Commander:
             self._obedience.forget()
         elif self._stopped_s == math.inf:
             self._stopped_s = self._clock()
-        self._validity.renew(command)
+        self._witness.renew(command)
         self._command = command
         self._withheld = False
 
@@ -116,13 +110,13 @@ class Commander:
         self.safe_s = math.inf
         self._untaken.forget()
         self._pace.forget()
-        self._validity.begin(given_on=self._given_on)
-        self._safe = self.bridge = self._tried_bridge = False
+        self._witness.begin()
+        self._safe = False
         self._begun_s = self._clock()
 
     def note_step(self) -> None:
         """Note that the port does its work; a command from before a standstill is void."""
-        self._validity.note_step()
+        self._witness.note_step()
 
     def note_read(self, *, answered: bool) -> None:
         """Note the end of a poll, which gives no reading unless its bridge is noted next.
@@ -134,28 +128,8 @@ class Commander:
         """
         if not answered:  # it may have started anew
             self._pace.forget()
-        if self._validity.note_read(answered=answered, given_on=self._given_on):
+        if self._witness.note_read(answered=answered):
             self._written = None
-
-    def note_bridge(self, *, powered: bool) -> None:
-        """Note a reading: whether the drive reports its bridge on, or is assumed to have it on."""
-        self._validity.note_bridge(
-            powered=powered, acknowledged_on=self.bridge, reported_s=self._reported_s
-        )
-
-    def note_refused(self, *, powered: bool | None) -> None:
-        """Note a poll without a reading, and its bridge; None where that must not be used.
-
-        A drive that never reports it is assumed to follow its last command, as in a reading.
-        """
-        self._validity.note_refused(
-            powered=powered,
-            acknowledged_on=self.bridge,
-            given_on=self._given_on,
-            reported_s=self._reported_s,
-        )
-        if not self._poll.reports_bridge:
-            self._validity.assume(powered=self.bridge)
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.
@@ -168,13 +142,13 @@ class Commander:
         joins = self._poll.combined and command is not None and self._may_join(command)
         if not joins:
             self._written = None  # it takes none with this read
-            self._sight.forget()
+            self._witness.forget_report()
         return joins
 
     def is_starved(self, since_s: float) -> bool:
         """Return whether a drive that is commanded on has taken no command since a time."""
         command = self._command
-        return command is not None and command.bridge and self._sight.fed_s < since_s
+        return command is not None and command.bridge and self._witness.fed_s < since_s
 
     async def read(self, link: PolledLink, exchange: Exchange, *, joined: bool) -> list[int]:
         """Read a block, and write the command with it where it joins the read.
@@ -190,9 +164,9 @@ class Commander:
                 registers = await self._read_with(link, exchange, command)
         finally:
             if joined:
-                self._sight.forget()
+                self._witness.forget_report()
         if self._poll.bridge_block in {None, exchange.read}:
-            self._reported_s = link.asked_s
+            self._witness.reported_s = link.asked_s
         return registers
 
     async def _read_with(self, link: PolledLink, exchange: Exchange, command: Command) -> list[int]:
@@ -214,7 +188,7 @@ class Commander:
             return await self._read(link, exchange)
         except ExchangeError as failure:
             if not self._is_void(command):
-                self._untaken.note(both, failure, silent=self._validity.silent)
+                self._untaken.note(both, failure, silent=self._witness.silent)
             if failure.code is None:
                 raise
             return await self._read(link, exchange)
@@ -234,7 +208,7 @@ class Commander:
         parts = [*zip(self._poll.writes, self._words(command), strict=True)]
         if not command.bridge:
             parts.sort(key=lambda part: not has_switch(part[0][1]))
-        must_stop = command == SAFE_COMMAND and (self.urgent or self._validity.may_be_on)
+        must_stop = command == SAFE_COMMAND and (self.urgent or self._witness.may_be_on)
         self._doubt(command)
         taken, sent = True, False
         for (block, sinks), registers in parts:
@@ -315,7 +289,7 @@ class Commander:
                 return False
             self._counts["send_drops"] += 1
             self.refused_write = f"command: {failure.problem}"
-            self._untaken.note(exchange, failure, silent=self._validity.silent)
+            self._untaken.note(exchange, failure, silent=self._witness.silent)
             return False
         if exchange.write is not None:
             self._pace.note(exchange.write, registers)
@@ -331,12 +305,7 @@ class Commander:
     def _current(self) -> Command | None:
         """Return the command that is in force and still valid, None for none."""
         command = self._command
-        return command if command is not None and self._validity.admits(command) else None
-
-    @property
-    def _given_on(self) -> bool:
-        """True if the last command that the drive may have received had the bridge on."""
-        return self.bridge or self._tried_bridge
+        return command if command is not None and self._witness.admits(command) else None
 
     def _is_void(self, command: Command) -> bool:
         """Return whether a command that energises must not be sent any more."""
@@ -344,11 +313,11 @@ class Commander:
 
     def _may_join(self, command: Command) -> bool:
         """Return whether a command may be written with a read."""
-        return not self._is_void(command) and self._validity.may_join(command)
+        return not self._is_void(command) and self._witness.may_join(command)
 
     def _may_follow(self, command: Command) -> bool:
         """Return whether a command may be written after a read."""
-        return not self._is_void(command) and self._validity.may_follow(command)
+        return not self._is_void(command) and self._witness.may_follow(command)
 
     def _words(self, command: Command) -> list[list[int]]:
         """The registers of every block that is written, with the next heartbeat.
@@ -363,7 +332,7 @@ class Commander:
     def _doubt(self, command: Command) -> None:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
-        self._tried_bridge = command.bridge
+        self._witness.attempt(command)
         if command == SAFE_COMMAND:
             self._obedience.hear()
         self._safe = self._safe and command == SAFE_COMMAND
@@ -372,8 +341,8 @@ class Commander:
 
     def _confirm(self, command: Command, asked_s: float, *, sent: bool = True) -> None:
         self._counts["sent"] += sent
-        self._written, self.bridge = command, command.bridge
-        self._sight.feed(asked_s)
+        self._written = command
+        self._witness.take(command, asked_s)
         self._safe = command == SAFE_COMMAND
         self._untaken.clear()
         if self._safe and self.safe_s == math.inf:

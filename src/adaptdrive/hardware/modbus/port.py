@@ -33,7 +33,7 @@ from adaptdrive.hardware.modbus.link import (
 from adaptdrive.hardware.modbus.mapping import Poll, written
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.modbus.sight import Sight, look_limit_s
+from adaptdrive.hardware.modbus.witness import PollWitness, look_limit_s
 from adaptdrive.hardware.port import Listener
 
 _SILENT_POLLS = 3
@@ -58,8 +58,8 @@ class ModbusPort(CountingPort):
         self._poll_s = timing.reading_s
         self._clock = clock
         look_s = look_limit_s(config.timeout_s, len(poll.writes))
-        sight = Sight(poll.reports_bridge, timing, look_s, clock)
-        self._commander = Commander(poll, sight, self._counts, clock, timing)
+        self._witness = PollWitness(poll.reports_bridge, timing, look_s, clock)
+        self._commander = Commander(poll, self._witness, self._counts, clock, timing)
         self._listener: Listener | None = None
         self._link: PolledLink | None = None
         self._wake = asyncio.Event()
@@ -311,17 +311,17 @@ class ModbusPort(CountingPort):
         """Hand out the reading of a poll, unless it has none or the drive stands still."""
         commander, assembly = self._commander, self._assembly
         if not self._is_alive(start_s):
-            commander.note_refused(powered=assembly.powered_beside_refused)
+            self._witness.note_refused(powered=assembly.powered_beside_refused)
             return
         stopped = commander.safe_s < math.inf
         reading = assembly.reading(
-            self._clock(), start_s, bridge_sent=commander.bridge, stopped=stopped
+            self._clock(), start_s, bridge_sent=self._witness.bridge, stopped=stopped
         )
         if reading is None:
-            commander.note_refused(powered=assembly.powered_beside_refused)
+            self._witness.note_refused(powered=assembly.powered_beside_refused)
             return
         self._report_up()
-        commander.note_bridge(powered=reading.bridge)
+        self._witness.note_bridge(powered=reading.bridge)
         if self._listener is not None:
             assembly.faults.clear(reading.fault)
             self._listener.on_reading(reading)

@@ -1,0 +1,195 @@
+"""What is known of a drive that is polled, and whether a command that energises may follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink
+
+_LOOK_TIMEOUTS = 0.5
+"""Age of a report at which a write still follows, in time-outs besides those of the exchanges."""
+
+
+class PollWitness:
+    """Notes what the polls of a drive have shown, and what it has taken, each with its time.
+
+    Times count from the request: the process may have stood still with the reply in its buffer.
+    The drive may stop by itself at any time. One that does not report its bridge shows nothing, and
+    is commanded all the same. The safe command is always valid.
+
+    Attributes:
+        bridge: Bridge of the last command that the drive acknowledged.
+        silent: Whether the drive did not answer the last poll.
+        may_be_on: Whether the last report, on this link or before, has the bridge on, or it is
+            assumed to be; it may come with refused values.
+        reported_s: When the last report of the bridge was asked for.
+        fed_s: When the last command that the drive took was sent.
+    """
+
+    def __init__(
+        self, reported: bool, timing: Timing, look_s: float, clock: Callable[[], float]
+    ) -> None:
+        """Know nothing of the drive yet.
+
+        Args:
+            reported: Whether the drive reports its bridge.
+            timing: Times of the drive.
+            look_s: Age of a report at which a write still follows it, in s.
+            clock: Monotonic clock, in s.
+        """
+        self._reported = reported
+        self._timing = timing
+        self._look_s = look_s
+        self._clock = clock
+        self._relink = Relink()
+        self._blank = True
+        self._powered = self._tried = self._outdated = False
+        self._read_s = self._seen_s = -math.inf
+        self._stepped_s = math.inf
+        self.bridge = self.silent = self.may_be_on = False
+        self.reported_s = self.fed_s = -math.inf
+
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive: it has stopped; None for none."""
+        return self._relink.complaint
+
+    def renew(self, command: Command) -> None:
+        """Note that a new command was decided."""
+        self._relink.note(bridge=command.bridge, safe=command == SAFE_COMMAND)
+        self._outdated = False
+
+    def attempt(self, command: Command) -> None:
+        """Note that the drive may receive a command from now on."""
+        self._tried = command.bridge
+
+    def take(self, command: Command, asked_s: float) -> None:
+        """Note that the drive has acknowledged a command, which was sent at `asked_s`."""
+        self.bridge, self.fed_s = command.bridge, asked_s
+
+    def begin(self) -> None:
+        """Begin a link: nothing is known of the drive on it."""
+        self._relink.open(bridge=self._given_on)
+        self.silent = self.bridge = self._powered = self._tried = False
+        self._blank = True
+        self.forget_report()
+        self._stepped_s = self._clock()
+
+    def note_step(self) -> None:
+        """Note that the port does its work; a command from before a standstill is void."""
+        now_s = self._clock()  # one look: the process may stand still between two
+        self._outdated = self._outdated or self._stands_still(now_s)
+        self._stepped_s = now_s
+
+    def note_read(self, *, answered: bool) -> bool:
+        """Note the end of a poll, which gives no reading unless its bridge is noted next.
+
+        A drive that has given none for as long as its own time-out may be, or has neither answered
+        a read nor acknowledged a command, may have stopped: what energises waits for a reading, as
+        after a lost link.
+
+        Args:
+            answered: Whether the drive answered: a silent one ignores more than commands.
+
+        Returns:
+            Whether what energises waits.
+        """
+        self.silent = self.silent or not answered
+        waits = self._is_unheard
+        if waits:
+            self._relink.open(bridge=self._given_on, how=UNANSWERED if self.silent else UNREAD)
+        self.silent, self._blank = not answered, True
+        return waits
+
+    def note_bridge(self, *, powered: bool) -> None:
+        """Note a reading: whether the drive reports its bridge on, or is assumed to have it on."""
+        if self.bridge and self._powered and not powered:
+            self._outdated = True  # a command from before the bridge went off
+        self._powered = self.may_be_on = powered
+        self._seen_s = self._read_s = self.reported_s
+        self._blank = False
+        self._relink.hear(bridge=powered)
+
+    def note_refused(self, *, powered: bool | None) -> None:
+        """Note a poll without a reading: what energises waits where it has the bridge off.
+
+        One that has it on counts as a report: a drive that is off in the next reading has stopped.
+        A drive that never reports it is assumed to follow its last command, as in a reading.
+
+        Args:
+            powered: The bridge reported with the refused values, None where it must not be used.
+        """
+        if powered is not None:
+            self.may_be_on = powered
+            self._seen_s = self.reported_s
+        if powered is False:
+            self._relink.open(bridge=self._given_on, how=REFUSED)
+        elif powered and self.bridge:
+            self._relink.glimpse_on(REFUSED)
+        if not self._reported:
+            self.may_be_on = self.bridge
+
+    def forget_report(self) -> None:
+        """Begin a poll: reports of the one before do not count for its commands."""
+        self._seen_s = -math.inf
+
+    def admits(self, command: Command) -> bool:
+        """Return whether a command is still valid.
+
+        A process that did not run for long finds here what it decided before: that is void. So is
+        one for a drive that was on when its link was lost or a read failed, before it is read, and
+        one that was decided by a reading of long ago.
+        """
+        if command == SAFE_COMMAND:
+            return True
+        void = self._outdated or self._stands_still(self._clock()) or self._is_unheard
+        return not void and self._relink.admits(bridge=command.bridge)
+
+    def may_join(self, command: Command) -> bool:
+        """Return whether a valid command may be written with the read that would show a stop."""
+        if not (command.bridge and self._reported):
+            return True
+        timing = self._timing  # joined now and then, commands would be far apart
+        usual = self._clock() - self._seen_s <= timing.usual_s and not self._may_have_timed_out
+        return usual and timing.silent_s >= timing.reading_s
+
+    def may_follow(self, command: Command) -> bool:
+        """Return whether a valid command may be written: the poll has a report still good."""
+        if not (command.bridge and self._reported):
+            return True
+        age_s = self._clock() - self._seen_s
+        return age_s < math.inf and (age_s <= self._look_s or not self._may_have_timed_out)
+
+    @property
+    def _given_on(self) -> bool:
+        """True if the last command that the drive may have received had the bridge on."""
+        return self.bridge or self._tried
+
+    @property
+    def _may_have_timed_out(self) -> bool:
+        """True if the drive has taken no command for as long as its own time-out may be."""
+        return self._clock() - self.fed_s > self._timing.silent_s
+
+    @property
+    def _is_unheard(self) -> bool:
+        """True if the drive may have stopped: it neither answers nor takes, or gives no reading."""
+        unread = self._blank and self._clock() - self._read_s > self._timing.silent_s
+        return unread or (self.silent and self._may_have_timed_out)
+
+    def _stands_still(self, now_s: float) -> bool:
+        return now_s - self._stepped_s > self._timing.frozen_s
+
+
+def look_limit_s(timeout_s: float, writes: int) -> float:
+    """Return the age of a report at which a write still follows it, in s.
+
+    It is that of a drive that answers the read, and each write before the last, just in time.
+
+    Args:
+        timeout_s: Longest time from a request to its reply, in s.
+        writes: Writes that make one command.
+    """
+    return (writes + _LOOK_TIMEOUTS) * timeout_s
