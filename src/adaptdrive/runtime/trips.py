@@ -51,10 +51,10 @@ TRIPS = (
         "compare the setting that the text names; `adaptdrive probe` shows the frames",
     ),
     Trip(
-        r"^stale: .*; the polls give no reading: (no reply (within \S+ s($|; bytes)|has come .*$)"
-        r"|the connection was closed|the device closed the connection)",
+        r"^stale: .*; the polls give no reading: (no reply within \S+ s($|; bytes| to )"
+        r"|no reply has come .*$|the connection was closed|the device closed the connection)",
         f"{_STALE}; the polls give no reading: no reply within 0.05 s",
-        "the Modbus device does not answer, or answers later than `bus.timeout_s`",
+        "the device does not answer, or answers later than `bus.timeout_s`",
         "check the device's supply, the cable, the address of the device, and where other bytes "
         "come the bit rate and the parity; on a busy machine "
         "set longer `bus.timeout_s` and `interlocks.stale_s`, or `realtime.priority`",
@@ -63,8 +63,8 @@ TRIPS = (
         r"^stale: .*; the polls give no reading",
         f"{_STALE}; the polls give no reading: exception reply 2 to function 4 (illegal address), "
         "input 16…19 (address from 0)",
-        "the Modbus device refuses the poll",
-        "check the register map; `adaptdrive probe` shows the registers",
+        "the device refuses the poll",
+        "check the register map, or `[bus.values]`; `adaptdrive probe` shows the registers",
     ),
     Trip(
         r"^stale: no measurement yet",

@@ -17,6 +17,7 @@ from adaptdrive.app.ports import build_port
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import Port
+from adaptdrive.runtime.trips import remedy
 from tests.hardware.modbus.bench import Ear, until
 from tests.support import free_port
 
@@ -166,6 +167,15 @@ async def test_a_missing_reply_never_moves_the_others_to_other_questions(rig: Ri
     assert rig.port.statistics.timeouts >= 1
 
 
+async def test_a_supply_that_is_silent_is_named_with_its_remedy(rig: Rig) -> None:
+    await rig.hears()
+    rig.supply.spoil = lambda line: b"" if line == "MEAS:POW?" else None
+    await until(lambda: "no reply within" in rig.port.explain_age())
+    cause = f"stale: measurement is 600 ms old, limit 500 ms; {rig.port.explain_age()}"
+    assert cause.endswith("the polls give no reading: no reply within 0.15 s to 'MEAS:POW?'")
+    assert remedy(cause).startswith("check the device's supply, the cable")
+
+
 async def test_a_reply_that_nothing_asked_for_ends_the_connection(rig: Rig) -> None:
     await rig.hears()
     rig.supply.spoil = lambda line: b"45\n45\n" if line == "MEAS:POW?" else None
@@ -223,6 +233,9 @@ async def test_a_reply_that_is_no_voltage_is_not_used_and_the_stop_is_confirmed_
     rig.port.send(SAFE_COMMAND)
     await until(lambda: rig.port.safe_s < math.inf)
     await until(lambda: not rig.ear.readings[-1].bridge)
+    await rig.hears()
+    gives = f"MEAS:VOLT? gives {reply.decode().strip()!r}, no number in its range"
+    assert rig.port.explain_age() == f"the polls give no reading: boost_voltage_V: {gives}"
     assert {round(one.boost_voltage_V, 6) for one in rig.ear.readings} == {300.12}
 
 

@@ -174,7 +174,8 @@ class ScpiConnection:
                 reply = await self._line()
         except TimeoutError:
             self._counts["timeouts"] += 1
-            self.lost = f"no reply to {line!r} within {self._config.timeout_s:g} s"
+            asked = line.partition("\n")[0]
+            self.lost = f"no reply within {self._config.timeout_s:g} s to {asked!r}"
             raise ExchangeError(self.lost) from None
         self._counts["received"] += 1
         return reply

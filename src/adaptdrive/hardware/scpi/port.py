@@ -40,6 +40,16 @@ class ScpiPort(ModbusPort):
         refused = [line for line in super().details() if line.startswith("refused")]
         return [*(f"{question} {reply}" for question, reply in self._replies.items()), *refused]
 
+    async def _read(self, link: PolledLink) -> None:
+        """Read every value, and name the reply that is refused."""
+        await super()._read(link)
+        refused = self._failure.partition(":")[0]
+        for source in (one for _, sources in self._poll.reads for one in sources):
+            if source.quantity == refused:
+                question = self._supply.values[source.item.name].query or ""
+                reply = self._replies[question]
+                self._failure = f"{refused}: {question} gives {reply!r}, no number in its range"
+
     async def _open(self) -> PolledLink:
         registers = self._config.registers
         link = ScpiConnection(self._supply, registers, self._counts, self._clock, self._replies)
