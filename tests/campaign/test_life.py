@@ -87,7 +87,11 @@ def test_a_run_without_a_life_draws_none() -> None:
         ("torque_changes = [0, 12]", "torque_changes = [3, 1]", "life.torque_changes = [3, 1]: "),
         ("sudden = 0.6", "sudden = 1.5", "life.sudden = 1.5: "),
         ("coulomb_V", "coulomb_Nm", "life.coulomb_Nm: Extra inputs are not permitted"),
-        ("gain = [0.75, 1.35]", "gain = [0.6, 1.35]", "Value error, load.gain = 0.6: V_c holds"),
+        (
+            "gain = [0.75, 1.35]",
+            "gain = [0.6, 1.35]",
+            "file: Value error, load.gain = 0.6: V_c holds",
+        ),
         ("off_s = [3.0, 30.0]", "off_s = [0.0, 1.0]", "life.off_s = [0.0, 1.0]: "),
     ],
 )
