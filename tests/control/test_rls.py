@@ -194,13 +194,13 @@ def loaded(name: str) -> ModuleType:
 
 def compiled_rls() -> ModuleType:
     """The same source, compiled."""
-    factors, module = loaded("ud_factors"), loaded("rls")
-    functions = inspect.getmembers(factors, inspect.isfunction)
-    jitted = {name: compiled(function) for name, function in functions}
-    vars(factors).update(jitted)
-    own = inspect.getmembers(module, inspect.isfunction)
-    vars(module).update({name: compiled(function) for name, function in own})
-    vars(module).update({name: jitted[name] for name in vars(module).keys() & jitted.keys()})
+    jitted = {}
+    for name in ("vectors", "ud_factors", "rls"):
+        module = loaded(name)
+        for own, function in inspect.getmembers(module, inspect.isfunction):
+            if own not in jitted:
+                jitted[own] = compiled(function)
+        vars(module).update({own: jitted[own] for own in vars(module).keys() & jitted.keys()})
     return module
 
 
