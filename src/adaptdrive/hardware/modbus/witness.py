@@ -1,4 +1,4 @@
-"""What is known of a drive that is polled, and whether a command that energises may follow."""
+"""Reports of a drive that is polled, and the judgement whether what energises may follow them."""
 
 from __future__ import annotations
 
