@@ -205,10 +205,12 @@ def _build(
     recorder = build_recorder(configuration, given.text, hub, recalled, learnt, start_thread)
     hub.keep_with(recorder.kept)
     publish_samples(port, hub.publish, now_s)
-    note = _note(configuration, recorder)
-    if given.measured and learnt is not None:
-        note(learnt)
-    keeper = Keeper(note, controller, hub, now_s) if is_kept(settings) else None
+    keeper = None
+    if is_kept(settings):
+        note = _note(configuration, recorder)
+        keeper = Keeper(note, controller, hub, now_s)
+        if given.measured and learnt is not None:
+            note(learnt)
     daemon = Daemon(
         port=port,
         controller=controller,

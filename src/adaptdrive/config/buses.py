@@ -24,7 +24,7 @@ BUS_TYPES: tuple[str, ...] = tuple(
 
 
 def no_flaws(*_: object) -> Iterator[Flaw]:
-    """Yield nothing: the database of the bus tells what its signals are."""
+    """Yield nothing: the names of the signals are compared with the database of the bus."""
     return iter(())
 
 

@@ -113,16 +113,27 @@ def is_connected(client: Client) -> bool:
 
 
 def drop_unsent(client: Client, *, drop: bool) -> None:
+    """Choose what becomes of requests that the device has not received, as `drop_unsent_on` does.
+
+    Args:
+        client: A connected client; a serial line keeps nothing.
+        drop: Whether they are dropped.
+    """
+    if is_connected(client):
+        drop_unsent_on(client.ctx.transport, drop=drop)
+
+
+def drop_unsent_on(transport: asyncio.BaseTransport, *, drop: bool) -> None:
     """Choose what becomes of requests that the device has not received when a link is closed.
 
     The kernel sends them for minutes after the end of the connection, and even of the process: a
     command would reach the drive after the safe command that took its place on another connection.
 
     Args:
-        client: A connected client; a serial line keeps nothing.
+        transport: Of the connection.
         drop: Whether they are dropped, and the connection is reset.
     """
-    link = client.ctx.transport.get_extra_info("socket") if is_connected(client) else None
+    link = transport.get_extra_info("socket")
     if link is None:
         return
     with contextlib.suppress(OSError):  # a connection that has just ended keeps nothing either

@@ -7,8 +7,6 @@ could be that to an earlier request: the connection is given up, which no late r
 from __future__ import annotations
 
 import asyncio
-import socket
-import struct
 from collections import Counter
 from collections.abc import Callable
 
@@ -16,6 +14,7 @@ from adaptdrive.config.modbus import Register
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.modbus.blocks import Block
+from adaptdrive.hardware.modbus.bus import drop_unsent_on
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.codec import count, encode_count
 from adaptdrive.hardware.modbus.link import ExchangeError, OvertakenError
@@ -23,10 +22,9 @@ from adaptdrive.hosts import find
 
 _CONNECT_S = 2.0
 _DONE = "*OPC?"
-"""Question that a supply answers with 1 once it has done what it was told (IEEE 488.2, 12.5.3)."""
+"""Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
 
 _LONGEST_REPLY = 1024
-_LINGER = struct.Struct("ii")
 
 
 class _Lines(asyncio.Protocol):
@@ -95,11 +93,12 @@ class ScpiConnection:
                         connected = loop.create_connection(
                             lambda: self._lines, address, config.port
                         )
-                        self._transport, _ = await connected
+                        transport, _ = await connected
                 except OSError as problem:
                     failure = str(problem) or f"no connection within {_CONNECT_S:g} s"
                 else:
-                    self._drop_unsent(drop=True)
+                    drop_unsent_on(transport, drop=True)
+                    self._transport = transport
                     return
         except (OSError, ValueError) as problem:
             failure = str(problem)
@@ -108,7 +107,7 @@ class ScpiConnection:
     def close(self) -> None:
         """Disconnect; a command that a lost supply has not received never reaches it."""
         if self._transport is not None:
-            self._drop_unsent(drop=self.lost is not None)
+            drop_unsent_on(self._transport, drop=self.lost is not None)
             self._transport.close() if self.lost is None else self._transport.abort()
             self._transport = None
 
@@ -205,12 +204,6 @@ class ScpiConnection:
             await lines.news.wait()
         line, _, lines.received = lines.received.partition(b"\n")
         return line.decode("ascii", "replace").strip()
-
-    def _drop_unsent(self, *, drop: bool) -> None:
-        """Choose whether what the supply has not received is dropped when the connection closes."""
-        link = None if self._transport is None else self._transport.get_extra_info("socket")
-        if link is not None and link.fileno() >= 0:
-            link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(drop, 0))
 
 
 def describe_supply(config: ScpiBus) -> str:
