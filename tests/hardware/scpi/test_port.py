@@ -27,10 +27,10 @@ Answer = Callable[[str], bytes | None]
 
 
 class Supply:
-    """The server: its lines, what it was told, and how a test spoils it.
+    """The server: its lines, the commands that it got, and how a test spoils it.
 
     Attributes:
-        told: Every command, in order; a question is none.
+        commands: Every command in order, without the questions.
         replies: By question; numbers of every measurement differ.
         spoil: Gives the bytes that answer a question in place of the reply, None for the reply.
         obeys: Whether `OUTP` does something.
@@ -38,7 +38,7 @@ class Supply:
 
     def __init__(self, port: int) -> None:
         self.port = port
-        self.told: list[str] = []
+        self.commands: list[str] = []
         self.connections = 0
         self.obeys = True
         self.spoil: Answer = lambda _: None
@@ -63,7 +63,7 @@ class Supply:
 
     def reply(self, line: str) -> bytes:
         if not line.endswith("?"):
-            self.told.append(line)
+            self.commands.append(line)
             if line.startswith("OUTP ") and self.obeys:
                 self.replies["OUTP?"] = str(int(line == "OUTP ON"))
             return b""
@@ -123,8 +123,8 @@ async def test_it_is_set_up_measured_and_commanded_by_lines_of_text(rig: Rig) ->
     assert reading.boost_voltage_V == pytest.approx(300.12)
     assert (reading.load_power_W, reading.output, reading.fault) == (45.0, 3.25, 0)
     assert math.isnan(reading.line_voltage_V)
-    assert rig.supply.told[:2] == ["*CLS", "SYST:REM"]
-    assert rig.supply.told[2:4] == ["VOLT 287.654", "OUTP ON"]
+    assert rig.supply.commands[:2] == ["*CLS", "SYST:REM"]
+    assert rig.supply.commands[2:4] == ["VOLT 287.654", "OUTP ON"]
     assert rig.port.description == f"scpi 127.0.0.1:{rig.supply.port}"
     assert "MEAS:AUX? 3.25" in rig.port.details()
 
@@ -136,11 +136,11 @@ async def test_a_stop_begins_with_the_output_and_is_confirmed_by_its_question_al
     rig.supply.obeys = False
     rig.port.send(SAFE_COMMAND)
     await until(lambda: rig.port.safe_s < math.inf)
-    told = rig.supply.told
-    assert told.index("OUTP OFF") < told.index("VOLT 0.000")
+    commands = rig.supply.commands
+    assert commands.index("OUTP OFF") < commands.index("VOLT 0.000")
     await rig.hears(3)
     assert rig.ear.readings[-1].bridge
-    assert "OUTP ON" not in told[told.index("OUTP OFF") :]
+    assert "OUTP ON" not in commands[commands.index("OUTP OFF") :]
     rig.supply.obeys = True
     await until(lambda: not rig.ear.readings[-1].bridge)
 
@@ -191,24 +191,24 @@ async def test_a_supply_that_went_off_while_nothing_was_heard_is_not_switched_on
     rig: Rig,
 ) -> None:
     await rig.runs()
-    rig.supply.replies["OUTP?"], rig.supply.told[:] = "0", []
+    rig.supply.replies["OUTP?"], rig.supply.commands[:] = "0", []
     rig.supply.hang_up()
     await until(lambda: rig.port.complaint is not None)
     assert "drive stopped" in (rig.port.complaint or "")
     rig.port.send(RUN)
     await rig.hears()
-    assert "OUTP ON" not in rig.supply.told
-    assert rig.supply.told[:2] == ["*CLS", "SYST:REM"]
+    assert "OUTP ON" not in rig.supply.commands
+    assert rig.supply.commands[:2] == ["*CLS", "SYST:REM"]
 
 
 async def test_a_supply_that_comes_late_or_returns_is_set_up_before_it_is_commanded(
     rig: Rig,
 ) -> None:
     await rig.runs()
-    rig.supply.told.clear()
+    rig.supply.commands.clear()
     rig.supply.hang_up()
-    await until(lambda: "OUTP ON" in rig.supply.told or rig.port.send(RUN) is None)
-    assert rig.supply.told[:2] == ["*CLS", "SYST:REM"]
+    await until(lambda: "OUTP ON" in rig.supply.commands or rig.port.send(RUN) is None)
+    assert rig.supply.commands[:2] == ["*CLS", "SYST:REM"]
 
 
 @pytest.mark.parametrize(
@@ -246,8 +246,8 @@ async def test_a_command_counts_as_taken_only_when_the_supply_says_that_it_is_do
     await rig.runs()
     rig.supply.spoil = lambda line: reply if line == "*OPC?" else None
     rig.port.send(SAFE_COMMAND)
-    known = len(rig.supply.told)
-    await until(lambda: rig.supply.told[known:].count("OUTP OFF") >= 2)
+    known = len(rig.supply.commands)
+    await until(lambda: rig.supply.commands[known:].count("OUTP OFF") >= 2)
     assert rig.port.safe_s == math.inf
     rig.supply.spoil = lambda _: None
     await until(lambda: rig.port.safe_s < math.inf)
