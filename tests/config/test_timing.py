@@ -62,6 +62,23 @@ def test_how_long_the_report_of_the_bridge_may_be_missing(
 
 
 @pytest.mark.parametrize(
+    ("timeout_s", "cycle_s", "limit_s"),
+    [
+        (None, 0.0, 0.08),
+        (1.0, 0.0, 0.8),
+        (1.0, 0.02, 0.8),  # two readings
+        (1.0, 0.03, 0.08),
+        (1.0, math.inf, 0.08),
+        (0.05, 0.0, 0.04),
+    ],
+)
+def test_how_late_a_command_may_be_without_hiding_a_stop(
+    timeout_s: float | None, cycle_s: float, limit_s: float
+) -> None:
+    assert replace(EACH, command_timeout_s=timeout_s).hidden_s(cycle_s) == about(limit_s)
+
+
+@pytest.mark.parametrize(
     ("start_s", "stop_s", "ticks", "on_s", "coming_s"),
     [
         (None, 0.5, 1, 0.3, 0.3),

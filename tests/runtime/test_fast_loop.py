@@ -431,6 +431,39 @@ async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_t
             )
 
 
+@pytest.mark.parametrize("stopped", [False, True])
+@pytest.mark.parametrize(
+    ("timeout_s", "frozen_s", "polled", "trips"),
+    [
+        (1.0, 0.4, False, False),
+        (1.0, 0.4, True, True),  # no report waits
+        (None, 0.2, False, True),  # it may have stopped just before the command
+        (0.3, 0.3, False, True),
+        (2.0, 0.6, False, True),  # longer than `stale_s`
+    ],
+)
+async def test_reports_that_waited_show_whether_a_drive_stopped_before_a_late_command(
+    timeout_s: float | None, frozen_s: float, *, polled: bool, trips: bool, stopped: bool
+) -> None:
+    timing = replace(FAST.timing, stale_s=0.5, command_timeout_s=timeout_s)
+    async with fast_bench(replace(FAST, timing=timing, drive_clocks=not polled)) as bench:
+        bench.start()
+        bench.frames(10)
+        known = len(bench.sent)
+
+        def freeze(_: Command) -> bool:
+            bench.around.now += frozen_s if len(bench.sent) == known else 0.0
+            return False
+
+        bench.unsendable = freeze
+        bench.frame()
+        assert bench.machine.energised is not trips
+        assert bench.sent[-1].bridge is not trips
+        bench.frame(0.0, steps=round(frozen_s / TICK_S), bridge=not stopped)
+        assert bench.machine.energised is not (trips or stopped)
+        assert bench.sent[-1].bridge is not (trips or stopped)
+
+
 async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
     """Its own cable was out for longer than its time-out; what clocks the readings still came."""
     timing = replace(FAST.timing, stale_s=0.5)

@@ -74,7 +74,12 @@ class FastLoop:
         self._interlocks = InterlockBoard(
             settings,
             self._half_cycles.rate if settings.drive_clocks else None,
-            BridgeWatch(timing, reported=reported, cycle_s=port.bridge_cycle_s),
+            BridgeWatch(
+                timing,
+                reported=reported,
+                cycle_s=port.bridge_cycle_s,
+                queued=settings.drive_clocks,
+            ),
             self._restarts,
         )
         self._stop_watch = StopWatch(timing, port.stop_slack_s)

@@ -103,13 +103,14 @@ class InterlockBoard:
     def blind_cause(self, now_s: float) -> str | None:
         """Return the cause of a trip when a drive that may have stopped was just driven on.
 
-        This process did not run between its last look at the drive and the bus. The next report
+        This process did not run between its last look at the drive and the bus, and the next report
         says that the bridge is on in either case.
         """
-        if not self.awaits_bridge(now_s):
+        unwatched_s = now_s - self._watched_s
+        if not self._bridge.hides_stop(unwatched_s):
             return None
         return (
-            f"overslept: the daemon did not run for {(now_s - self._watched_s) * 1e3:.0f} ms while "
+            f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms while "
             "it sent a command: the drive may have stopped by itself and been switched on again; "
             f"{_PRIORITY}"
         )
