@@ -1,4 +1,4 @@
-"""The table of the trips in `docs/operation.md`, made from the registry of `runtime/trips.py`.
+"""The table of the trips in `docs/operation.md`, made from the registry of `runtime/trips.toml`.
 
 `python -m tests.runtime.trips_table docs/operation.md` writes the table; a test keeps it current.
 """
