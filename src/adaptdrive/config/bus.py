@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section, key
+from adaptdrive.config.services import check_host
 from adaptdrive.config.units import Converted
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
@@ -108,6 +109,38 @@ class CommandWatch(Section):
         "the drive's own time-out: time without a command after which it opens its "
         "bridge; not known when left out",
         span=(0.01, 60.0),
+    )
+
+
+class Answering(Section):
+    """Replies of a device that is asked for its values."""
+
+    timeout_s: PositiveFloat = key(
+        0.05, "longest time from a request to its reply", span=(1e-3, 2.0)
+    )
+    turnaround_s: float = key(
+        0.005, "time that the device and the link take for a reply", span=(0.0, 1.0)
+    )
+
+
+class PolledBus(CommandWatch, Answering, BusSection):
+    """Keys of `[bus]` for every drive that is asked for its values."""
+
+    poll_ticks: int = key(
+        12, "half line cycles from one poll of the drive to the next", span=(1, 120)
+    )
+
+    @property
+    def ticks_per_reading(self) -> int:
+        """Half cycles from one poll to the next."""
+        return self.poll_ticks
+
+
+class TcpHost(Section):
+    """A device that is reached over TCP."""
+
+    host: Annotated[str, AfterValidator(check_host)] = Field(
+        description="name or address of the device or its gateway"
     )
 
 

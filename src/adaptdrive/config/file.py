@@ -7,7 +7,6 @@ import os
 import select
 import stat
 import tomllib
-from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -19,13 +18,11 @@ from adaptdrive.config.buses import BUS_TYPES
 from adaptdrive.config.load import LOAD_TYPES
 from adaptdrive.config.proposals import key_proposal
 from adaptdrive.config.root import Configuration, consistency_flaws
-from adaptdrive.config.section import INCONSISTENT, Section
-from adaptdrive.config.supply import line_flaws
+from adaptdrive.config.section import INCONSISTENT
 from adaptdrive.config.tables import shortened, valid_sections, value_flaws, without
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES, "sensor_bus": BUS_TYPES}
-_BUS_PATHS = {"can": ("database", "databases"), "canopen": ("eds",), "modbus-rtu": ("device",)}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 _UNKNOWN = "extra_forbidden"
 _ALL = frozenset(Configuration.model_fields)
@@ -112,7 +109,7 @@ def find_flaws(text: str, source: Path) -> Findings:
     Raises:
         ConfigurationError: The text is no TOML.
     """
-    return _examine(_tables(text, source), source)
+    return _examine(_tables(text, source), source.parent)
 
 
 def parse_configuration(text: str, source: Path) -> Configuration:
@@ -130,10 +127,7 @@ def validate_configuration(tables: dict[str, Any], source: Path) -> Configuratio
     Raises:
         ConfigurationError: As for `load_configuration`.
     """
-    return _whole(_examine(tables, source), source)
-
-
-def _whole(findings: Findings, source: Path) -> Configuration:
+    findings = _examine(tables, source.parent)
     if findings.flaws:
         raise ConfigurationError(source, findings.flaws)
     return findings.configuration
@@ -146,11 +140,11 @@ def _tables(text: str, source: Path) -> dict[str, Any]:
         raise ConfigurationError(source, [Flaw("TOML", str(problem))]) from problem
 
 
-def _examine(tables: dict[str, Any], source: Path) -> Findings:
+def _examine(tables: dict[str, Any], folder: Path) -> Findings:
     absurd = list(value_flaws(tables))
     if not absurd:
-        return _examine_values(tables, source)
-    found = _examine_values(without(tables, [flaw.keys for flaw in absurd]), source)
+        return _examine_values(tables, folder)
+    found = _examine_values(without(tables, [flaw.keys for flaw in absurd]), folder)
     values = {".".join(map(str, one.keys)): one.message for one in absurd}
     flaws = [Flaw(place, message) for place, message in values.items()]
     flaws += [flaw for flaw in found.flaws if flaw.place not in values]
@@ -158,33 +152,26 @@ def _examine(tables: dict[str, Any], source: Path) -> Findings:
     return replace(found, sound=found.sound - touched, flaws=tuple(flaws))
 
 
-def _examine_values(tables: dict[str, Any], source: Path) -> Findings:
+def _examine_values(tables: dict[str, Any], folder: Path) -> Findings:
     try:
-        configuration = _anchored(Configuration.model_validate(tables), source.parent)
+        configuration = Configuration.model_validate(tables, context=folder)
     except ValidationError as problem:
-        return _examine_sections(tables, problem, source)
-    return Findings(configuration, _ALL, _ALL, tuple(_placed_flaws(configuration, _ALL)))
+        return _examine_sections(tables, problem, folder)
+    return Findings(configuration, _ALL, _ALL, ())
 
 
-def _examine_sections(tables: dict[str, Any], problem: ValidationError, source: Path) -> Findings:
+def _examine_sections(tables: dict[str, Any], problem: ValidationError, folder: Path) -> Findings:
     """Each section by itself, and what those that are sound have to do with each other."""
     errors: list[dict[str, Any]] = [{**error} for error in problem.errors(include_url=False)]
     flaws = [_flaw(error) for error in errors]
     unknown = [_location(error["loc"]) for error in errors if error["type"] == _UNKNOWN]
     flawed = [_location(error["loc"]) for error in errors]
-    sound = valid_sections(without(tables, unknown))
-    mended = {**valid_sections(without(tables, flawed)), **sound}
-    whole = _anchored(Configuration.model_construct(None, **mended), source.parent)
+    sound = valid_sections(without(tables, unknown), folder)
+    mended = {**valid_sections(without(tables, flawed), folder), **sound}
+    whole = Configuration.model_construct(None, **mended)
     if not any(error["type"] == INCONSISTENT for error in errors):  # those are listed already
         flaws += consistency_flaws(whole, sound.keys())
-    flaws += _placed_flaws(whole, sound.keys())
     return Findings(whole, frozenset(sound), frozenset(mended), tuple(flaws))
-
-
-def _placed_flaws(whole: Configuration, sound: Collection[str]) -> Iterator[Flaw]:
-    """Yield what shows only where relative paths are taken from the folder of the file."""
-    if {"bus", "sensor_bus"}.issubset(sound):
-        yield from line_flaws(whole.bus, whole.sensor_bus)
 
 
 def _flaw(error: dict[str, Any]) -> Flaw:
@@ -213,31 +200,3 @@ def _location(location: tuple[int | str, ...]) -> tuple[int | str, ...]:
     if location[at : at + 1] and location[at] in _TYPES.get(str(location[0]), ()):
         return (*location[:at], *location[at + 1 :])
     return location
-
-
-def _anchored(configuration: Configuration, folder: Path) -> Configuration:
-    placed: dict[str, Any] = {}
-    given = configuration.__dict__
-    if "bus" in given:
-        placed["bus"] = _placed_bus(configuration.bus, folder)
-    if "sensor_bus" in given:
-        placed["sensor_bus"] = [_placed_bus(bus, folder) for bus in configuration.sensor_bus]
-    if "mqtt" in given:
-        placed["mqtt"] = _placed(configuration.mqtt, folder, "ca_file", "password_file")
-    if "recording" in given:
-        placed["recording"] = _placed(configuration.recording, folder, "directory")
-    return configuration.model_copy(update=placed)
-
-
-def _placed_bus(bus: Section, folder: Path) -> Section:
-    return _placed(bus, folder, *_BUS_PATHS.get(getattr(bus, "type", ""), ()))
-
-
-def _placed(section: Section, folder: Path, *keys: str) -> Section:
-    paths = {key: getattr(section, key) for key in keys}
-    placed: dict[str, Path | list[Path]] = {
-        key: [folder / one for one in path] if isinstance(path, list) else folder / path
-        for key, path in paths.items()
-        if path is not None
-    }
-    return section.model_copy(update=placed)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import Field, field_validator
 
-from adaptdrive.config.bus import BusSection, CommandWatch
+from adaptdrive.config.bus import Answering, PolledBus, TcpHost
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
-from adaptdrive.config.services import check_host
 
 
 class RegisterRange(Range):
@@ -95,16 +94,10 @@ class Heartbeat(Section):
     daemon: str | None = key(None, "register that the daemon advances with each command")
 
 
-class ModbusLink(Section):
+class ModbusLink(Answering):
     """Keys of every link to devices on Modbus."""
 
     device_id: int = key(1, "device (slave, unit) id; 0 on TCP only", span=(0, 255))
-    timeout_s: PositiveFloat = key(
-        0.05, "longest time from a request to its reply", span=(1e-3, 2.0)
-    )
-    turnaround_s: float = key(
-        0.005, "time that the device and the link take for a reply", span=(0.0, 1.0)
-    )
     zero_based: bool = key(
         False,
         "accept addresses from 30001 to 39999 and 40001 to 49999; refused without "
@@ -119,12 +112,9 @@ class ModbusLink(Section):
         return getattr(self, "framing", "rtu") == "tcp"
 
 
-class TcpLink(ModbusLink):
+class TcpLink(ModbusLink, TcpHost):
     """A link over TCP."""
 
-    host: Annotated[str, AfterValidator(check_host)] = Field(
-        description="name or address of the device or its gateway"
-    )
     port: int = key(502, "port of the device", span=(1, 65535))
     framing: Literal["tcp", "rtu"] = key(
         "tcp", "form of the packets; `rtu`: of a serial line, through a plain gateway"
@@ -147,12 +137,9 @@ class RtuLink(ModbusLink):
         return device_id
 
 
-class ModbusBus(CommandWatch, ModbusLink, BusSection):
+class ModbusBus(PolledBus, ModbusLink):
     """Keys of `[bus]` for every kind of Modbus."""
 
-    poll_ticks: int = key(
-        12, "half line cycles from one poll of the drive to the next", span=(1, 120)
-    )
     write: Literal["multiple", "single"] = key(
         "multiple", "write registers together (function 16) or each alone (function 6)"
     )
@@ -164,11 +151,6 @@ class ModbusBus(CommandWatch, ModbusLink, BusSection):
     read_write: bool = key(False, "write and read in one exchange (function 23)")
     heartbeat: Heartbeat = Field(default_factory=Heartbeat)
     registers: dict[str, Register] = key({}, "register map, by name")
-
-    @property
-    def ticks_per_reading(self) -> int:
-        """Half cycles from one poll to the next."""
-        return self.poll_ticks
 
 
 class ModbusTcp(ModbusBus, TcpLink):

@@ -23,7 +23,7 @@ from adaptdrive.config.sensors import (
     sensor_flaws,
 )
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
-from adaptdrive.config.supply import needed_names, supply_flaws, voltage_flaws
+from adaptdrive.config.supply import line_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import Flaw
 
@@ -218,6 +218,7 @@ def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
 _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     _rate_flaws: "drive load",
     _bus_flaws: "bus signals",
+    lambda whole: line_flaws(whole.bus, whole.sensor_bus): "bus sensor_bus",
     _converted_flaws: "derived load",
     _pace_flaws: "drive bus signals load interlocks voltage_loop",
     _sensor_flaws: "bus signals sensor_bus derived load voltage_loop",

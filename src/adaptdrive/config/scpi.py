@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from adaptdrive.config.bus import BusSection, CommandWatch, Signals
+from adaptdrive.config.bus import PolledBus, Signals, TcpHost
 from adaptdrive.config.modbus import ModbusTcp, Register, RegisterRange
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.references import commanded_names, measured_names, register_flaws
-from adaptdrive.config.section import PositiveFloat, Section, key
-from adaptdrive.config.services import check_host
+from adaptdrive.config.section import Section, key
 from adaptdrive.errors import Flaw
 
 _STEP = 8
@@ -92,29 +91,12 @@ class ScpiValue(Section):
         )
 
 
-class ScpiBus(CommandWatch, BusSection):
+class ScpiBus(PolledBus, TcpHost):
     """`[bus]` with `type = "scpi"`."""
 
     type: Literal["scpi"] = Field(description="kind of bus")
-    host: Annotated[str, AfterValidator(check_host)] = Field(
-        description="name or address of the device or its gateway"
-    )
     port: int = key(5025, "port of the device", span=(1, 65535))
-    timeout_s: PositiveFloat = key(
-        0.05, "longest time from a request to its reply", span=(1e-3, 2.0)
-    )
-    turnaround_s: float = key(
-        0.005, "time that the device and the link take for a reply", span=(0.0, 1.0)
-    )
-    poll_ticks: int = key(
-        12, "half line cycles from one poll of the drive to the next", span=(1, 120)
-    )
     values: dict[str, ScpiValue] = key({}, "values, by name; set in this order", max_length=1000)
-
-    @property
-    def ticks_per_reading(self) -> int:
-        """Half cycles from one poll to the next."""
-        return self.poll_ticks
 
     def as_registers(self) -> ModbusTcp:
         """Return a bus with a register for each value, which is polled in the same way."""

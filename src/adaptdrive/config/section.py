@@ -6,7 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from adaptdrive.errors import Flaw
@@ -28,9 +36,17 @@ def _named(path: object) -> object:
     return path
 
 
+def _anchored(path: Path, info: ValidationInfo) -> Path:
+    return path if info.context is None else info.context / path
+
+
 FilePath = Annotated[  # TOML has no paths, only strings
-    Path, Field(strict=False), BeforeValidator(_named, json_schema_input_type=Path)
+    Path,
+    Field(strict=False),
+    BeforeValidator(_named, json_schema_input_type=Path),
+    AfterValidator(_anchored),
 ]
+"""A path from the folder of the configuration, which is the context of the validation."""
 
 
 def key(default: Any, meaning: str, **rules: Any) -> Any:  # noqa: ANN401 - as pydantic's own

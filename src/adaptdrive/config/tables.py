@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import unicodedata
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
@@ -99,8 +100,13 @@ def _copied(value: object, keys: Keys, marked: frozenset[Keys]) -> object:
     return value
 
 
-def valid_sections(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return the sections of a configuration that are valid each by itself, defaults included."""
+def valid_sections(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the sections of a configuration that are valid each by itself, defaults included.
+
+    Args:
+        tables: By name.
+        folder: That from which relative paths are taken.
+    """
     found = {}
     for name, field in Configuration.model_fields.items():
         if name not in tables:
@@ -109,7 +115,7 @@ def valid_sections(tables: dict[str, Any]) -> dict[str, Any]:
             continue
         try:
             section: Any = Annotated[field.annotation, field]
-            found[name] = TypeAdapter(section).validate_python(tables[name])
+            found[name] = TypeAdapter(section).validate_python(tables[name], context=folder)
         except ValidationError:
             continue
     return found
