@@ -10,6 +10,7 @@ from cyclopts import App, Parameter
 
 import adaptdrive
 from adaptdrive.cli import carry_out
+from adaptdrive.cli.commands import understood
 from adaptdrive.cli.contact import DriveName
 from adaptdrive.cli.integers import Integer
 from adaptdrive.cli.standard_files import FAILED, complain
@@ -33,7 +34,7 @@ ANSWER_s = 5.0
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
     try:
-        sys.exit(carry_out(app.name[0], app, unusable=FAILED))
+        sys.exit(carry_out(app.name[0], understood(app), sys.argv[1:], unusable=FAILED))
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise

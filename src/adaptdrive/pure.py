@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import sys
-from importlib.abc import PathEntryFinder
 from importlib.machinery import SOURCE_SUFFIXES, FileFinder, SourceFileLoader
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.abc import PathEntryFinder
 
 _ROOT = str(Path(__file__).parent)
 

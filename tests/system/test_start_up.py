@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.cli import UNUSABLE
-from adaptdrive.cli.standard_files import FAILED
+from adaptdrive.cli.standard_files import FAILED, UNUSABLE
 from tests.support import has_can, stop_process
 from tests.system.site import START_PATIENCE_S, motor_configuration, until
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
-from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
-
-from adaptdrive import __version__
 from adaptdrive.cli.inherited_signals import heed_signals
 from adaptdrive.cli.standard_files import (
     FAILED,
+    UNUSABLE,
     complain,
     flushed,
     lay_out_help,
@@ -19,33 +18,8 @@ from adaptdrive.cli.standard_files import (
     unwritten,
 )
 from adaptdrive.errors import AdaptdriveError, ConfigurationError
-from adaptdrive.runtime.requests import REQUESTS, Request
 
-UNUSABLE = 2
 INTERRUPTED = 130
-
-_COMMANDS = {
-    "init": ("start", "Write a first configuration for a load and a bus."),
-    "start": ("desk", "Run a drive on a desk: its daemon, a broker, the panel, and the view."),
-    "run": ("daemon", "Run the daemon for one drive until a signal stops it."),
-    "check": ("configuration", "Validate a configuration; list every error with its place."),
-    "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),
-    "probe": ("daemon", "Show decoded measurements from the bus; command nothing."),
-    "replay": ("daemon", "Run the controller again on a recorded session."),
-    "events": ("sessions", "Show the events of a recorded session."),
-    "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
-    "identify": ("analysis", "Identify the load from a session or a CSV file, with error bars."),
-    "whatif": ("analysis", "Run a session again in closed loop with other settings."),
-    "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
-    "commission": ("commission", "Measure an unknown load on its drive, and propose the settings."),
-    "panel": ("panel", "Serve the panel, a web page for a broker's drives, on this machine."),
-    "watch": ("site", "Show a drive live in the terminal, with keys for the commands."),
-    "status": ("operate", "Show the state and the telemetry of a drive."),
-    "manual": ("operate", "Hold the present V_c until the command voltage."),
-}
-
-_LIST = "List the drives of a broker."
-_SESSIONS = "List, show, verify and prune recorded sessions."
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -59,26 +33,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         configuration, 3 no answer, 4 the end of a session is not recorded, 130 interrupted.
     """
     heed_signals()
-    return carry_out("adaptdrive", _app(), arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    return carry_out("adaptdrive", _daemon(words) or _understood(words), words)
 
 
 def carry_out(
-    program: str, app: App, arguments: Sequence[str] | None = None, unusable: int = UNUSABLE
+    program: str,
+    command: Callable[[], object],
+    arguments: Sequence[str],
+    unusable: int = UNUSABLE,
 ) -> int:
     """Run one command of a program, and return its exit status.
 
     Args:
         program: Its name, which begins each line about an error.
-        app: Its commands.
-        arguments: Words after its name; those of this process when None.
+        command: The command, which may return a status.
+        arguments: Words after the program's name.
         unusable: Status where its configuration cannot be used.
     """
     open_standard_files()
-    lay_out_help(sys.argv[1:] if arguments is None else arguments)
+    lay_out_help(arguments)
     try:
-        outcome = app(arguments)
-    except CycloptsError as problem:
-        return complain(program, _misuse(program, problem), UNUSABLE)
+        outcome = command()
     except AdaptdriveError as problem:
         configured = isinstance(problem, ConfigurationError)
         return complain(program, str(problem), unusable if configured else FAILED)
@@ -93,47 +69,17 @@ def carry_out(
     return flushed(outcome if isinstance(outcome, int) else 0, program)
 
 
-def _misuse(program: str, problem: CycloptsError) -> str:
-    """Return what is wrong with the words of a command."""
-    words = " ".join(problem.unused_tokens or ())
-    if isinstance(problem, UnknownCommandError):
-        from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - no command needs it
+def _daemon(words: Sequence[str]) -> Callable[[], object] | None:
+    """Return the daemon for `run FILE`, which starts without what understands other words."""
+    match words:
+        case ["run", file] if not file.startswith("-"):
+            from adaptdrive.cli.run import run  # noqa: PLC0415 - see above
 
-        hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
-        return f"unknown command {words!r}{hint}; see {program} --help"
-    if isinstance(problem, UnusedCliTokensError):
-        return f"the command takes no {words!r}; see its --help"
-    return " ".join(str(problem).split())
+            return lambda: run(Path(file))
+    return None
 
 
-def _version() -> str:
-    from adaptdrive.pure import build_name  # noqa: PLC0415 - it imports the controller
+def _understood(words: Sequence[str]) -> Callable[[], object]:
+    from adaptdrive.cli.commands import build_app, understood  # noqa: PLC0415 - see above
 
-    return f"{__version__} ({build_name()})"
-
-
-def _app() -> App:
-    app = App(
-        name="adaptdrive",
-        help="Adaptive control of speed, temperature and charge behind a power-electronic drive.",
-        version=_version,
-        print_error=False,
-        exit_on_error=False,
-        suppress_keyboard_interrupt=False,
-        result_action="return_value",
-    )
-    for name, (module, purpose) in _COMMANDS.items():
-        # By name, so that a command imports what it needs and no other command does.
-        app.command(f"adaptdrive.cli.{module}:{name}", name=name, help=purpose)
-    for verb, request in REQUESTS.items():
-        app.command(f"adaptdrive.cli.operate:{verb}", name=verb, help=_first_line(request))
-    app.command("adaptdrive.cli.site:list_drives", name="list", help=_LIST)
-    app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
-    app.register_install_completion_command(
-        add_to_startup=False, help="Install completion for the present shell."
-    )
-    return app
-
-
-def _first_line(request: type[Request]) -> str:
-    return (request.__doc__ or "").partition("\n")[0]
+    return understood(build_app(), words)

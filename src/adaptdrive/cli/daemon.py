@@ -1,49 +1,11 @@
-"""Commands that build the daemon, or part of it, in this process.
-
-Each imports what it needs only: the daemon starts fast and stays small.
-"""
+"""Commands that build a part of the daemon; each imports what it needs only."""
 
 from __future__ import annotations
 
-import gc
-import os
-import threading
-import time
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-
-_THREAD_PATIENCE_S = 0.5
-
-
-def run(config: Path, /) -> int:
-    """Run the daemon for one drive until a signal stops it.
-
-    Args:
-        config: Configuration file.
-
-    Returns:
-        Exit status.
-    """
-    gc.disable()  # a tenth of the start would go to looking through what imports make, which stays
-    from adaptdrive.app.run import run as run_drive  # noqa: PLC0415 - see above
-
-    gc.enable()
-    status = run_drive(config)
-    _leave_stuck_threads(status)
-    return status
-
-
-def _leave_stuck_threads(status: int) -> None:
-    """End the process at once while a thread waits for the disk, which would hold up its end."""
-    deadline_s = time.monotonic() + _THREAD_PATIENCE_S
-    others = [one for one in threading.enumerate() if one is not threading.current_thread()]
-    for thread in others:
-        if not thread.daemon:
-            thread.join(max(0.0, deadline_s - time.monotonic()))
-            if thread.is_alive():
-                os._exit(status)
 
 
 def probe(

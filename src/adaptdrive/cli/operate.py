@@ -16,12 +16,12 @@ from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli.contact import Contact, DriveName, Number
 from adaptdrive.cli.display import describe, refusal_advice
-from adaptdrive.cli.standard_files import discard_output
+from adaptdrive.cli.standard_files import UNUSABLE, discard_output
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import read_status
 from adaptdrive.operation.sender import send_command
 
-ACCEPTED, REFUSED, UNUSABLE, NO_ANSWER = 0, 1, 2, 3
+ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
 _HERE = Contact()
 
 

@@ -9,7 +9,8 @@ from dataclasses import asdict
 
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.display import site_table
-from adaptdrive.cli.operate import ACCEPTED, NO_ANSWER, UNUSABLE, no_answer
+from adaptdrive.cli.operate import ACCEPTED, NO_ANSWER, no_answer
+from adaptdrive.cli.standard_files import UNUSABLE
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import read_site
 

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from io import FileIO, TextIOWrapper
 from typing import Literal, TextIO
 
-FAILED = 1
-"""Exit status of a command that could not do what it was asked for."""
+FAILED, UNUSABLE = 1, 2
+"""Exit status of a command that could not do what it was asked for, or not use what it got."""
 
 _UNWRITTEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE, errno.EBADF}
 _INPUT, _OUTPUT, _ERRORS = range(3)
