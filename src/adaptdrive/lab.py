@@ -60,8 +60,8 @@ def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars
         frames: Library of the tables.
 
     Raises:
-        AdaptdriveError: There is no session, or it is damaged. A damaged event log is a warning:
-            the tables of its events and commands are empty.
+        AdaptdriveError: There is no session, or it is damaged. Damaged events are a warning:
+            the tables of its events and commands lack them.
         ModuleNotFoundError: The library is not installed.
     """
     from adaptdrive.analysis.frames import session_frames  # noqa: PLC0415 - `Drive` needs none

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
+from pyarrow import parquet as pq
 
 from adaptdrive.app.replay import replay
 from adaptdrive.cli import analysis
@@ -18,22 +18,22 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.lab import load_session
 from adaptdrive.recording.reader import read_session
 
-LOG = "events.sqlite"
+LOG = "events-0001.parquet"
 
 
 def _garbage(path: Path) -> None:
-    path.write_bytes(b"not a database at all" * 100)
+    path.write_bytes(b"no table at all" * 100)
 
 
 def _spoilt_page(path: Path) -> None:
     content = bytearray(path.read_bytes())
-    content[4096:8192] = b"\xff" * 4096
+    content[4:204] = b"\xff" * 200
     path.write_bytes(content)
 
 
 def _spoilt_row(path: Path) -> None:
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("UPDATE events SET time = 'no time'")
+    rows = pq.read_table(path).to_pylist()
+    pq.write_table(pa.Table.from_pylist([row | {"time": "no time"} for row in rows]), path)
 
 
 @pytest.fixture(params=[_garbage, _spoilt_page, _spoilt_row])
@@ -76,14 +76,14 @@ def test_its_replay_is_that_of_the_sound_session(
 
 
 def test_its_tables_come_with_a_warning(damaged: Path) -> None:
-    with pytest.warns(UserWarning, match=r"events\.sqlite"):
+    with pytest.warns(UserWarning, match=r"events-0001\.parquet"):
         tables = load_session(damaged, "pandas")
     assert len(tables.ticks) == read_session(damaged).ticks.num_rows
     assert len(tables.events) == 0
 
 
 def test_its_events_themselves_are_an_error(damaged: Path) -> None:
-    with pytest.raises(RecordingError, match=r"events\.sqlite"):
+    with pytest.raises(RecordingError, match=r"events-0001\.parquet"):
         events(str(damaged))
 
 

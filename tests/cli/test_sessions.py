@@ -68,7 +68,7 @@ def test_a_session_is_shown(state: Path) -> None:
 
 
 def test_trips_of_a_session_whose_events_cannot_be_read_are_not_none(state: Path) -> None:
-    (state / "sessions" / NAME / "events.sqlite").write_bytes(b"no database" * 100)
+    (state / "sessions" / NAME / "events-0001.parquet").write_bytes(b"no table" * 100)
     answer = run(state, "sessions", "show", NAME)
     assert "trips         damaged" in answer.stdout
 
@@ -85,7 +85,7 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
     assert "ticks-0001.parquet" in answer.stderr
 
 
-@pytest.mark.parametrize("lost", [["session.json"], ["session.json", "events.sqlite"]])
+@pytest.mark.parametrize("lost", [["session.json"], ["session.json", "events-0001.parquet"]])
 def test_a_session_without_its_facts_is_named_and_not_passed_over(
     state: Path, lost: list[str]
 ) -> None:
@@ -104,7 +104,7 @@ def test_a_session_without_its_facts_is_named_and_not_passed_over(
     ("name", "message"),
     [
         (TICKS_FILE, "1000 ticks are missing"),
-        ("events.sqlite", "1 of 1 events and commands are missing"),
+        ("events-0001.parquet", "1 of 1 rows of the table events are missing"),
     ],
 )
 @pytest.mark.parametrize("remains", [False, True])
@@ -121,7 +121,7 @@ def test_what_a_file_held_that_is_gone_or_empty_is_missing(
     assert "whole" not in answer.stdout
 
 
-@pytest.mark.parametrize("name", ["session.json", "config.toml", "events.sqlite", TICKS_FILE])
+@pytest.mark.parametrize("name", ["session.json", "config.toml", "events-0001.parquet", TICKS_FILE])
 def test_a_fifo_in_a_session_hangs_nothing_and_hides_no_other(tmp_path: Path, name: str) -> None:
     state = recorded(tmp_path, Dropped())
     foreign = state / "sessions" / "20260101T000000Z_motor"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import shutil
-import sqlite3
 import zlib
 from pathlib import Path
 
@@ -24,18 +23,19 @@ from adaptdrive.config import load_configuration
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Jacket
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording import event_log
 from adaptdrive.recording.frames import Kind, Record, framed
 from adaptdrive.recording.log_files import LogFile, new_file, recall
-from adaptdrive.recording.log_tables import logged_batches, table_schema
+from adaptdrive.recording.log_tables import logged_batches
 from adaptdrive.recording.memory import Begin
-from adaptdrive.recording.notes import logged_notes
 from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.records import Header
-from adaptdrive.recording.session import CONFIG_FILE, EVENTS_FILE, INFO_FILE, TABLES
+from adaptdrive.recording.records import EventRow, Header
+from adaptdrive.recording.session import CONFIG_FILE, EVENTS, INFO_FILE, NOTES, TABLES
+from adaptdrive.recording.tables import table_schema
 from tests.fuzz.target import EXAMPLES, Target, scratch
 from tests.recording.material import INFO, make_batch, make_tick, write_log
+
+_EVENTS_FILE = "events-0001.parquet"
 
 
 @functools.cache
@@ -52,20 +52,20 @@ def checkpoint(data: bytes) -> object:
 
 def session(data: bytes) -> object:
     """Read a session whose description is damaged."""
-    (_session_folder() / EVENTS_FILE).unlink(missing_ok=True)
+    (_session_folder() / _EVENTS_FILE).unlink(missing_ok=True)
     return _read(INFO_FILE, data)
 
 
 def events(data: bytes) -> object:
     """Read a session whose events and commands are damaged."""
     (_session_folder() / INFO_FILE).write_bytes(_SESSION)
-    return _read(EVENTS_FILE, data)
+    return _read(_EVENTS_FILE, data)
 
 
 def table(data: bytes) -> object:
     """Read a session whose ticks are damaged."""
     (_session_folder() / INFO_FILE).write_bytes(_SESSION)
-    (_session_folder() / EVENTS_FILE).unlink(missing_ok=True)
+    (_session_folder() / _EVENTS_FILE).unlink(missing_ok=True)
     (_session_folder() / "ticks-0001.parquet").write_bytes(data)
     return read_session(_session_folder()).ticks
 
@@ -88,10 +88,9 @@ def log(data: bytes) -> object:
     file = _log_file()
     file.path.write_bytes(data)
     losses: list[str] = []
-    for name in TABLES:
-        schema = table_schema(Header(INFO, ""), name)
-        list(logged_batches([file], name, schema, losses))
-    return recall(file.path.parent, INFO.started), logged_notes([file], losses)
+    for name in (*TABLES, *NOTES):
+        list(logged_batches([file], name, table_schema(name), losses))
+    return recall(file.path.parent, INFO.started)
 
 
 def payload(data: bytes) -> object:
@@ -110,30 +109,13 @@ def _log_file() -> LogFile:
     return new_file(folder, 1, INFO.started, 1)
 
 
-def _database(name: str, *statements: str) -> bytes:
-    """A database of the smallest pages, so that damage meets what is in it."""
-    path = scratch() / name
-    path.unlink(missing_ok=True)
-    with sqlite3.connect(path) as database:
-        for statement in ("PRAGMA page_size = 512", *statements):
-            database.execute(statement)
-    database.close()
-    return path.read_bytes()
-
-
 def _events() -> bytes:
-    row = "(1, '2026-01-01T00:00:00+00:00', 5.0, 7"
-    return _database(
-        "events.good",
-        *(
-            f"CREATE TABLE {table} ({', '.join(event_log._columns(kind).values())})"
-            for kind, table in event_log._TABLES.items()
-        ),
-        "INSERT INTO events (id, time, monotonic_s, tick, kind, severity, detail) "
-        f"VALUES {row}, 'trip', 'error', 'stale')",
-        "INSERT INTO commands (id, time, monotonic_s, command_id, verb, value, user, accepted, "
-        f"reason) VALUES {row}, 'mode', 'fixed', 'x', 1, '')",
-    )
+    event = EventRow(INFO.started, 7, "trip", "error", "stale", 5.0, 1)
+    batch = msgspec.structs.replace(make_batch([], last=True), events=[event])
+    file = write_log(scratch() / "events.log", Header(INFO, ""), batch)
+    path = scratch() / "events.good"
+    write_parquet(path, logged_batches([file], EVENTS, table_schema(EVENTS)))
+    return path.read_bytes()
 
 
 def _log() -> bytes:

@@ -91,7 +91,7 @@ def fingerprint(folder: Path) -> dict[str, str]:
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.suffix != ".sqlite"
+        if path.is_file()
     }
 
 
@@ -216,12 +216,12 @@ def test_a_session_that_cannot_be_written_keeps_no_other_from_it(place: Place) -
     second = place.header(started=LATER)
     create_session(place.sessions, second.info, "")
     place.add(make_batch([make_tick(0)], last=True), started=LATER)
-    (first / "events.sqlite").write_bytes(b"no database" * 100)
+    (first / "ticks-0001.parquet").mkdir()
     with pytest.raises(RecordingError, match="stays in the log"):
         archive_all(place.log)
     endings = [read_info(path).ended for path in session_directories(place.sessions)]
     assert endings == [Ending.OPEN, Ending.ORDERLY]
-    (first / "events.sqlite").unlink()
+    (first / "ticks-0001.parquet").rmdir()
     archive_all(place.log)
     assert sequences(read_session(first)) == list(range(10))
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
-from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -97,9 +95,7 @@ def test_each_value_of_a_sensor_bus_is_recorded_with_its_age(files: Path) -> Non
 
 
 def test_a_command_is_recorded_with_its_id_and_its_sender(files: Path) -> None:
-    with closing(sqlite3.connect(files / "events.sqlite")) as database:
-        database.row_factory = sqlite3.Row
-        (row,) = map(dict, database.execute("SELECT * FROM commands"))
-    assert (row["command_id"], row["verb"], row["value"]) == ("op-7", "setpoint", "3.1")
-    assert (row["user"], row["accepted"], row["reason"]) == ("ann@bench", 1, "")
-    assert datetime.fromisoformat(row["time"]) == INFO.started
+    (row,) = pq.read_table(files / "commands-0001.parquet").to_pylist()
+    assert (row["id"], row["verb"], row["value"]) == ("op-7", "setpoint", "3.1")
+    assert (row["user"], row["accepted"], row["reason"]) == ("ann@bench", True, "")
+    assert row["time"] == INFO.started

@@ -210,7 +210,7 @@ async def test_an_event_is_on_disk_before_the_next_flush(sessions: Path) -> None
 
 def events_on_disk(sessions: Path) -> list[tuple[str, int, str, str, str]]:
     """What another program sees of the session."""
-    found = [one for path in session_directories(sessions) for one in session_notes(path).events]
+    found = [one for path in session_directories(sessions) for one in session_notes(path)[0]]
     return [(one.time.isoformat(), one.tick, one.kind, one.severity, one.detail) for one in found]
 
 

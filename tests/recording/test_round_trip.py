@@ -1,9 +1,7 @@
 import math
 import os
-import sqlite3
 import struct
 import tempfile
-from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,7 +25,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.event_log import read_events
+from adaptdrive.recording.notes import session_notes
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import CommandRow, EventRow, Header, event_row
 from adaptdrive.recording.rows import recorded_ticks
@@ -52,7 +50,7 @@ TICKS = st.builds(
     turnaround_us=FLOATS,
 )
 CHAINS = st.lists(FLOATS, max_size=4).map(tuple)
-# SQLite and Arrow store text as UTF-8, which has no lone surrogates.
+# Arrow stores text as UTF-8, which has no lone surrogates.
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
 SLOW = st.builds(
     LoadReport,
@@ -200,9 +198,9 @@ def test_a_damaged_column_is_an_error_that_names_its_file(tmp_path: Path, names:
 def test_a_damaged_event_log_is_named_and_leaves_the_ticks(tmp_path: Path) -> None:
     record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
     assert read_session(tmp_path).damage == ""
-    (tmp_path / "events.sqlite").write_bytes(b"not a database at all" * 100)
+    (tmp_path / "events-0001.parquet").write_bytes(b"no table at all" * 100)
     session = read_session(tmp_path)
-    assert "events.sqlite" in session.damage
+    assert "events-0001.parquet" in session.damage
     assert session.ticks.num_rows == 1
 
 
@@ -216,15 +214,18 @@ def test_an_event_that_names_a_file_whose_name_is_no_utf_8_is_recorded(tmp_path:
 
 @pytest.mark.parametrize(
     "damage",
-    ["time = 'noon'", "detail = x'ad'", "tick = 'many'", "kind = CAST(x'ad' AS TEXT)"],
+    [{"time": "noon"}, {"detail": b"\xad"}, {"tick": "many"}, {"kind": None}, {"number": math.nan}],
 )
-def test_a_damaged_event_is_an_error_that_names_its_log(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_event_is_an_error_that_names_its_log(
+    tmp_path: Path, damage: dict[str, Any]
+) -> None:
     event = EventRow(INFO.started, 7, "trip", "error", "stale", 1.0, 1)
     batch = msgspec.structs.replace(make_batch([], last=True), events=[event])
     record_messages(tmp_path, Header(INFO, ""), batch)
     assert read_session(tmp_path).events[0].detail == "stale"
-    with closing(sqlite3.connect(tmp_path / "events.sqlite")) as log, log:
-        log.execute(f"UPDATE events SET {damage}")
-    assert "events.sqlite: " in read_session(tmp_path).damage
-    with pytest.raises(RecordingError, match=r"events\.sqlite"):
-        read_events(tmp_path / "events.sqlite")
+    path = tmp_path / "events-0001.parquet"
+    (row,) = pq.read_table(path).to_pylist()
+    pq.write_table(pa.Table.from_pylist([row | damage]), path)
+    assert "events-0001.parquet: " in read_session(tmp_path).damage
+    with pytest.raises(RecordingError, match=r"events-0001\.parquet"):
+        session_notes(tmp_path)

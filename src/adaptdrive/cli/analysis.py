@@ -198,11 +198,11 @@ def export(
 
 
 def _find(name: str | None) -> Path:
-    """Return the folder of a session, by default the last one; report a damaged event log."""
-    from adaptdrive.recording.notes import read_notes  # noqa: PLC0415 - `--help` reads none
+    """Return the folder of a session, by default the last one; report damaged events."""
+    from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - `--help` reads none
     from adaptdrive.recording.session import find_session, sessions_directory  # noqa: PLC0415
 
     path = find_session(name, sessions_directory(None, os.environ))
-    if damage := read_notes(path).damage:
+    if damage := read_session(path).damage:
         print(f"adaptdrive: {damage}", file=sys.stderr)
     return path

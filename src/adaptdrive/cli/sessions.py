@@ -224,8 +224,8 @@ def events(
     from adaptdrive.runtime.trips import remedy  # noqa: PLC0415
 
     _refuse_unknown(kind)
-    notes = session_notes(_find(session, directory))
-    found = [one for one in notes.events if not kind or one.kind in kind]
+    noted, _ = session_notes(_find(session, directory))
+    found = [one for one in noted if not kind or one.kind in kind]
     if as_json:
         _print_json(found)
         return 0

@@ -10,7 +10,6 @@ from __future__ import annotations
 import fcntl
 import math
 import os
-import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,17 +22,18 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.errors import AdaptdriveError, RecordingError
-from adaptdrive.recording import event_log, reserve
-from adaptdrive.recording.log_files import LogFile, is_live, log_files, newest_sound
-from adaptdrive.recording.log_tables import logged_batches, table_schema
-from adaptdrive.recording.notes import logged_notes
+from adaptdrive.recording import reserve
+from adaptdrive.recording.frames import ROW_KINDS, Kind
+from adaptdrive.recording.log_files import LogFile, is_live, last_of, log_files, newest_sound
+from adaptdrive.recording.log_tables import content_of, logged_batches
 from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.segments import last_tick_time, parquet_path
 from adaptdrive.recording.session import (
-    EVENTS_FILE,
+    NOTES,
     TABLES,
+    Dropped,
     Ending,
     SessionInfo,
     create_session,
@@ -41,6 +41,7 @@ from adaptdrive.recording.session import (
     session_of,
     write_info,
 )
+from adaptdrive.recording.tables import table_schema
 from adaptdrive.recording.tick_times import Counted
 from adaptdrive.recording.trip_record import write_trips
 from adaptdrive.runtime.reports import Severity
@@ -48,7 +49,7 @@ from adaptdrive.runtime.reports import Severity
 T = TypeVar("T")
 Report = Callable[[Severity, str], None]
 
-ERRORS = (AdaptdriveError, OSError, sqlite3.Error, pa.ArrowException)
+ERRORS = (AdaptdriveError, OSError, pa.ArrowException)
 """Errors that a disk or damaged files can cause."""
 
 
@@ -180,7 +181,7 @@ def _directory(logged: _Logged) -> Path | None:
         return None
     sessions = logged.folder.parent / header.sessions
     found = session_of(sessions, header.info)
-    if found is None and logged_notes(logged.files).rows:
+    if found is None and last_of(logged.files, *ROW_KINDS):
         return create_session(sessions, header.info, header.config_text)
     return found
 
@@ -205,26 +206,20 @@ def close_segment(
         OSError: The segment cannot be written.
     """
     losses: list[str] = []
-    notes = logged_notes(files, losses)
     count = Counted(info.rows, info.histograms)
-    for table in TABLES:
-        schema = table_schema(header, table)
-        write_parquet(
-            parquet_path(directory, table, part),
-            count.taken(table, logged_batches(files, table, schema)),
-        )
-    path = directory / EVENTS_FILE
-    logged = info.logged
-    if notes.events or notes.commands:
-        logged = event_log.append(path, notes.events, notes.commands)
+    for table in (*TABLES, *NOTES):
+        schema = table_schema(table, header.info.output_unit, header.sensors)
+        rows = logged_batches(files, table, schema, losses)
+        write_parquet(parquet_path(directory, table, part), count.taken(table, rows))
+    last = last_of(files, Kind.DROPPED)
+    dropped = content_of(last, Dropped, losses) if last else None
     info = msgspec.structs.replace(
         info,
         segments=part,
         rows=count.rows,
         histograms=count.histograms,
-        dropped=notes.dropped or info.dropped,
-        logged=logged,
-        losses=(*info.losses, *losses),
+        dropped=dropped or info.dropped,
+        losses=(*info.losses, *dict.fromkeys(losses)),
     )
     write_info(directory, info)
     return info
@@ -232,7 +227,7 @@ def close_segment(
 
 def _end(directory: Path, info: SessionInfo, logged: _Logged, report: Report) -> None:
     """Write how a session ended, and report what it lacks."""
-    ending = Ending.ORDERLY if logged_notes(logged.files).ended else Ending.CUT
+    ending = Ending.ORDERLY if last_of(logged.files, Kind.END) else Ending.CUT
     write_info(directory, msgspec.structs.replace(info, ended=ending))
     if ending is Ending.CUT:
         last = last_tick_time(directory, info)

@@ -43,6 +43,10 @@ class Kind(IntEnum):
     """Orderly end of a session."""
 
 
+ROW_KINDS = frozenset({Kind.TICKS, Kind.SLOW, Kind.SENSORS})
+"""Kinds of which payloads are compressed, and of which the oldest may be dropped."""
+
+
 @dataclass(frozen=True, slots=True)
 class Record:
     """One record.

@@ -13,7 +13,7 @@ import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
-from adaptdrive.recording.frames import Kind
+from adaptdrive.recording.frames import ROW_KINDS, Kind
 from adaptdrive.recording.log_syncs import LogNews
 from adaptdrive.recording.log_writer import NOTES, ROWS, Item, LogWriter
 from adaptdrive.recording.memory import Recalled
@@ -22,8 +22,6 @@ from adaptdrive.recording.session import Dropped
 
 LARGEST_BACKLOG_BYTES = 4 << 20
 """Rows that wait for a disk that hangs: about 200 s at 120 Hz."""
-
-_TABLES = {Kind.TICKS, Kind.SLOW, Kind.SENSORS}
 
 Clock = Callable[[], tuple[float, float]]
 """Returns monotonic and wall time, in seconds."""
@@ -122,7 +120,7 @@ class Log:
             rows: Rows of tables in it.
         """
         item = Item(kind, payload, *self._clock(), rows)
-        if kind in _TABLES:
+        if kind in ROW_KINDS:
             self._rows_bytes += len(payload)
             self._writer.rows.append(item)
             self._bound()

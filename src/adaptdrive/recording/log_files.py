@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import re
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -158,6 +159,16 @@ def records(files: Sequence[LogFile], losses: list[str] | None = None) -> Iterat
             elif found.number > last or found.kind is Kind.BEGIN:
                 last = max(last, found.number)
                 yield found
+
+
+def last_of(files: Sequence[LogFile], *kinds: Kind) -> Record | None:
+    """Return the last record of some kinds in files of one log, None for none.
+
+    Raises:
+        RecordingError: A file cannot be read at all.
+    """
+    found = (record for record in records(files) if record.kind in kinds)
+    return next(iter(deque(found, maxlen=1)), None)
 
 
 def recall(folder: Path, now: datetime) -> Recalled:

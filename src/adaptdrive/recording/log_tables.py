@@ -11,35 +11,21 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.errors import NOT_JSON
-from adaptdrive.recording.frames import Kind, Record
+from adaptdrive.recording.frames import ROW_KINDS, Kind, Record
 from adaptdrive.recording.log_files import LogFile, records
-from adaptdrive.recording.records import Header, Ticks
-from adaptdrive.recording.session import SENSORS, SLOW, TICKS
-from adaptdrive.recording.tables import (
-    rows_batch,
-    sensors_schema,
-    slow_schema,
-    ticks_batch,
-    ticks_schema,
-)
+from adaptdrive.recording.records import Ticks
+from adaptdrive.recording.session import COMMANDS, EVENTS, SENSORS, SLOW, TICKS
+from adaptdrive.recording.tables import NOTE_ROWS, rows_batch, ticks_batch
 
 _TICKS_AT_ONCE = 5_000
 _ROWS_AT_ONCE = 200
 """Rows of a batch: as Python values they take many times their size on disk."""
-_KINDS = {SLOW: Kind.SLOW, SENSORS: Kind.SENSORS}
-
-
-def table_schema(header: Header, table: str) -> pa.Schema:
-    """Return the columns of a table of a session.
-
-    Args:
-        header: The session.
-        table: Name of the table.
-    """
-    if table == SENSORS:
-        return sensors_schema(header.sensors)
-    unit = header.info.output_unit
-    return ticks_schema(unit) if table == TICKS else slow_schema(unit)
+_KINDS = {
+    SLOW: Kind.SLOW,
+    SENSORS: Kind.SENSORS,
+    EVENTS: Kind.EVENT,
+    COMMANDS: Kind.COMMAND,
+}
 
 
 def logged_batches(
@@ -68,7 +54,7 @@ def _ticks(
     offsets: list[tuple[int, float]] = []
     rows = 0
     for record in found:
-        ticks = _content(record, Ticks, losses) if record.kind is Kind.TICKS else None
+        ticks = content_of(record, Ticks, losses) if record.kind is Kind.TICKS else None
         if ticks is None:
             continue
         for name, values in ticks.columns.items():
@@ -93,7 +79,7 @@ def _rows(
         if record.kind is not _KINDS[table]:
             continue
         offset = {"offset_s": record.wall_s - record.monotonic_s}
-        rows += [row | offset for row in _content(record, list[dict[str, Any]], losses) or ()]
+        rows += [row | offset for row in _plain_rows(record, table, losses)]
         if len(rows) >= _ROWS_AT_ONCE:
             yield from _made(partial(rows_batch, rows, schema), losses)
             rows = []
@@ -105,14 +91,30 @@ def _made(make: Callable[[], pa.RecordBatch], losses: list[str]) -> Iterator[pa.
     """Yield a batch, or note that its rows do not fit their table, as those of another version."""
     try:
         yield make()
-    except (LookupError, TypeError, ValueError) as problem:
+    except (LookupError, TypeError, ValueError, OverflowError) as problem:
         losses.append(f"rows that make no table: {problem}")
 
 
-def _content(record: Record, kind: type[Any], losses: list[str]) -> Any:  # noqa: ANN401 - of a kind
-    """Return what a record of rows holds, None where it cannot be decoded."""
+def _plain_rows(record: Record, table: str, losses: list[str]) -> list[dict[str, Any]]:
+    """Return the rows of a record by name of their column."""
+    if table not in NOTE_ROWS:
+        return content_of(record, list[dict[str, Any]], losses) or []
+    note = content_of(record, NOTE_ROWS[table], losses)
+    return [] if note is None else [msgspec.structs.asdict(note)]
+
+
+def content_of(record: Record, kind: type[Any], losses: list[str]) -> Any:  # noqa: ANN401 - of a kind
+    """Return what a record holds, None where it cannot be decoded.
+
+    Args:
+        record: The record.
+        kind: Type of its contents.
+        losses: Takes what cannot be read, in words.
+    """
     try:
-        return msgspec.msgpack.decode(zlib.decompress(record.payload), type=kind)
+        packed = record.kind in ROW_KINDS
+        payload = zlib.decompress(record.payload) if packed else record.payload
+        return msgspec.msgpack.decode(payload, type=kind)
     except (zlib.error, *NOT_JSON) as problem:
         losses.append(f"record {record.number}: {problem}")
         return None

@@ -2,101 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
-from adaptdrive.errors import NOT_JSON, RecordingError
-from adaptdrive.recording.event_log import LogContents, read_commands, read_events
-from adaptdrive.recording.frames import Kind, Record
-from adaptdrive.recording.log_files import LogFile, records, unarchived
+from adaptdrive.errors import RecordingError
 from adaptdrive.recording.records import CommandRow, EventRow
-from adaptdrive.recording.session import EVENTS_FILE, Dropped, read_info
+from adaptdrive.recording.segments import Segment, closed_segments, segments
+from adaptdrive.recording.session import COMMANDS, EVENTS, read_info
+
+T = TypeVar("T", EventRow, CommandRow)
 
 
-@dataclass(slots=True)
-class LoggedNotes:
-    """Events, commands and the end of a session in files of the log.
-
-    Attributes:
-        events: Events in their order.
-        commands: Operator commands in their order.
-        dropped: What could not be kept, None where nothing is said of it.
-        ended: Whether the daemon ended in order.
-        rows: Whether there are rows of tables.
-    """
-
-    events: list[EventRow] = field(default_factory=list)
-    commands: list[CommandRow] = field(default_factory=list)
-    dropped: Dropped | None = None
-    ended: bool = False
-    rows: bool = False
-
-    def take(self, record: Record) -> None:
-        """Take a record.
-
-        Raises:
-            DecodeError: It is damaged.
-        """
-        match record.kind:
-            case Kind.EVENT:
-                self.events.append(msgspec.msgpack.decode(record.payload, type=EventRow))
-            case Kind.COMMAND:
-                self.commands.append(msgspec.msgpack.decode(record.payload, type=CommandRow))
-            case Kind.DROPPED:
-                self.dropped = msgspec.msgpack.decode(record.payload, type=Dropped)
-            case Kind.END:
-                self.ended = True
-            case Kind.TICKS | Kind.SLOW | Kind.SENSORS:
-                self.rows = True
-            case _:
-                pass
-
-
-def logged_notes(files: Sequence[LogFile], losses: list[str] | None = None) -> LoggedNotes:
-    """Return the events and commands in files of the log.
+def session_notes(
+    directory: Path, damage: list[str] | None = None
+) -> tuple[tuple[EventRow, ...], tuple[CommandRow, ...]]:
+    """Return the events and commands of a session, also where its facts are lost.
 
     Args:
-        files: Files of one session, in their order.
-        losses: Takes what cannot be read, in words.
-
-    Raises:
-        RecordingError: A file cannot be read at all.
-    """
-    losses = [] if losses is None else losses
-    notes = LoggedNotes()
-    for record in records(files, losses):
-        try:
-            notes.take(record)
-        except NOT_JSON as problem:
-            losses.append(f"record {record.number}: {problem}")
-    return notes
-
-
-def session_notes(directory: Path) -> LogContents:
-    """Return the events and commands of a session, also where its facts are lost.
+        directory: Directory of the session.
+        damage: Takes what cannot be read, in words; None to refuse that.
 
     Raises:
         RecordingError: They are damaged.
     """
-    path = directory / EVENTS_FILE
-    events, commands = read_events(path), read_commands(path)
     try:
-        logged = logged_notes(unarchived(directory, read_info(directory)))
+        found = segments(directory, read_info(directory))
     except RecordingError:
-        logged = LoggedNotes()
-    known = {row.number for row in events} | {row.number for row in commands}
-    return LogContents(
-        events + tuple(row for row in logged.events if row.number not in known),
-        commands + tuple(row for row in logged.commands if row.number not in known),
-    )
+        found = closed_segments(directory)
+    events = _notes([one for one in found if one.table == EVENTS], EventRow, damage)
+    commands = _notes([one for one in found if one.table == COMMANDS], CommandRow, damage)
+    return tuple(events), tuple(commands)
 
 
-def read_notes(directory: Path) -> LogContents:
-    """Return the events and commands of a session, or the damage of a damaged one."""
+def _notes(found: Sequence[Segment], kind: type[T], damage: list[str] | None) -> Iterator[T]:
+    for segment in found:
+        try:
+            yield from _rows(segment, kind)
+        except RecordingError as problem:
+            if damage is None:
+                raise
+            damage.append(str(problem))
+
+
+def _rows(segment: Segment, kind: type[T]) -> list[T]:
+    batches = segment.batches(strict=segment.closed)
     try:
-        return session_notes(directory)
-    except RecordingError as problem:
-        return LogContents(damage=f"{problem}; its events and commands cannot be read")
+        return [row for batch in batches for row in msgspec.convert(batch.to_pylist(), list[kind])]  # type: ignore[valid-type]
+    except (msgspec.ValidationError, ValueError, OverflowError) as problem:
+        raise RecordingError(segment.path, f"damaged {segment.table}: {problem}") from problem

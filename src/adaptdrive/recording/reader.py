@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.files import read_regular
-from adaptdrive.recording.notes import read_notes
+from adaptdrive.recording.notes import session_notes
 from adaptdrive.recording.records import CommandRow, EventRow
 from adaptdrive.recording.segments import Segment, segments
 from adaptdrive.recording.session import (
@@ -23,10 +23,12 @@ from adaptdrive.recording.session import (
     SessionInfo,
     read_info,
 )
-from adaptdrive.recording.tables import conform, foreign_value, slow_schema, ticks_schema
+from adaptdrive.recording.tables import conform, table_schema
 
 _LARGEST_TEXT_BYTES = 4 << 20
 """A configuration of a million characters, the longest that is accepted."""
+
+_INCOMPLETE = "not all of its events and commands can be read"
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Session:
         config_text: The configuration it ran with, as TOML.
         events: Events in their order.
         commands: Operator commands in their order.
-        damage: Why `events` and `commands` are empty although there were some; empty otherwise.
+        damage: Why `events` or `commands` lack some; empty otherwise.
     """
 
     path: Path
@@ -66,10 +68,8 @@ class Session:
 
     def schema(self, table: str) -> pa.Schema:
         """Return the columns of a table, with their units."""
-        if table == TICKS:
-            return ticks_schema(self.info.output_unit)
-        if table == SLOW:
-            return slow_schema(self.info.output_unit)
+        if table != SENSORS:
+            return table_schema(table, self.info.output_unit)
         found = [segment.schema() for segment in segments(self.path, self.info, table)]
         return pa.unify_schemas(found) if found else pa.schema([])
 
@@ -128,15 +128,10 @@ def conformed(segment: Segment, batch: pa.RecordBatch, schema: pa.Schema) -> pa.
     Raises:
         RecordingError: They are damaged, or rows of another table.
     """
-    if not set(batch.schema.names) & set(schema.names):
-        raise RecordingError(segment.path, "its columns are not those known here")
     try:
-        rows = conform(batch, schema)
-    except (pa.ArrowException, KeyError) as problem:  # of another type, or there twice
-        raise RecordingError(segment.path, f"a column is damaged: {problem}") from problem
-    if foreign := foreign_value(rows):
-        raise RecordingError(segment.path, f"it is damaged, or of another table: {foreign}")
-    return rows
+        return conform(batch, schema)
+    except ValueError as problem:
+        raise RecordingError(segment.path, str(problem)) from problem
 
 
 def _rows(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
@@ -154,7 +149,7 @@ def _last(batches: Iterator[pa.RecordBatch]) -> pa.RecordBatch | None:
 def read_session(path: Path) -> Session:
     """Read a session that has ended in any way, or is still being written.
 
-    A damaged event log leaves the tables readable: `Session.damage` names it.
+    Damaged events and commands leave the tables readable: `Session.damage` names them.
 
     Args:
         path: Directory of the session.
@@ -163,14 +158,15 @@ def read_session(path: Path) -> Session:
         RecordingError: There is no session, or its facts or configuration are damaged.
     """
     info = read_info(path)
-    log = read_notes(path)
+    damage: list[str] = []
+    events, commands = session_notes(path, damage)
     return Session(
         path=path,
         info=info,
         config_text=_read_text(path / CONFIG_FILE),
-        events=log.events,
-        commands=log.commands,
-        damage=log.damage,
+        events=events,
+        commands=commands,
+        damage="; ".join([*damage, _INCOMPLETE]) if damage else "",
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import sqlite3
 from pathlib import Path
 
 from adaptdrive.files import require_regular
@@ -46,6 +45,4 @@ def release(folder: Path) -> None:
 
 def is_full(problem: BaseException) -> bool:
     """Return whether an error means that the disk or a quota is full."""
-    if isinstance(problem, sqlite3.Error):
-        return getattr(problem, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
     return isinstance(problem, OSError) and problem.errno in {errno.ENOSPC, errno.EDQUOT}

@@ -22,7 +22,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.log_files import in_progress
 from adaptdrive.recording.records import Keep
 from adaptdrive.recording.segments import closed_segments
-from adaptdrive.recording.session import read_info, session_directories
+from adaptdrive.recording.session import NOTES, read_info, session_directories
 
 _DAY_S = 86_400.0
 
@@ -77,6 +77,8 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
 
 def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
     for segment in closed_segments(directory):
+        if segment.table in NOTES:
+            continue
         if excess <= 0:
             return
         excess -= segment.path.stat().st_size

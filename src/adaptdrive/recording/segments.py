@@ -13,11 +13,13 @@ import pyarrow as pa
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.log_files import LogFile, unarchived
-from adaptdrive.recording.log_tables import logged_batches, table_schema
+from adaptdrive.recording.log_tables import logged_batches
 from adaptdrive.recording.parquet import parquet_schema, read_parquet
-from adaptdrive.recording.session import TABLES, TICKS, SessionInfo
+from adaptdrive.recording.session import NOTES, TABLES, TICKS, SessionInfo
+from adaptdrive.recording.tables import table_schema
 
-_NAME = re.compile(rf"({'|'.join(TABLES)})-(\d{{4,}})\.parquet")
+_ALL = (*TABLES, *NOTES)
+_NAME = re.compile(rf"({'|'.join(_ALL)})-(\d{{4,}})\.parquet")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -77,7 +79,9 @@ class Segment:
     def _logged_schema(self) -> pa.Schema:
         begins = (file.begin() for file in self.logged)
         begin = next((one for one in begins if one is not None), None)
-        return pa.schema([]) if begin is None else table_schema(begin.header, self.table)
+        if begin is None:
+            return pa.schema([])
+        return table_schema(self.table, begin.header.info.output_unit, begin.header.sensors)
 
 
 def parquet_path(directory: Path, table: str, number: int) -> Path:
@@ -96,7 +100,7 @@ def segments(directory: Path, info: SessionInfo, table: str | None = None) -> li
     Raises:
         RecordingError: The folder of the log cannot be read.
     """
-    tables = TABLES if table is None else (table,)
+    tables = _ALL if table is None else (table,)
     found = {(one.number, one.table): one for one in _logged(directory, info, tables)}
     for path in directory.iterdir():
         match = _NAME.fullmatch(path.name)

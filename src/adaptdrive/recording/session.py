@@ -1,8 +1,8 @@
 """A session's directory: its name, and the facts about it in `session.json`.
 
-A session holds `session.json`, `config.toml`, `events.sqlite`, and the segments of its tables
-(`segments.py`). The directory appears with its first files in it, so that none is ever empty. What
-of a session is in the log only is read from there: `session.json` names its folder.
+A session holds `session.json`, `config.toml`, and the segments of its tables (`segments.py`). The
+directory appears with its first files in it, so that none is ever empty. What of a session is in
+the log only is read from there: `session.json` names its folder.
 """
 
 from __future__ import annotations
@@ -26,18 +26,21 @@ FORMAT = 1
 
 INFO_FILE = "session.json"
 CONFIG_FILE = "config.toml"
-EVENTS_FILE = "events.sqlite"
 TRIP_PREFIX = "trip-"
 """Beginning of the name of a trip's record; without a session it is next to the sessions."""
 
 TICKS = "ticks"
 SLOW = "slow"
 SENSORS = "sensors"
+EVENTS = "events"
+COMMANDS = "commands"
 TABLES = (TICKS, SLOW, SENSORS)
+NOTES = (EVENTS, COMMANDS)
+"""Tables that a session keeps for as long as it exists."""
 
 NO_SESSION = "it holds no session; sessions are looked for here unless another folder is named"
 
-_PARTS = (INFO_FILE, EVENTS_FILE, f"{TICKS}-*.parquet")
+_PARTS = (INFO_FILE, f"{EVENTS}-*.parquet", f"{TICKS}-*.parquet")
 """Files by which a folder is known as a session, although one of them may be lost."""
 
 
@@ -94,7 +97,6 @@ class SessionInfo(msgspec.Struct, frozen=True):
         output_unit: Unit of the regulated quantity.
         segments: Number of the last segment that is closed.
         resolution: Step of the output that an earlier run had found, 0 for none.
-        logged: Events and commands up to that segment.
         rows: Rows of its tables up to that segment.
         first_sequence: Running number of the first tick: 0 but in the record of a trip.
         losses: What of its log could not be read, in words.
@@ -115,7 +117,6 @@ class SessionInfo(msgspec.Struct, frozen=True):
     output_unit: str = ""
     segments: int = 0
     resolution: float = 0.0
-    logged: int = 0
     rows: dict[str, int] = {}
     first_sequence: int = 0
     losses: tuple[str, ...] = ()

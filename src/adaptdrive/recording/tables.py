@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
+import msgspec
 import pyarrow as pa
 
-from adaptdrive.control.columns import Column
-from adaptdrive.recording.records import SensorColumn
+from adaptdrive.recording.records import CommandRow, EventRow, SensorColumn
+from adaptdrive.recording.session import COMMANDS, EVENTS, SENSORS, SLOW, TICKS
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
 
 UTC = pa.timestamp("us", "UTC")
@@ -28,6 +30,9 @@ _TYPES: dict[type, pa.DataType] = {
     tuple: pa.list_(pa.float64()),
     dict: pa.list_(_ESTIMATE),
 }
+NOTE_ROWS: dict[str, type[msgspec.Struct]] = {EVENTS: EventRow, COMMANDS: CommandRow}
+_NOTE_TYPES = _TYPES | {str: pa.string(), datetime: UTC}
+_COLUMNS = {TICKS: TICK_COLUMNS, SLOW: SLOW_COLUMNS}
 _CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
 
 
@@ -40,31 +45,24 @@ _UTC_FIELD = _field("utc", UTC, "", "wall-clock time of the row, UTC", f"{MONOTO
 _MONOTONIC_FIELD = _field(MONOTONIC, pa.float64(), "s", "monotonic time of the row", "daemon")
 
 
-def ticks_schema(output_unit: str = "") -> pa.Schema:
-    """Return the schema of the fast ticks.
+def table_schema(
+    table: str, output_unit: str = "", sensors: Sequence[SensorColumn] = ()
+) -> pa.Schema:
+    """Return the columns of a table.
 
     Args:
+        table: Name of the table.
         output_unit: Unit of the regulated quantity.
+        sensors: Columns of the sensor buses.
     """
-    return _schema(TICK_COLUMNS, output_unit)
-
-
-def slow_schema(output_unit: str = "") -> pa.Schema:
-    """Return the schema of the slow steps.
-
-    Args:
-        output_unit: Unit of the regulated quantity.
-    """
-    return _schema(SLOW_COLUMNS, output_unit)
-
-
-def sensors_schema(sensors: Sequence[SensorColumn]) -> pa.Schema:
-    """Return the schema of the sensor buses."""
-    fields = [_field(one.name, pa.float64(), one.unit, one.meaning, one.source) for one in sensors]
-    return pa.schema([_UTC_FIELD, _MONOTONIC_FIELD, *fields])
-
-
-def _schema(columns: Sequence[Column], output_unit: str) -> pa.Schema:
+    if table in NOTE_ROWS:
+        found = msgspec.structs.fields(NOTE_ROWS[table])
+        return pa.schema([(field.name, _NOTE_TYPES[field.type]) for field in found])
+    if table == SENSORS:
+        values = [
+            _field(one.name, pa.float64(), one.unit, one.meaning, one.source) for one in sensors
+        ]
+        return pa.schema([_UTC_FIELD, _MONOTONIC_FIELD, *values])
     special = {"y": output_unit, "u": INPUT_UNIT}
     fields = [
         _field(
@@ -74,7 +72,7 @@ def _schema(columns: Sequence[Column], output_unit: str) -> pa.Schema:
             column.meaning,
             column.source,
         )
-        for column in columns
+        for column in _COLUMNS[table]
     ]
     return pa.schema([_UTC_FIELD, *fields])
 
@@ -105,7 +103,7 @@ def ticks_batch(
 
 
 def rows_batch(rows: Sequence[dict[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
-    """Return rows of slow steps or sensors as a record batch; a value that a row lacks is null.
+    """Return rows of any other table as a record batch; a value that a row lacks is null.
 
     Args:
         rows: Values by name of their column, and `offset_s`, UTC minus monotonic time.
@@ -123,29 +121,26 @@ def conform(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
         schema: The columns wanted.
 
     Raises:
-        KeyError: A column is missing, or there twice.
-        ArrowException: A column is of another type.
+        ValueError: They are damaged, or rows of another table, in words.
     """
-    columns = (batch.column(field.name) for field in schema)
-    arrays = [
-        found if found.type == field.type else found.cast(field.type)
-        for field, found in zip(schema, columns, strict=True)
-    ]
-    return pa.RecordBatch.from_arrays(arrays, schema=schema)
-
-
-def foreign_value(batch: pa.RecordBatch) -> str | None:
-    """Return a value that its column cannot have, in words; None where there is none.
-
-    Args:
-        batch: Rows that conform to a schema.
-    """
-    for name, choices in _CHOICES.items():
-        if name in batch.schema.names:
-            for value in batch.column(name).unique().to_pylist():
-                if value not in choices:
-                    return f"{name} is {value!r}, which is none of {', '.join(choices)}"
-    return None
+    if not set(batch.schema.names) & set(schema.names):
+        raise ValueError("its columns are not those known here")
+    try:
+        columns = (batch.column(field.name) for field in schema)
+        arrays = [
+            found if found.type == field.type else found.cast(field.type)
+            for field, found in zip(schema, columns, strict=True)
+        ]
+    except (pa.ArrowException, KeyError) as problem:  # of another type, or there twice
+        raise ValueError(f"a column is damaged: {problem}") from problem
+    rows = pa.RecordBatch.from_arrays(arrays, schema=schema)
+    for name in _CHOICES.keys() & set(schema.names):
+        for value in rows.column(name).unique().to_pylist():
+            if value not in _CHOICES[name]:
+                choices = ", ".join(_CHOICES[name])
+                flaw = f"{name} is {value!r}, which is none of {choices}"
+                raise ValueError(f"it is damaged, or of another table: {flaw}")
+    return rows
 
 
 def _utc(time_s: float, offset_s: float) -> int | None:

@@ -10,14 +10,13 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import event_log
 from adaptdrive.recording.memory import TRIP
 from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import EventRow
 from adaptdrive.recording.segments import Segment, parquet_path, segments
 from adaptdrive.recording.session import (
-    EVENTS_FILE,
+    NOTES,
     TABLES,
     TICKS,
     TRIP_PREFIX,
@@ -52,7 +51,7 @@ def write_trips(directory: Path, due_s: float, after_s: float) -> list[Path]:
     session = read_session(directory)
     trips = [one for one in session.events if one.kind == TRIP and one.monotonic_s <= due_s]
     missing = [(one, path) for one in trips if not (path := _path(directory, one)).exists()]
-    recent = {table: segments(directory, session.info, table)[-2:] for table in TABLES}
+    recent = {table: segments(directory, session.info, table)[-2:] for table in (*TABLES, *NOTES)}
     begin_s = _first_time_s(recent[TICKS])
     return [
         _write(session, recent, trip, path, after_s)
@@ -91,7 +90,6 @@ def _write(
             rows = _between(found, begin_s, end_s)
             write_parquet(parquet_path(unfinished, table, 1), count.taken(table, rows))
         events = [one for one in session.events if begin_s <= one.monotonic_s <= end_s]
-        commands = [one for one in session.commands if begin_s <= one.monotonic_s <= end_s]
         info = msgspec.structs.replace(
             session.info,
             ended=Ending.ORDERLY,
@@ -100,7 +98,6 @@ def _write(
             rows=count.rows,
             histograms=count.histograms,
             first_sequence=count.first_sequence,
-            logged=event_log.append(unfinished / EVENTS_FILE, events, commands),
             losses=(),
             log="",
         )

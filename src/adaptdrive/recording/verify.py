@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import math
-import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import pyarrow as pa
 
-from adaptdrive.errors import RecordingError, reason_of
-from adaptdrive.files import require_regular
-from adaptdrive.recording.event_log import count_rows
+from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session, conformed
 from adaptdrive.recording.segments import Segment, segments
-from adaptdrive.recording.session import EVENTS_FILE, SENSORS, SLOW, TICKS, Dropped
+from adaptdrive.recording.session import (
+    COMMANDS,
+    EVENTS,
+    SENSORS,
+    SLOW,
+    TABLES,
+    TICKS,
+    Dropped,
+)
 from adaptdrive.recording.tick_times import EVERY_TICK
+from adaptdrive.runtime.reports import MONOTONIC
 
-_KEYS = {TICKS: "sequence", SLOW: "monotonic_s", SENSORS: "monotonic_s"}
+_KEYS = {
+    TICKS: "sequence",
+    SLOW: MONOTONIC,
+    SENSORS: MONOTONIC,
+    EVENTS: "number",
+    COMMANDS: "number",
+}
 """The column of each table that only ever grows."""
 
 
@@ -50,12 +60,12 @@ def verify(session: Session) -> Verification:
     Args:
         session: The session.
     """
-    problems = list(_event_problems(session.path / EVENTS_FILE, session.info.logged))
+    problems: list[str] = []
     count = _Count(session.info.first_sequence)
     for segment in segments(session.path, session.info):
         try:
             # the columns of sensors are the user's
-            schema = session.schema(segment.table) if segment.table in (TICKS, SLOW) else None
+            schema = None if segment.table == SENSORS else session.schema(segment.table)
             for batch in segment.batches(strict=True):
                 if schema is not None:
                     conformed(segment, batch, schema)
@@ -69,7 +79,8 @@ def verify(session: Session) -> Verification:
     counted = sum(session.info.histograms.get(EVERY_TICK, ()))
     missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
     problems += session.info.losses
-    return Verification(rows, missing, tuple(problems))
+    shown = {table: rows[table] for table in TABLES if table in rows}
+    return Verification(shown, missing, tuple(problems))
 
 
 @dataclass(slots=True)
@@ -115,7 +126,7 @@ def _last_key(segment: Segment, batch: pa.RecordBatch) -> float:
     key = _KEYS[segment.table]
     if batch.schema.names.count(key) == 1:
         last = batch.column(key)[-1].as_py()
-        if isinstance(last, int if segment.table == TICKS else float):
+        if isinstance(last, float if key == MONOTONIC else int):
             return last
     raise RecordingError(segment.path, f"it does not hold the {key} of each row")
 
@@ -134,23 +145,3 @@ def _unrecorded(dropped: Dropped) -> Iterator[str]:
     for kind, number in lost.items():
         if number:
             yield f"{number} {kind} were not recorded"
-
-
-def _event_problems(path: Path, logged: int) -> Iterator[str]:
-    """Yield the damage of a log, or that it lacks events and commands that were in it."""
-    rows = 0
-    try:
-        require_regular(path)
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
-            (found,) = database.execute("PRAGMA quick_check(1)").fetchone()
-            rows = count_rows(database) if logged else 0
-    except FileNotFoundError:
-        found = "ok"
-    except OSError as problem:
-        found = reason_of(problem)
-    except sqlite3.Error as problem:
-        found = str(problem)
-    if found != "ok":
-        yield f"{path.name}: {found}"
-    elif rows < logged:
-        yield f"{path.name}: {logged - rows} of {logged} events and commands are missing"
