@@ -94,7 +94,10 @@ class CanDrive:
         if order is None:
             self._refuse("wrong_constant")
             return
-        heard = {part.field: part.field_value(values[part.signal]) for part in order.parts}
+        heard = {
+            part.name: (values[signal] - part.base) / part.factor
+            for signal, part in order.parts.items()
+        }
         self._wanted |= heard
         if "bridge" in heard:
             self._obey()

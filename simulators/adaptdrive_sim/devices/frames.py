@@ -16,15 +16,20 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.command_frame import CommandFrame
 from adaptdrive.hardware.dbc.database import (
     SignalCatalogue,
     cycle_time_s,
     describe,
     message_codec,
 )
-from adaptdrive.hardware.dbc.orders import build_orders, find_orders
-from adaptdrive.hardware.dbc.pages import carried_signals, page_of, sent_pages
+from adaptdrive.hardware.dbc.orders import (
+    CommandFrame,
+    build_orders,
+    carried_signals,
+    find_orders,
+    page_of,
+    sent_pages,
+)
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import compile_field

@@ -17,9 +17,8 @@ from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Source, fault_words, is_word, other_names
-from adaptdrive.hardware.dbc.command_frame import CommandFrame
 from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, cycle_time_s, describe
-from adaptdrive.hardware.dbc.orders import build_orders, find_orders
+from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.link.bus import channel_flaws

@@ -1,32 +1,65 @@
 """The command on its way out: which parts of it travel in which frames.
 
 A multiplexed message is sent once for each page that carries something; what several of its pages
-carry travels in each of them.
+carry travels in each of them. A page is a choice of values of the multiplexers. A DBC may give a
+signal several of them (`SG_MUL_VAL_`), and a page may have its own multiplexer, whose pages carry
+what it carries.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import combinations
+
+from cantools.database.can.message import Message
+from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity
-from adaptdrive.hardware.binding import Sink
-from adaptdrive.hardware.dbc.command_frame import CommandFrame, Part
-from adaptdrive.hardware.dbc.database import Located, SignalCatalogue
-from adaptdrive.hardware.dbc.pages import Page, absent_pages, carried_signals, page_of, sent_pages
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.binding import BRIDGE, Sink
+from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, is_word
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.layout import bit_mask, initial_value
+from adaptdrive.hardware.link.layout import initial_value, signal_bits
+
+Page = tuple[tuple[str, float], ...]
+"""The multiplexers of a frame, outermost first, and their values."""
+
+_Drafts = dict[str, dict[Page, list[Sink[Located]]]]
+"""What each page of each message carries."""
 
 
-@dataclass(slots=True)
-class _Draft:
-    """Commanded signals of one page of a message."""
+@dataclass(frozen=True, slots=True)
+class CommandFrame:
+    """One frame that carries a part of the command.
 
-    parts: list[Part] = field(default_factory=list)
-    fixed: dict[str, float] = field(default_factory=dict)
+    Attributes:
+        codec: Codec of its message; frames of one message share it, and its alive counter.
+        parts: What is taken from the command, by signal.
+        fixed: Values that are always the same: constants, and what selects the page.
+    """
+
+    codec: MessageCodec
+    parts: Mapping[str, Sink[Located]]
+    fixed: Mapping[str, float]
+
+    def encode(self, command: Command) -> bytes:
+        """Make the next frame.
+
+        Raises:
+            ValueError: A value is not finite, or its signal cannot hold it.
+        """
+        values = dict(self.fixed)
+        for signal, part in self.parts.items():
+            values[signal] = part.value(command)
+        return self.codec.encode(values)
 
 
-_Drafts = dict[str, dict[Page, _Draft]]
+def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
+    """Return frames in their order, those that carry the bridge first: a bus may take one alone."""
+    return tuple(
+        sorted(orders, key=lambda order: all(one.name != BRIDGE for one in order.parts.values()))
+    )
 
 
 def find_orders(
@@ -37,16 +70,15 @@ def find_orders(
     for sink in sinks:
         (message, signal), place = sink.item, f"{section}.{sink.name}"
         page = page_of(catalogue, message, signal, place)
-        draft = drafts.setdefault(message.name, {}).setdefault(page, _Draft())
-        if not sink.factor:
-            draft.fixed[signal.name] = sink.field.physical(sink.field.raw(sink.base))
-            continue
-        if signal.name in draft.fixed:
+        draft = drafts.setdefault(message.name, {}).setdefault(page, [])
+        if sink.factor and signal.name in _fixed(draft):
             catalogue.note(place, f"signal {signal.name!r} is a constant too")
-        draft.parts.append(Part(sink.name, signal.name, sink.base, sink.factor))
-    _check_initial(catalogue, drafts)
-    _check_pages(catalogue, drafts)
-    _check_overlap(catalogue, drafts)
+        draft.append(sink)
+    for name, pages in drafts.items():
+        message = catalogue.known(name)
+        _check_initial(catalogue, message, pages)
+        _check_overlap(catalogue, message, pages)
+        _check_pages(catalogue, message, pages)
     return drafts
 
 
@@ -57,59 +89,123 @@ def build_orders(
     for name, pages in drafts.items():
         message = catalogue.known(name)
         codec = MessageCodec(message, integrity.get(name))
-        parts = [part for draft in pages.values() for part in draft.parts]
+        parts = [part for draft in pages.values() for part in draft if part.factor]
         for chosen in _frames(pages):
             carried = carried_signals(message, chosen)
             yield CommandFrame(
                 codec,
-                tuple(part for part in parts if part.signal in carried),
+                {one.item.signal.name: one for one in parts if one.item.signal.name in carried},
                 {key: value for key, value in chosen.items() if key in carried},
             )
 
 
-def _frames(pages: Mapping[Page, _Draft]) -> Iterator[dict[str, float]]:
+def page_of(catalogue: SignalCatalogue, message: Message, signal: Signal, place: str) -> Page:
+    """Return the first page with a signal, empty if all frames have it.
+
+    Args:
+        catalogue: Takes the errors.
+        message: The message.
+        signal: One of its signals.
+        place: Where the signal stands in the configuration.
+    """
+    if not signal.multiplexer_ids or signal.multiplexer_signal is None:
+        return ()
+    selector = message.get_signal_by_name(signal.multiplexer_signal)
+    outer = page_of(catalogue, message, selector, place)
+    if not is_word(selector):
+        catalogue.note(place, f"its multiplexer {selector.name!r} has a factor or an offset")
+    return (*outer, (selector.name, float(signal.multiplexer_ids[0])))
+
+
+def sent_pages(pages: Iterable[Page]) -> list[Page]:
+    """Return the pages that are sent: those of which no other is a part, a single one if all are.
+
+    Args:
+        pages: The pages that carry something; each occurs once.
+    """
+    known = [page for page in pages if page]
+    return [
+        page
+        for page in known
+        if not any(len(one) > len(page) and one[: len(page)] == page for one in known)
+    ] or [()]
+
+
+def carried_signals(message: Message, chosen: Mapping[str, float]) -> frozenset[str]:
+    """Return the names of the signals in a frame.
+
+    Args:
+        message: The message of the frame.
+        chosen: Values of its multiplexers; the others have their initial value.
+    """
+    return frozenset(
+        signal.name for signal in message.signals if _is_carried(message, signal, chosen)
+    )
+
+
+def _is_carried(message: Message, signal: Signal, chosen: Mapping[str, float]) -> bool:
+    if not signal.multiplexer_ids or signal.multiplexer_signal is None:
+        return True
+    selector = message.get_signal_by_name(signal.multiplexer_signal)
+    value = _selected(selector, chosen)
+    return value in signal.multiplexer_ids and _is_carried(message, selector, chosen)
+
+
+def _selected(selector: Signal, chosen: Mapping[str, float]) -> float:
+    return chosen.get(selector.name, initial_value(selector) or 0)
+
+
+def _fixed(draft: Iterable[Sink[Located]]) -> dict[str, float]:
+    """The values among them that are always the same, as their signals hold them."""
+    return {
+        one.item.signal.name: one.field.physical(one.field.raw(one.base))
+        for one in draft
+        if not one.factor
+    }
+
+
+def _frames(pages: Mapping[Page, list[Sink[Located]]]) -> Iterator[dict[str, float]]:
     """The values that are always the same, multiplexers among them, of each frame of a message."""
-    fixed = {key: value for draft in pages.values() for key, value in draft.fixed.items()}
+    fixed = _fixed(one for draft in pages.values() for one in draft)
     return ({**fixed, **dict(page)} for page in sent_pages(pages))
 
 
-def _check_initial(catalogue: SignalCatalogue, drafts: _Drafts) -> None:
+def _check_initial(
+    catalogue: SignalCatalogue, message: Message, pages: Mapping[Page, list[Sink[Located]]]
+) -> None:
     """Each signal can hold its initial value, which it has where nothing else sets it."""
-    for name, pages in drafts.items():
-        given = {selector for page in pages for selector, _ in page}
-        for draft in pages.values():
-            given |= {*draft.fixed, *(part.signal for part in draft.parts)}
-        for signal in catalogue.known(name).signals:
-            if signal.name not in given and initial_value(signal) is None:
-                problem = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
-                bits = f"signal {signal.name!r} of {signal.length} bits cannot hold"
-                catalogue.note("signals.command", f"message {name!r}: {bits} its {problem}")
+    given = {selector for page in pages for selector, _ in page}
+    given |= {one.item.signal.name for draft in pages.values() for one in draft}
+    for signal in message.signals:
+        if signal.name not in given and initial_value(signal) is None:
+            problem = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
+            bits = f"signal {signal.name!r} of {signal.length} bits cannot hold"
+            catalogue.note("signals.command", f"message {message.name!r}: {bits} its {problem}")
 
 
-def _check_overlap(catalogue: SignalCatalogue, drafts: _Drafts) -> None:
+def _check_overlap(
+    catalogue: SignalCatalogue, message: Message, pages: Mapping[Page, list[Sink[Located]]]
+) -> None:
     """No two values that are sent share a bit of their frame."""
-    for name, pages in drafts.items():
-        for draft in pages.values():
-            taken: dict[str, int] = {}
-            for signal in map(
-                catalogue.known(name).get_signal_by_name,
-                (*draft.fixed, *(part.signal for part in draft.parts)),
-            ):
-                bits = bit_mask(
-                    signal.start, signal.length, little=signal.byte_order == "little_endian"
-                )
-                for other, others in taken.items():
-                    if bits & others and other != signal.name:
-                        problem = f"{signal.name!r} and {other!r} share bits: both are sent"
-                        catalogue.note("signals.command", f"message {name!r}: {problem}")
-                taken[signal.name] = bits
+    for draft in pages.values():
+        bits = {one.item.signal.name: signal_bits(one.item.signal) for one in draft}
+        for name, other in combinations(bits, 2):
+            if bits[name] & bits[other]:
+                problem = f"{other!r} and {name!r} share bits: both are sent"
+                catalogue.note("signals.command", f"message {message.name!r}: {problem}")
 
 
-def _check_pages(catalogue: SignalCatalogue, drafts: _Drafts) -> None:
+def _check_pages(
+    catalogue: SignalCatalogue, message: Message, pages: Mapping[Page, list[Sink[Located]]]
+) -> None:
     """Each frame is of a page that its message has: no other can be encoded."""
-    for name, pages in drafts.items():
-        for chosen in _frames(pages):
-            for selector, value in absent_pages(catalogue.known(name), chosen):
-                place = f"signals.command.constants.{name}.{selector}"
+    for chosen in _frames(pages):
+        for selector in message.signals:
+            if not (selector.is_multiplexer and _is_carried(message, selector, chosen)):
+                continue
+            value = _selected(selector, chosen)
+            paged = [one for one in message.signals if one.multiplexer_signal == selector.name]
+            if not any(value in (one.multiplexer_ids or ()) for one in paged):
+                place = f"signals.command.constants.{message.name}.{selector.name}"
                 problem = f"it would be sent as {value:g}, which is none of its pages; name one"
-                catalogue.note(place, f"{selector!r} is a multiplexer: {problem}")
+                catalogue.note(place, f"{selector.name!r} is a multiplexer: {problem}")

@@ -176,6 +176,11 @@ def bit_mask(start: int, length: int, *, little: bool) -> int:
     return bits
 
 
+def signal_bits(signal: Signal) -> int:
+    """Return the bits of a signal in its frame, as `bit_mask` does."""
+    return bit_mask(signal.start, signal.length, little=signal.byte_order == "little_endian")
+
+
 def is_multiplexed(signal: Signal) -> bool:
     """Return whether only some frames of its message carry a signal."""
     return bool(signal.multiplexer_ids)
