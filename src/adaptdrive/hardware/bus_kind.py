@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import MEASURED
+from adaptdrive.config.timing import Timing
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.port import Port, SensorPort
+
+Bus = TypeVar("Bus")
 
 Row = tuple[str, float, str]
 """Name of a limit, its duration in seconds, and the keys that set it."""
@@ -55,6 +58,47 @@ def stale_limits(configuration: Configuration, _: Path | str) -> Iterator[Row]:
     given = [name for name in MEASURED if getattr(signals, name) is not None]
     for name in (*given, *signals.other):
         yield f"stale {name}", configuration.interlocks.stale_s, "interlocks.stale_s"
+
+
+def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator[Flaw]:
+    """Yield one word on a drive's time-out that is not stated, or ends before pauses of the daemon.
+
+    One command may be lost, and the next one late; the drive or the daemon may be silent.
+
+    Args:
+        timing: Times of the drive; each reading has a command.
+        key: Key that determines how often a reading comes.
+        slack_s: How much older than `interlocks.stale_s` each value may be, by `bus.stale_cycles`.
+    """
+    timeout_s, every_ms = timing.command_timeout_s, timing.reading_s * 1e3
+    if timeout_s is None:
+        yield Flaw(
+            "bus.command_timeout_s",
+            "is left out: a drive without a time-out of its own stays energised when the daemon, "
+            "its computer or the cable fails; state it, or wire a contactor for that",
+        )
+        return
+    silence_key = "bus.stale_cycles" if slack_s else "interlocks.stale_s"
+    late = f"two and a half times the {every_ms:.4g} ms from one command to the next"
+    pauses = (
+        (timing.command_pause_s, late, key),
+        (timing.stale_s + slack_s, "the silence after which the daemon trips", silence_key),
+    )
+    longer = [pause for pause in pauses if timeout_s <= pause[0]]
+    if longer:
+        named = ", nor than ".join(f"{pause_s:.4g} s, {meaning}" for pause_s, meaning, _ in longer)
+        keys = " and ".join(one for _, _, one in longer)
+        yield Flaw(
+            "bus.command_timeout_s",
+            f"{timeout_s:g} s is not longer than {named}: the drive stops by itself before; set a "
+            f"longer time-out in the drive, or lower {keys}",
+        )
+
+
+def bus_of(configuration: Configuration, kind: type[Bus]) -> Bus:
+    """Return the bus of a configuration that was selected by its type."""
+    assert isinstance(configuration.bus, kind)  # noqa: S101 - selected by it
+    return configuration.bus
 
 
 def no_locks(_: Configuration) -> Iterator[str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 Raw = int | float
 
@@ -24,11 +24,11 @@ class Field:
 
     Attributes:
         name: Name of the signal, the object or the register.
-        scale: Physical units per count.
-        offset: Physical value of the raw value zero.
         low: Smallest raw value in range.
         high: Largest raw value in range.
         integer: Whether raw values are integers.
+        scale: Physical units per count.
+        offset: Physical value of the raw value zero.
         unavailable: Raw value that means "not available".
         idle: Raw value of a signal that the sender does not set.
         blanks: Raw values that say nothing next to refused values: "not available" and all bits
@@ -39,17 +39,17 @@ class Field:
     """
 
     name: str
-    scale: float
-    offset: float
     low: Raw
     high: Raw
     integer: bool
-    unavailable: Raw
-    idle: Raw
-    blanks: frozenset[Raw]
-    unknown: frozenset[Raw]
-    unit: str
-    names: Mapping[int, str]
+    scale: float = 1.0
+    offset: float = 0.0
+    unavailable: Raw = 0
+    idle: Raw = 0
+    blanks: frozenset[Raw] = frozenset()
+    unknown: frozenset[Raw] = frozenset()
+    unit: str = ""
+    names: Mapping[int, str] = field(default_factory=dict)
 
     def physical(self, raw: Raw) -> float:
         """The physical value of a raw one, in the unit of the signal."""

@@ -175,20 +175,7 @@ class ObjectCatalogue(Catalogue[Entry]):
     def field(self, item: Entry, use: Use) -> Field:  # noqa: ARG002 - limits hold for all uses
         """Return how an entry is coded."""
         low, high = item.limits
-        return Field(
-            name=item.name,
-            scale=1.0,
-            offset=0.0,
-            low=low,
-            high=high,
-            integer=not item.real,
-            unavailable=high,
-            idle=0,
-            blanks=frozenset(),
-            unknown=frozenset(),
-            unit="",
-            names={},
-        )
+        return Field(item.name, low, high, integer=not item.real)
 
     def refusal(self, item: Entry, use: Use) -> str | None:
         """Return why an entry cannot travel in a PDO of this direction, None where it can."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.errors import Flaw
-from adaptdrive.hardware.bus_kind import BusKind, Row, stale_limits
+from adaptdrive.hardware.bus_kind import BusKind, Row, bus_of, stale_limits
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, map_drive
 from adaptdrive.hardware.canopen.port import CanOpenPort
 from adaptdrive.hardware.canopen.watch import CanOpenWatch
@@ -23,7 +23,7 @@ _LOST_HEARTBEATS = 2
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, *, passive: bool
 ) -> Port:
-    bus, mapping = _bus(configuration), _mapped(configuration, source)
+    bus, mapping = bus_of(configuration, CanOpenBus), _mapped(configuration, source)
     if passive:
         return CanOpenWatch(bus, mapping, clock)
     return CanOpenPort(bus, mapping, configuration.timing, clock)
@@ -31,18 +31,22 @@ def _build(
 
 def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:
     """Return the objects of a drive, held against what its limits ask."""
-    bus, demands = _bus(configuration), demands_of(configuration)
+    bus, demands = bus_of(configuration, CanOpenBus), demands_of(configuration)
     return map_drive(bus, configuration.signals, source, demands)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
     yield from stale_limits(configuration, source)
-    yield "silent node", _bus(configuration).heartbeat_timeout_s, "bus.heartbeat_timeout_s"
+    yield (
+        "silent node",
+        bus_of(configuration, CanOpenBus).heartbeat_timeout_s,
+        "bus.heartbeat_timeout_s",
+    )
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield that a few lost frames may stop the drive, and what is wrong in its EDS."""
-    bus = _bus(configuration)
+    bus = bus_of(configuration, CanOpenBus)
     yield from _mapped(configuration).cautions
     survived = math.ceil(bus.heartbeat_timeout_s / bus.heartbeat_s - 1e-9) - 2
     if survived < _LOST_HEARTBEATS:
@@ -52,11 +56,6 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
             f"{bus.heartbeat_timeout_s:g} s no more than {survived} in a row may be lost before "
             "the drive stops, or the daemon trips; shorten it, or lengthen that time-out",
         )
-
-
-def _bus(configuration: Configuration) -> CanOpenBus:
-    assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - selected by its type
-    return configuration.bus
 
 
 CANOPEN = BusKind(_build, time_limits=_time_limits, cautions=_cautions)

@@ -9,8 +9,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import Flaw
-from adaptdrive.hardware.bus_kind import BusKind, Row
-from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
+from adaptdrive.hardware.bus_kind import BusKind, Row, bus_of, timeout_cautions
 from adaptdrive.hardware.dbc.mapping import CanMapping, CanSource, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.dbc.sensors import build_can_sensors
@@ -21,13 +20,15 @@ from adaptdrive.hardware.port import Port
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, *, passive: bool
 ) -> Port:
-    return CanPort(_bus(configuration), _mapped(configuration, source), clock, hears_all=passive)
+    return CanPort(
+        bus_of(configuration, CanBus), _mapped(configuration, source), clock, hears_all=passive
+    )
 
 
 def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
     timing, demands = configuration.timing, demands_of(configuration)
-    return map_drive(_bus(configuration), configuration.signals, timing, source, demands)
+    return map_drive(bus_of(configuration, CanBus), configuration.signals, timing, source, demands)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
@@ -41,16 +42,10 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
-    bus, timing = _bus(configuration), configuration.timing
-    mapping = _mapped(configuration)
+    timing, mapping = configuration.timing, _mapped(configuration)
     statuses = mapping.statuses
     slack_s = min(one.slack_s for status in statuses for one in status.sources)
-    key = "bus.stale_cycles" if slack_s else "interlocks.stale_s"
-    yield from timeout_cautions(
-        bus.command_timeout_s,
-        lost_command(timing, "bus.clock_ticks"),
-        silence(timing.stale_s + slack_s, key),
-    )
+    yield from timeout_cautions(timing, "bus.clock_ticks", slack_s)
     for status in statuses:
         for one in status.sources:
             if one.quantity == "bridge":
@@ -83,11 +78,6 @@ def _seldom(message: str, cycle_s: float, limit_s: float) -> str:
         "its next report, and a drive stops meanwhile whose own time-out (bus.command_timeout_s) "
         f"is not longer than {(limit_s + cycle_s) * 1e3:.4g} ms"
     )
-
-
-def _bus(configuration: Configuration) -> CanBus:
-    assert isinstance(configuration.bus, CanBus)  # noqa: S101 - selected by its type
-    return configuration.bus
 
 
 CAN = BusKind(_build, build_can_sensors, _time_limits, _cautions)

@@ -42,12 +42,10 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
     return Field(
         name=name,
         scale=register.scale,
-        offset=0.0,
         low=low,
         high=high,
         integer=not register.real,
         unavailable=math.nan if unsaid is None else unsaid,
-        idle=0,
         blanks=words if bits else frozenset(),
         unknown=frozenset() if bits else words,
         unit=register.unit,

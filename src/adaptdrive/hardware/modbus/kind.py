@@ -11,8 +11,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.errors import Flaw
-from adaptdrive.hardware.bus_kind import BusKind
-from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
+from adaptdrive.hardware.bus_kind import BusKind, timeout_cautions
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.mapping import map_drive
@@ -38,13 +37,8 @@ def _build(
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and a report that may be an echo."""
-    bus = _bus(configuration)
-    yield from timeout_cautions(
-        bus.command_timeout_s,
-        lost_command(configuration.timing, "bus.poll_ticks"),
-        silence(configuration.interlocks.stale_s, "interlocks.stale_s"),
-    )
-    yield from _echo_cautions(bus, configuration.signals)
+    yield from timeout_cautions(configuration.timing, "bus.poll_ticks")
+    yield from _echo_cautions(_bus(configuration), configuration.signals)
 
 
 def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Flaw]:

@@ -9,8 +9,7 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.errors import Flaw
-from adaptdrive.hardware.bus_kind import BusKind
-from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
+from adaptdrive.hardware.bus_kind import BusKind, bus_of, timeout_cautions
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.modbus.kind import tcp_addresses
 from adaptdrive.hardware.modbus.mapping import map_drive
@@ -26,7 +25,7 @@ def _build(
     *,
     passive: bool,
 ) -> Port:
-    bus, timing = _bus(configuration), configuration.timing
+    bus, timing = bus_of(configuration, ScpiBus), configuration.timing
     demands, registers = demands_of(configuration), bus.as_registers()
     poll = map_drive(registers, configuration.signals, timing.half_cycle_s, source, demands)
     if passive:  # without a command, nothing else is written
@@ -36,23 +35,14 @@ def _build(
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit."""
-    return timeout_cautions(
-        _bus(configuration).command_timeout_s,
-        lost_command(configuration.timing, "bus.poll_ticks"),
-        silence(configuration.interlocks.stale_s, "interlocks.stale_s"),
-    )
+    return timeout_cautions(configuration.timing, "bus.poll_ticks")
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:
     """Yield a supply by its name and its addresses."""
-    bus = _bus(configuration)
+    bus = bus_of(configuration, ScpiBus)
     yield describe_supply(bus)
     yield from (f"scpi address {one}" for one in tcp_addresses(bus.host, bus.port))
-
-
-def _bus(configuration: Configuration) -> ScpiBus:
-    assert isinstance(configuration.bus, ScpiBus)  # noqa: S101 - selected by its type
-    return configuration.bus
 
 
 SCPI = BusKind(_build, cautions=_cautions, lock_names=_lock_names)
