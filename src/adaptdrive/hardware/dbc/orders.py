@@ -26,7 +26,7 @@ Page = tuple[tuple[str, float], ...]
 """The multiplexers of a frame, outermost first, and their values."""
 
 _Drafts = dict[str, dict[Page, list[Sink[Located]]]]
-"""What each page of each message carries."""
+"""Commanded values of each page of each message."""
 
 
 @dataclass(frozen=True, slots=True)
