@@ -30,8 +30,6 @@ _DOUBT_BOUND = "a deviation that equals the bound to the last digit may be judge
 
 _UNLIMITED = "the time of a voltage without `hold_s` is never compared"
 
-_NO_COUNTER = "without a counter there is no count that it divides"
-
 _TIME_BOUND = "a time that equals the bound to the last digit may be judged either way"
 
 _FALSE = "None is as false as False, and nobody sees which"
@@ -44,7 +42,7 @@ _MACHINE = "runtime.machine:Machine.__init__: "
 _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.half_cycles:HalfCycles."
 _RATE = "runtime.frame_rate:"
-_RESTART = "runtime.restart_watch:RestartWatch."
+_COUNTER = "runtime.counter_watch:CounterWatch."
 _BRIDGE = "runtime.bridge_watch:BridgeWatch."
 
 RUNTIME: dict[str, str] = {
@@ -79,22 +77,20 @@ RUNTIME: dict[str, str] = {
     "_JITTER_TICKS": _BOUND,
     f"{_RATE}FrameRate.add: self._extend((arrival_s - self._began_s) / self._tick_s) -> "
     "self._extend((arrival_s + self._began_s) / self._tick_s)": _DIFFERENCES,
-    f"{_RESTART}__init__: self._modulus = modulus or 1 -> "
-    "self._modulus = modulus or 2": _NO_COUNTER,
-    f"{_RESTART}__init__: self._tick_s = tick_s -> pass": _SET_BEFORE_USE,
-    f"{_RESTART}see: if self._off(before or last, count) <= _SLACK_TICKS: -> "
-    "if self._off(before or last, count) < _SLACK_TICKS:": _DOUBT_BOUND,
-    f"{_RESTART}see: if before is None or self._off(last, count) > _PACE_TICKS: -> "
+    f"{_COUNTER}__init__: self._tick_s = tick_s -> pass": _SET_BEFORE_USE,
+    f"{_COUNTER}_watch_restart: if self._off(before or last, count) <= SLACK_TICKS: -> "
+    "if self._off(before or last, count) < SLACK_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_watch_restart: if before is None or self._off(last, count) > _PACE_TICKS: -> "
     "if before is None or self._off(last, count) >= _PACE_TICKS:": _DOUBT_BOUND,
-    f"{_RESTART}see: if self._passed(last, count) >= _SURE_TICKS: -> "
+    f"{_COUNTER}_watch_restart: if self._passed(last, count) >= _SURE_TICKS: -> "
     "if self._passed(last, count) > _SURE_TICKS:": _TIME_BOUND,
-    f"{_RESTART}_follow: if (since[0] - count[0]) % self._modulus > _SLACK_TICKS: -> "
-    "if (since[0] - count[0]) % self._modulus >= _SLACK_TICKS:": _DOUBT_BOUND,
-    f"{_RESTART}_doubt: if count[0] <= self._passed(since, count) + _BEGUN_TICKS: -> "
+    f"{_COUNTER}_follow: if (since[0] - count[0]) % self._modulus > SLACK_TICKS: -> "
+    "if (since[0] - count[0]) % self._modulus >= SLACK_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_doubt: if count[0] <= self._passed(since, count) + _BEGUN_TICKS: -> "
     "if count[0] < self._passed(since, count) + _BEGUN_TICKS:": _DOUBT_BOUND,
-    f"{_RESTART}_doubt: if self._stray is None or self._off(self._stray, count) > _PACE_TICKS: -> "
+    f"{_COUNTER}_doubt: if self._stray is None or self._off(self._stray, count) > _PACE_TICKS: -> "
     "if self._stray is None or self._off(self._stray, count) >= _PACE_TICKS:": _DOUBT_BOUND,
-    f"{_RESTART}_doubt: if self._passed(self._stray, count) >= _SURE_TICKS: -> "
+    f"{_COUNTER}_doubt: if self._passed(self._stray, count) >= _SURE_TICKS: -> "
     "if self._passed(self._stray, count) > _SURE_TICKS:": _TIME_BOUND,
     f"{_BRIDGE}__init__: self._gap_s = self._silent_s = 0.0 -> "
     "self._gap_s = self._silent_s = 1.0": _SET_BEFORE_USE,
@@ -105,9 +101,9 @@ RUNTIME: dict[str, str] = {
     f"{_BRIDGE}_see_on: if _heard_s(reading) > self._silence_end_s: -> "
     "if _heard_s(reading) >= self._silence_end_s:": _TIME_BOUND,
     f"{_BRIDGE}_is_overdue: return False -> return None": _FALSE,
-    f"{_BRIDGE}_unwatched: if self._gap_s > SHORTEST_TIMEOUT_S: -> "
+    f"{_BRIDGE}_hidden: if self._gap_s > SHORTEST_TIMEOUT_S: -> "
     "if self._gap_s >= SHORTEST_TIMEOUT_S:": _TIME_BOUND,
-    f"{_BRIDGE}_note_gap: if unwatched_s > self._gap_limit_s: -> "
+    f"{_BRIDGE}find_cause: if unwatched_s > self._gap_limit_s: -> "
     "if unwatched_s >= self._gap_limit_s:": _TIME_BOUND,
     f"{_BRIDGE}_is_overdue: return reported_s - self._off_s > self._grace_s "
     "+ _SLACK_S -> return reported_s - self._off_s >= self._grace_s + _SLACK_S": _SLACK,

@@ -32,12 +32,12 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
     "adaptdrive.runtime.interlock_board": ("tests/runtime/test_interlock_board.py", *_LOOP),
     "adaptdrive.runtime.bridge_watch": ("tests/runtime/test_bridge_watch.py",),
-    "adaptdrive.runtime.restart_watch": (
+    "adaptdrive.runtime.counter_watch": (
         "tests/runtime/test_restart_watch.py",
+        *_RATE,
         "tests/runtime/test_fast_loop.py",
     ),
     "adaptdrive.runtime.half_cycles": (*_RATE, "tests/runtime/test_fast_loop.py"),
-    "adaptdrive.runtime.repeated_frames": _RATE,
     "adaptdrive.runtime.frame_rate": _RATE,
     "adaptdrive.runtime.stop_watch": _STOP,
     "adaptdrive.runtime.stopping": (*_STOP, "tests/runtime/test_frame_rate.py"),

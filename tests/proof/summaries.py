@@ -11,7 +11,7 @@ FAULTS = "| fault | motor, CAN | motor, Modbus | bath, Modbus | battery, CAN | h
 def cells_of(text: str) -> Iterator[list[str]]:
     """Yield the cells of each row of the Markdown tables in a text, heads and rules left out."""
     lines = text.splitlines()
-    for line, following in zip(lines, [*lines[1:], ""], strict=True):
+    for line, following in zip(lines, [*lines, ""][1:], strict=True):
         if line.startswith("| ") and not following.startswith("|---"):
             yield [cell.strip() for cell in line.strip("|").split("|")]
 

@@ -8,11 +8,10 @@ import pytest
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.port import Reading
-from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.frame_rate import FrameRate
+from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.interlocks import Limits
-from adaptdrive.runtime.restart_watch import RestartWatch
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, FAST
 
@@ -54,9 +53,11 @@ def new_board(
         limits=LIMITS,
         timing=timing,
         watches=tuple(one.build for one in watches),
+        drive_clocks=rate is not None,
     )
-    bridge = BridgeWatch(timing, reported=True, cycle_s=0.0)
-    return InterlockBoard(settings, rate, bridge, RestartWatch(None, TICK_S))
+    half_cycles = HalfCycles(None, TICK_S)
+    half_cycles.rate = rate or half_cycles.rate
+    return InterlockBoard(settings, PORT, half_cycles)
 
 
 def board(*watches: NotedWatch, ticks_per_reading: int = 1) -> InterlockBoard:
@@ -71,7 +72,7 @@ def cause_of(
     **changes: object,
 ) -> str | None:  # fmt: skip
     reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, **changes)  # type: ignore[arg-type]
-    return of.running_cause(PORT, reading, now_s, running=running, bridge=bridge)
+    return of.running_cause(reading, now_s, running=running, bridge=bridge)
 
 
 @pytest.mark.parametrize(("ticks_per_reading", "limit_ticks"), [(1, 8), (60, 120)])
@@ -119,7 +120,7 @@ def test_a_watch_is_asked_when_nothing_else_trips_and_forgets_nothing_in_a_run()
 
 
 def test_without_a_reading_a_drive_is_not_energised() -> None:
-    cause = board().running_cause(PORT, None, START_S, running=True, bridge=True)
+    cause = board().running_cause(None, START_S, running=True, bridge=True)
     assert cause == "stale: no measurement yet"
 
 
@@ -146,7 +147,6 @@ def test_a_bridge_that_has_come_on_must_stay_on_while_its_drive_starts() -> None
     for number in range(40, 80):
         now_s, on = START_S + number * TICK_S, number < 45
         cause = of.running_cause(
-            PORT,
             replace(CALM, arrival_s=now_s, oldest_s=now_s, bridge=on),
             now_s,
             running=False,
@@ -178,7 +178,7 @@ def test_the_rate_of_a_drive_that_is_the_clock_must_be_known_and_right(
     of = new_board(rate=rate)
     assert of.rate_known is known
     reading = replace(CALM, arrival_s=START_S, oldest_s=START_S)
-    standing = of.standing_cause(PORT, reading, START_S)
+    standing = of.standing_cause(reading, START_S)
     assert standing == cause if cause is None else (standing or "").startswith(cause)
 
 
@@ -190,7 +190,7 @@ def test_a_count_may_stand_for_as_long_as_a_reading_is_fresh() -> None:
         now_s = START_S + number * TICK_S
         rate.add(now_s, None, stood_in=False, repeated=True)
         reading = replace(CALM, arrival_s=now_s, oldest_s=now_s)
-        standing = of.standing_cause(PORT, reading, now_s)
+        standing = of.standing_cause(reading, now_s)
         assert (standing is None) == (number <= 8)
     assert standing is not None
     assert standing.startswith("half-cycle counter: the drive's count has stood for 70 ms while")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.runtime.restart_watch import RestartWatch
+from adaptdrive.runtime.counter_watch import CounterWatch
 
 TICK_S = 2.0**-7
 """A half cycle whose multiples are exact."""
@@ -18,14 +18,14 @@ LONGEST_LOSS = 64
 JITTER_TICKS = 2.5
 
 
-def see(watch: RestartWatch, half_cycle: int, modulus: int, late_ticks: float = 0.0) -> None:
+def see(watch: CounterWatch, half_cycle: int, modulus: int, late_ticks: float = 0.0) -> None:
     """Pass the frame of a half cycle, which began its count at 0, on to the watch."""
     watch.see(half_cycle % modulus, (half_cycle + late_ticks) * TICK_S, TICK_S)
 
 
-def begun(modulus: int, half_cycle: int) -> RestartWatch:
+def begun(modulus: int, half_cycle: int) -> CounterWatch:
     """A watch that has seen three frames, the last of them in this half cycle."""
-    watch = RestartWatch(modulus, TICK_S)
+    watch = CounterWatch(modulus, TICK_S)
     for number in range(half_cycle - 2, half_cycle + 1):
         see(watch, number, modulus)
     return watch
@@ -58,7 +58,7 @@ def test_no_loss_and_no_jitter_is_a_restart(
 def test_a_line_that_is_off_is_no_restart(
     width: int, first: int, pace: float, steps: list[int]
 ) -> None:
-    watch = RestartWatch(1 << width, TICK_S)
+    watch = CounterWatch(1 << width, TICK_S)
     for half_cycle in accumulate(steps, initial=first):
         watch.see(half_cycle % (1 << width), half_cycle * pace * TICK_S, TICK_S)
         assert watch.find_cause(commanded=True) is None
@@ -193,7 +193,7 @@ def test_a_count_three_half_cycles_behind_time_is_late(passed: int, doubted: boo
 
 
 def test_time_is_that_of_the_measured_half_cycle() -> None:
-    watch = RestartWatch(256, TICK_S)
+    watch = CounterWatch(256, TICK_S)
     for half_cycle in range(0, 1000, 20):
         watch.see(half_cycle % 256, half_cycle * 2.0 * TICK_S, 2.0 * TICK_S)
         assert not watch.in_doubt
@@ -249,7 +249,7 @@ def test_a_drive_that_is_commanded_off_may_start_anew() -> None:
 
 
 def test_without_a_counter_nothing_is_in_doubt() -> None:
-    watch = RestartWatch(None, TICK_S)
+    watch = CounterWatch(None, TICK_S)
     for number in range(10):
         watch.see(None, number * TICK_S, TICK_S)
         assert not watch.in_doubt

@@ -36,7 +36,7 @@ class BridgeWatch:
         self._mute_limit_s = timing.unreported_s(cycle_s)
         self._reported = reported
         self._off_s: float | None = None
-        self._due_s: float | None = None
+        self._due_s = math.inf
         self._commanded_s = math.inf
         self._lingers = False
         self._been_on = False
@@ -65,9 +65,10 @@ class BridgeWatch:
             unwatched_s: Time since the last look.
             now_s: Monotonic time of this look.
         """
-        self._note_gap(unwatched_s, now_s)
+        if unwatched_s > self._gap_limit_s:
+            self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
         self._note_silence(reading, now_s)
-        self._note_due(now_s, due=commanded and due)
+        self._due_s = min(self._due_s, now_s) if commanded and due else math.inf
         if not commanded:
             self._rest(bridge=reading.bridge)
             return None
@@ -80,10 +81,7 @@ class BridgeWatch:
             return None
         if not self._been_on and not self._is_overdue(reading.bridge_reported_s):
             return None
-        return (
-            "drive stopped: its bridge is off although it was commanded on"
-            f"{self._unwatched if self._been_on else self._never_on}"
-        )
+        return f"drive stopped: its bridge is off although it was commanded on{self._hidden}"
 
     @property
     def awaits_report(self) -> bool:
@@ -143,48 +141,33 @@ class BridgeWatch:
 
     def _is_overdue(self, reported_s: float) -> bool:
         """Return whether a bridge that has not come on yet has had the time to."""
-        if self._due_s is None:
+        if self._due_s == math.inf:
             return False
         if self._off_s is None:
             self._off_s = max(reported_s, self._due_s) - self._reading_s
         return reported_s - self._off_s > self._grace_s + _SLACK_S
 
     @property
-    def _never_on(self) -> str:
-        """The time in which a drive has not come on, which may just take longer, for that text."""
-        return f"; it has not come on within {self._grace_s * 1e3:.0f} ms"
-
-    @property
-    def _unwatched(self) -> str:
-        """The time in which the drive has stopped unseen, for the text of the trip."""
+    def _hidden(self) -> str:
+        """The time that has hidden the stop, or in which a drive has not come on: for the trip."""
+        if not self._been_on:
+            return f"; it has not come on within {self._grace_s * 1e3:.0f} ms"
         if self._gap_s > self._on_s:
             return f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms"
         if self._silent_s:
             return f"; nothing had been heard of it for {self._silent_s * 1e3:.0f} ms"
         return ""
 
-    def _note_due(self, now_s: float, *, due: bool) -> None:
-        """Keep the time from which on the bridge must be on, or soon after."""
-        if not due:
-            self._due_s = None
-        elif self._due_s is None:
-            self._due_s = now_s
-
-    def _note_gap(self, unwatched_s: float, now_s: float) -> None:
-        """Keep the longest time in which a bridge may have gone off, until a report from after."""
-        if unwatched_s > self._gap_limit_s:
-            self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
-
     def _note_silence(self, reading: Reading, now_s: float) -> None:
         """Keep the longest time without a reading, or without a report of the bridge.
 
         A reading ends it whose values were asked for before: a poll may take as long.
         """
-        unheard_s, unreported_s = now_s - reading.arrival_s, now_s - _heard_s(reading)
-        if unreported_s > self._mute_limit_s:
-            self._silent_s, self._silence_end_s = max(self._silent_s, unreported_s), now_s
-        elif unheard_s > self._silent_limit_s:
-            self._silent_s, self._silence_end_s = max(self._silent_s, unheard_s), now_s
+        silent_s, limit_s = now_s - _heard_s(reading), self._mute_limit_s
+        if silent_s <= limit_s:
+            silent_s, limit_s = now_s - reading.arrival_s, self._silent_limit_s
+        if silent_s > limit_s:
+            self._silent_s, self._silence_end_s = max(self._silent_s, silent_s), now_s
 
 
 def _heard_s(reading: Reading) -> float:

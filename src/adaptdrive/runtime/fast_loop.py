@@ -24,16 +24,13 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.hardware.port import Port, Reading
-from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.loop_interface import FastLoopSettings, LoopSurroundings, TickCounts
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import StopWord, TickReport
-from adaptdrive.runtime.restart_watch import RestartWatch
 from adaptdrive.runtime.statistics import TimeWindow
-from adaptdrive.runtime.stop_watch import StopWatch
 from adaptdrive.runtime.stopping import Stopping
 
 _OFF: Final[Stage] = Stage.OFF  # found at once by compiled code
@@ -64,26 +61,14 @@ class FastLoop:
         self._port = port
         self._schedule = Schedule(controller, settings.latency_ticks)
         self._machine = machine
-        timing, reported = settings.timing, port.stop_slack_s is not None
+        timing = settings.timing
         tick_s, stride = timing.half_cycle_s, timing.ticks_per_reading
         self._half_cycles = HalfCycles(port.counter_modulus, tick_s, stride, timing.stale_s)
         self._guard = Guard(settings.command)
         self._settings = settings
         self._surroundings = surroundings
-        self._restarts = RestartWatch(port.counter_modulus, tick_s)
-        self._interlocks = InterlockBoard(
-            settings,
-            self._half_cycles.rate if settings.drive_clocks else None,
-            BridgeWatch(
-                timing,
-                reported=reported,
-                cycle_s=port.bridge_cycle_s,
-                queued=settings.drive_clocks,
-            ),
-            self._restarts,
-        )
-        self._stop_watch = StopWatch(timing, port.stop_slack_s)
-        self._stopping = Stopping(self._stop_watch, machine, surroundings.not_stopped)
+        self._interlocks = InterlockBoard(settings, port, self._half_cycles)
+        self._stopping = Stopping(port, timing, machine, surroundings.not_stopped)
         self._order: Order | None = None
         self._wanted = SAFE_COMMAND
         self._waits = False
@@ -100,16 +85,14 @@ class FastLoop:
 
     @property
     def cause(self) -> str | None:
-        """The interlock that is active now; the complaint of the port comes first."""
-        now_s = self._surroundings.now_s()
-        return self._interlocks.standing_cause(self._port, self.reading, now_s) or (
-            self._bridge_cause()
-        )
+        """The interlock that is active now; the complaint of the port comes first.
 
-    def _bridge_cause(self) -> str | None:
-        """Return why a drive that is commanded off must not be enabled or reset."""
-        if self._machine.energised or self.reading is None or not self.reading.bridge:
-            return None
+        A drive that is commanded off and has its bridge on must not be enabled or reset.
+        """
+        reading = self.reading
+        cause = self._interlocks.standing_cause(reading, self._surroundings.now_s())
+        if cause or self._machine.energised or reading is None or not reading.bridge:
+            return cause
         return "the drive's bridge is on although it is commanded off"
 
     @property
@@ -130,7 +113,6 @@ class FastLoop:
         """Run the tick of a complete reading, unless a stand-in already did."""
         half_cycles, arrival_s = self._half_cycles, reading.arrival_s
         tick = half_cycles.place(reading.counter, arrival_s, self.tick)
-        self._restarts.see(reading.counter, arrival_s, half_cycles.tick_period_s)
         self.reading = reading
         if tick > self.tick:
             self._run(tick, arrival_s, self._surroundings.now_s(), fresh=True)
@@ -145,7 +127,7 @@ class FastLoop:
         The next one may replace it before a tick, and its report of a bridge that is to be on.
         """
         driven = self.command.bridge
-        if driven or self._interlocks.standing_cause(self._port, reading, now_s) is not None:
+        if driven or self._interlocks.standing_cause(reading, now_s) is not None:
             self._watch_between_ticks(now_s)
         if self._is_wanted_still() and not self._interlocks.awaits_bridge(now_s):
             self._send_in_time(self._wanted)
@@ -202,7 +184,7 @@ class FastLoop:
             self._stopping.release(self.reading, bridge=True)
         self.command = self._guard.check(SAFE_COMMAND)
         self._port.send(self.command)
-        self._stopping.judge(self._port, self.reading, self._surroundings.now_s())
+        self._stopping.judge(self.reading, self._surroundings.now_s())
 
     @property
     def stop(self) -> StopWord:
@@ -212,7 +194,7 @@ class FastLoop:
     @property
     def stop_limit_s(self) -> float:
         """Longest time from a stop to its confirmation."""
-        return self._stop_watch.limit_s
+        return self._stopping.watch.limit_s
 
     def _send(self, command: Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
@@ -269,7 +251,7 @@ class FastLoop:
         machine, reading, interlocks = self._machine, self.reading, self._interlocks
         stage = machine.stage
         if stage is _OFF:
-            self._stopping.judge(self._port, reading, now_s)
+            self._stopping.judge(reading, now_s)
         elif stage is _PRECHARGE and reading is not None and not self.command.bridge:
             self._stopping.judge_start(reading, now_s)
         else:
@@ -278,10 +260,10 @@ class FastLoop:
             interlocks.look(now_s)
             return
         running, bridge = stage is _RUN, self.command.bridge
-        cause = interlocks.running_cause(self._port, reading, now_s, running=running, bridge=bridge)
+        cause = interlocks.running_cause(reading, now_s, running=running, bridge=bridge)
         if cause is not None:
             machine.latch(cause)
-            self._stop_watch.command(now_s)
+            self._stopping.watch.command(now_s)
         else:
             known = interlocks.rate_known
             voltage_V = math.nan if reading is None else reading.boost_voltage_V

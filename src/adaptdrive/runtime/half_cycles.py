@@ -16,8 +16,8 @@ from __future__ import annotations
 
 from collections import deque
 
+from adaptdrive.runtime.counter_watch import SLACK_TICKS, CounterWatch
 from adaptdrive.runtime.frame_rate import FrameRate
-from adaptdrive.runtime.repeated_frames import SLACK_TICKS, RepeatedFrames
 
 _LATE_TICKS = 0.75  # without a counter, a frame later than this is taken for the next one
 
@@ -38,7 +38,13 @@ _MARKS = 20
 
 
 class HalfCycles:
-    """Unwraps the drive's counter and measures the half cycle."""
+    """Unwraps the drive's counter and measures the half cycle.
+
+    Attributes:
+        tick_period_s: Half cycle as measured.
+        counts: Judge of the drive's counter.
+        rate: Rate of its frames.
+    """
 
     def __init__(
         self, modulus: int | None, nominal_tick_s: float, stride: int = 1, stale_s: float = 0.0
@@ -55,14 +61,12 @@ class HalfCycles:
         self._modulus = modulus
         self._nominal_s = nominal_tick_s
         self._counter: int | None = None
-        self._repeated: RepeatedFrames | None = None
-        if modulus is not None:
-            self._repeated = RepeatedFrames(modulus, nominal_tick_s, stale_s)
         self._arrival_s = 0.0
         self._grid_s = 0.0
         self._frame_tick = -1
         self._marks: deque[tuple[int, float]] = deque(maxlen=_MARKS)
         self.tick_period_s = nominal_tick_s
+        self.counts = CounterWatch(modulus, nominal_tick_s, stale_s)
         self.rate = FrameRate(nominal_tick_s, stride, counted=modulus is not None)
 
     @property
@@ -84,7 +88,7 @@ class HalfCycles:
         """
         steps = self._steps(counter, arrival_s)
         stood_in = latest_tick > self._frame_tick
-        repeated = self._is_repeated(counter, arrival_s)
+        repeated = self.counts.see(counter, arrival_s, self.tick_period_s)
         self.rate.add(arrival_s, steps, stood_in=stood_in, repeated=repeated)
         if steps is None:
             tick, self._grid_s = self.following(latest_tick), arrival_s
@@ -96,11 +100,6 @@ class HalfCycles:
         self._counter, self._arrival_s, self._frame_tick = counter, arrival_s, tick
         self._measure(tick, arrival_s)
         return tick
-
-    def _is_repeated(self, counter: int | None, arrival_s: float) -> bool:
-        if counter is None or self._repeated is None:
-            return False
-        return self._repeated.is_old(counter, arrival_s, self.tick_period_s)
 
     def _advance_grid(self, arrival_s: float) -> int:
         """Move the grid to the point of a frame; return the readings since that of the last one."""

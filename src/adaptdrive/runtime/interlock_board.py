@@ -6,10 +6,9 @@ import math
 
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.bridge_watch import BridgeWatch
-from adaptdrive.runtime.frame_rate import FrameRate
+from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlocks import find_cause
 from adaptdrive.runtime.loop_interface import FastLoopSettings
-from adaptdrive.runtime.restart_watch import RestartWatch
 
 _PRIORITY = "give the daemon priority by realtime.priority: docs/proof/realtime.md"
 
@@ -17,29 +16,26 @@ _PRIORITY = "give the daemon priority by realtime.priority: docs/proof/realtime.
 class InterlockBoard:
     """The interlocks of a drive, and the time since they were last evaluated."""
 
-    def __init__(
-        self,
-        settings: FastLoopSettings,
-        rate: FrameRate | None,
-        bridge: BridgeWatch,
-        restarts: RestartWatch,
-    ) -> None:
+    def __init__(self, settings: FastLoopSettings, port: Port, half_cycles: HalfCycles) -> None:
         """Evaluate nothing yet.
 
         Args:
-            settings: Trip levels, watches over the output and rates.
-            rate: Rate of the drive's frames, None where this process decides it.
-            bridge: Watch over the drive's reports of its bridge.
-            restarts: Watch over its half-cycle counter.
+            settings: Trip levels, watches over the output and times of the drive.
+            port: The drive.
+            half_cycles: Its time base: the rate of its frames, unless this process decides it, and
+                its half-cycle counter.
         """
+        timing, queued = settings.timing, settings.drive_clocks
+        reported, cycle_s = port.stop_slack_s is not None, port.bridge_cycle_s
+        self._port = port
         self._limits = settings.limits
         self._watches = [build() for build in settings.watches]
-        self._rate = rate
-        self._bridge = bridge
-        self._restarts = restarts
+        self._rate = half_cycles.rate if queued else None
+        self._counts = half_cycles.counts
+        self._bridge = BridgeWatch(timing, reported=reported, cycle_s=cycle_s, queued=queued)
         self._watched_s = math.inf
-        self._stale_s = settings.timing.stale_s
-        self._gap_limit_s = settings.timing.overslept_s
+        self._stale_s = timing.stale_s
+        self._gap_limit_s = timing.overslept_s
 
     @property
     def rate_known(self) -> bool:
@@ -48,17 +44,17 @@ class InterlockBoard:
 
     def awaits_bridge(self, now_s: float) -> bool:
         """Return whether nothing that energises may be sent before the drive has reported again."""
-        return self._restarts.in_doubt or self._bridge.must_report(now_s - self._watched_s)
+        return self._counts.in_doubt or self._bridge.must_report(now_s - self._watched_s)
 
     def look(self, now_s: float) -> float:
         """Note an evaluation; return the time since the one before, in s."""
         unwatched_s, self._watched_s = now_s - self._watched_s, now_s
         return unwatched_s
 
-    def standing_cause(self, port: Port, reading: Reading | None, now_s: float) -> str | None:
+    def standing_cause(self, reading: Reading | None, now_s: float) -> str | None:
         """Return the interlock that is active in any state; the drive's protocol comes first."""
-        cause = port.complaint or find_cause(
-            reading, now_s, self._limits, self._stale_s, port.explain_age
+        cause = self._port.complaint or find_cause(
+            reading, now_s, self._limits, self._stale_s, self._port.explain_age
         )
         if cause is not None or self._rate is None:
             return cause
@@ -76,24 +72,23 @@ class InterlockBoard:
         )
 
     def running_cause(
-        self, port: Port, reading: Reading | None, now_s: float, *, running: bool, bridge: bool
+        self, reading: Reading | None, now_s: float, *, running: bool, bridge: bool
     ) -> str | None:
         """Evaluate every interlock of an energised drive.
 
         Args:
-            port: The drive.
             reading: The newest reading, None before the first.
             now_s: Monotonic time.
             running: Whether the drive runs; while it starts, its bridge may be reported late.
             bridge: Whether the last command had the bridge on.
         """
         unwatched_s = self.look(now_s)
-        cause = self._gap_cause(unwatched_s) or self.standing_cause(port, reading, now_s)
+        cause = self._gap_cause(unwatched_s) or self.standing_cause(reading, now_s)
         if cause is not None or reading is None:  # without a reading there is always a cause
             return cause
         cause = self._bridge.find_cause(
             reading, commanded=bridge, due=running, unwatched_s=unwatched_s, now_s=now_s
-        ) or self._restarts.find_cause(commanded=bridge)
+        ) or self._counts.find_cause(commanded=bridge)
         return cause or self._implausible(reading, running=running)
 
     def gap_cause(self, now_s: float) -> str | None:

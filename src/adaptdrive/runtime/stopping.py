@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, StopWord
@@ -20,19 +21,24 @@ class Stopping:
     """Holds the state machine to what the drive reports of its stop.
 
     Attributes:
+        watch: Compares the reports of the drive with the stop.
         word: Confirmation of the stop by the drive.
     """
 
-    def __init__(self, watch: StopWatch, machine: Machine, report: Callable[[str], None]) -> None:
+    def __init__(
+        self, port: Port, timing: Timing, machine: Machine, report: Callable[[str], None]
+    ) -> None:
         """Await a confirmation from the start on.
 
         Args:
-            watch: Compares the reports of the drive with the stop.
+            port: The drive.
+            timing: Its times.
             machine: The state machine.
             report: Takes the problem when a tripped drive does not confirm its stop.
         """
-        self._watch = watch
+        self._port = port
         self._machine = machine
+        self.watch = StopWatch(timing, port.stop_slack_s)
         self._report = report
         self._settled_s = -math.inf
         self.word = StopWord.AWAITED
@@ -44,19 +50,19 @@ class Stopping:
             reading: The latest reading, None before the first.
             bridge: Whether the last command had the bridge on.
         """
-        self._watch.release(reading, bridge=bridge)
+        self.watch.release(reading, bridge=bridge)
         self._settled_s = -math.inf
         self.word = StopWord.AWAITED
 
-    def judge(self, port: Port, reading: Reading | None, now_s: float) -> None:
+    def judge(self, reading: Reading | None, now_s: float) -> None:
         """Compare what the drive reports of its bridge with the stop that it was commanded."""
-        watch, machine = self._watch, self._machine
+        watch, machine, safe_s = self.watch, self._machine, self._port.safe_s
         watch.command(now_s)
-        verdict = watch.judge(reading, port.safe_s, now_s)
+        verdict = watch.judge(reading, safe_s, now_s)
         settled = self._is_settled(verdict, now_s)
         if verdict is Stop.CONFIRMED:
             machine.confirm_stop()
-            self.word = self._confirmation(port, reading, now_s) if settled else self.word
+            self.word = self._confirmation(reading, now_s) if settled else self.word
         elif verdict is Stop.DENIED:
             machine.doubt_stop()
             self._miss(_SWITCHED_ON)
@@ -65,23 +71,23 @@ class Stopping:
         elif machine.state is State.STARTING and (reading is None or not reading.bridge):
             return  # as in `standby`, only a bridge that is on makes a missing word a problem
         elif verdict is Stop.OVERDUE and self.word is not StopWord.MISSING:
-            self._miss(f"the drive does not stop: {watch.why_not(reading, port.safe_s, now_s)}")
+            self._miss(f"the drive does not stop: {watch.why_not(reading, safe_s, now_s)}")
         elif verdict is Stop.AWAITED and settled:
             self.word = StopWord.AWAITED
 
     def judge_start(self, reading: Reading, now_s: float) -> None:
         """Trip for a bridge that is on while the drive only raises its boost voltage."""
-        verdict = self._watch.judge_start(reading, now_s)
+        verdict = self.watch.judge_start(reading, now_s)
         if verdict is Stop.DENIED:
             self._miss(_SWITCHED_ON)
         elif verdict is Stop.OVERDUE:
-            self._miss(f"the drive does not stop: {self._watch.why_not(reading, now_s, now_s)}")
+            self._miss(f"the drive does not stop: {self.watch.why_not(reading, now_s, now_s)}")
 
-    def _confirmation(self, port: Port, reading: Reading | None, now_s: float) -> StopWord:
+    def _confirmation(self, reading: Reading | None, now_s: float) -> StopWord:
         """Return the word on a stop that is complete."""
-        if port.stop_slack_s is None:
+        if self._port.stop_slack_s is None:
             return StopWord.IMPOSSIBLE
-        silent = self._watch.is_silent(reading, now_s)
+        silent = self.watch.is_silent(reading, now_s)
         return StopWord.AWAITED if silent else StopWord.CONFIRMED
 
     def _is_settled(self, verdict: Stop, now_s: float) -> bool:
@@ -91,13 +97,13 @@ class Stopping:
         """
         confirmed, settled = verdict is Stop.CONFIRMED, now_s >= self._settled_s
         if verdict is Stop.DENIED or not (confirmed or settled):
-            self._settled_s = now_s + self._watch.limit_s
+            self._settled_s = now_s + self.watch.limit_s
         return settled or self._machine.state is not State.TRIPPED
 
     def _await_first_word(self, reading: Reading | None, now_s: float) -> None:
         """Expect a drive to stop that is found on at the start."""
         if reading is not None and reading.bridge:
-            self._watch.doubt(now_s)
+            self.watch.doubt(now_s)
             self._machine.doubt_stop()
 
     def _miss(self, problem: str) -> None:
