@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 
-from canopen.objectdictionary import ODVariable
-
 from adaptdrive.config.file import parse_configuration
 from adaptdrive.errors import ConfigurationError, RefusedError
-from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_dictionary
+from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.hardware.canopen.pdo import codec, pack, transmit_channel
 from adaptdrive.hardware.dbc.database import SignalCatalogue, read_dbc
 from adaptdrive.hardware.dbc.proposal import candidates, proofs
@@ -46,12 +44,9 @@ def dbc(data: bytes) -> object:
 
 def eds(data: bytes) -> object:
     """Read an EDS, and pack each of its entries into a frame."""
-    dictionary = load_dictionary(damaged_file("fuzzed.eds", data), NODE)
-    catalogue, found = ObjectCatalogue(dictionary), []
-    for thing in dictionary.values():
-        for variable in [thing] if isinstance(thing, ODVariable) else thing.values():
-            entry = catalogue.at((variable.index, variable.subindex))
-            found += [entry] if entry is not None else []
+    catalogue = ObjectCatalogue(*read_eds(damaged_file("fuzzed.eds", data), NODE))
+    entries = (catalogue.at((one.index, one.subindex)) for one in catalogue.variables())
+    found = [entry for entry in entries if entry is not None]
     packed = pack("TPDO", [transmit_channel(1, NODE)], found[:2])
     return catalogue.identity, [codec(pdo) for pdo in packed or []]
 

@@ -14,7 +14,7 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.modbus import ModbusTcp, Register
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.emergency import parse_emergency
+from adaptdrive.hardware.canopen.health import parse_emergency
 from adaptdrive.hardware.canopen.mapping import map_drive
 from adaptdrive.hardware.canopen.sdo import Server
 from adaptdrive.hardware.dbc.database import load_database, message_codec

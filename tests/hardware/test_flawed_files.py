@@ -210,8 +210,8 @@ def test_numbers_of_an_eds_in_any_spelling(
     catalogue = ObjectCatalogue(*read_eds(eds(tmp_path, text), 5))
     entry = catalogue.find("0x2001", "signals.output")
     assert entry is not None
-    assert entry.name == "0x2001"
-    assert entry.limits == expected
+    assert entry.coding.name == "0x2001"
+    assert (entry.coding.low, entry.coding.high) == expected
 
 
 def test_a_file_without_objects_is_no_eds(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from adaptdrive.config.bus import COMMANDED, MEASURED, WORDS, SignalSource
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import BusError, ConfigurationError
-from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_dictionary
+from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
@@ -275,7 +275,7 @@ def _addresses(
     configuration: Configuration, bus: CanOpenBus, source: Path
 ) -> tuple[_Places, _Places]:
     """Return the address of each quantity, and of each part of the command."""
-    catalogue = ObjectCatalogue(load_dictionary(bus.eds, bus.node_id, source))
+    catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     find = functools.partial(_places, catalogue)
     shown = find(configuration.signals, (*MEASURED, *WORDS), "signals")
     obeyed = find(configuration.signals.command, COMMANDED, "signals.command")

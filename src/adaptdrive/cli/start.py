@@ -137,7 +137,7 @@ def _described(
         found = list(proposal.candidates(database))
         return can_part(database, _place(dbc, directory), _choose(load, found, ask=ask))
     if eds is not None:
-        from adaptdrive.hardware.canopen.proposal import candidates  # noqa: PLC0415 - an extra
+        from adaptdrive.hardware.canopen.dictionary import candidates  # noqa: PLC0415 - an extra
 
         found = list(candidates(eds, _NODE_ID))
         return canopen_part(eds.resolve(), _choose(load, found, ask=ask))

@@ -61,7 +61,7 @@ def test_a_reading_never_mixes_two_syncs(story: list[int]) -> None:
     for can_id in story:
         if can_id == 0x080:
             number += 1
-            port._reports.assembly.begin(0.0)
+            port._reports.begin(0.0)
             continue
         data = {
             0x185: bytes.fromhex("4002") + number.to_bytes(4, "little") + bytes(2),

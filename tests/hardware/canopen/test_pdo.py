@@ -10,13 +10,13 @@ from canopen.pdo.base import PdoMap
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.hardware.canopen.dictionary import Entry, ObjectCatalogue, load_dictionary
+from adaptdrive.hardware.canopen.dictionary import Entry, ObjectCatalogue, read_eds
 from adaptdrive.hardware.canopen.pdo import Channel, codec, pack, receive_channel, transmit_channel
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from tests.hardware.canopen.documents import EDS
 
 NODE = 5
-CATALOGUE = ObjectCatalogue(load_dictionary(EDS, NODE))
+CATALOGUE = ObjectCatalogue(*read_eds(EDS, NODE))
 ADDRESSES = [(0x6041, 0), (0x6079, 0), (0x2000, 1), (0x2001, 1), (0x2001, 2), (0x2000, 3)]
 
 
@@ -35,13 +35,13 @@ def library_map(entries: tuple[Entry, ...]) -> PdoMap:
     pdo: PdoMap = node.tpdo[1]
     pdo.clear()
     for one in entries:
-        pdo.add_variable(one.index, one.subindex, one.bits)
+        pdo.add_variable(*one.address, one.bits)
     return pdo
 
 
 def raw_values(one: Entry) -> st.SearchStrategy[Any]:
-    low, high = one.limits
-    if one.real:
+    low, high = one.coding.low, one.coding.high
+    if not one.coding.integer:
         return st.floats(width=32).filter(lambda value: low <= value <= high)
     return st.integers(int(low), int(high))
 

@@ -15,8 +15,8 @@ from adaptdrive.hardware.canopen.profile import (
     ENABLE_OPERATION,
     SWITCH_ON,
     DriveControl,
+    UnseenStop,
 )
-from adaptdrive.hardware.canopen.unseen import UnseenStop
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import CHARGE, RUN, running
 from tests.hardware.canopen.documents import bus_of, flaws, parse

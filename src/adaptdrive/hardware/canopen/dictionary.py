@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
-import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 
-from canopen.objectdictionary import (
-    INTEGER_TYPES,
-    REAL32,
-    REAL64,
-    SIGNED_TYPES,
-    ObjectDictionary,
-    ODArray,
-    ODRecord,
-    ODVariable,
-    import_od,
-)
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable
+from canopen.objectdictionary.datatypes import FLOAT_TYPES, NUMBER_TYPES, SIGNED_TYPES
+from canopen.objectdictionary.eds import import_eds
 
 from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -28,11 +20,18 @@ from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.canopen.mending import mended
 from adaptdrive.hardware.description import description_text, problem_text
 from adaptdrive.hardware.field import Field, natural_limits, sensible_limits
+from adaptdrive.hardware.proposal import Candidate
 
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
 
 _EXPEDITED_BITS = 32
+_FIRST_OF_DEVICE = 0x2000
+"""Objects below are communication parameters (CiA 301)."""
+
+_WORDS = (0x6040, 0x6041)
+"""Controlword and statusword, which the profile itself uses (CiA 402)."""
+
 VENDOR = (0x1018, 1)
 PRODUCT = (0x1018, 2)
 
@@ -46,51 +45,21 @@ class Entry:
     """One value of the drive.
 
     Attributes:
-        index: Index of its object.
-        subindex: Index within the object, 0 for an object that is one value.
-        label: Its usual notation, such as `0x2001.2`.
-        name: Its name in the EDS.
+        address: Index of its object, and index within that, 0 for an object that is one value.
         bits: Length.
-        signed: Whether it is a signed integer.
-        real: Whether it is a floating-point number.
-        low: Smallest raw value, None where the EDS sets no limit.
-        high: Largest raw value, as above.
-        readable: Whether the drive permits reading it.
-        writable: Whether the drive takes it.
-        mappable: Whether it may travel in a PDO.
+        variable: What the EDS says of it.
+        coding: How it is coded, within the limits of the EDS and of its type.
     """
 
-    index: int
-    subindex: int
-    label: str
-    name: str
+    address: Address
     bits: int
-    signed: bool
-    real: bool
-    low: float | None
-    high: float | None
-    readable: bool
-    writable: bool
-    mappable: bool
+    variable: ODVariable = field(compare=False)
+    coding: Field = field(compare=False)
 
     @property
-    def address(self) -> Address:
-        """Index and subindex."""
-        return self.index, self.subindex
-
-    def encode(self, value: float) -> bytes:
-        """The bytes of a raw value.
-
-        Raises:
-            ValueError: It does not fit.
-        """
-        low, high = self.limits
-        if not low <= value <= high or not (self.real or value == int(value)):
-            kind = "number" if self.real else "integer"
-            raise ValueError(f"{value!r} is no {kind} from {low:g} to {high:g}")
-        if self.real:
-            return struct.pack("<f" if self.bits == 32 else "<d", value)
-        return int(value).to_bytes(self.bits // 8, "little", signed=self.signed)
+    def label(self) -> str:
+        """Its usual notation, such as `0x2001.2`."""
+        return label(self.address)
 
     def decode(self, data: bytes) -> float:
         """The raw value of some bytes.
@@ -102,21 +71,7 @@ class Entry:
             data = data[: self.bits // 8]  # a reply in one frame that does not state its length
         if 8 * len(data) != self.bits:
             raise ValueError(f"{len(data)} bytes are not the {self.bits} bits of {self.label}")
-        if self.real:
-            value: float = struct.unpack("<f" if self.bits == 32 else "<d", data)[0]
-            return value
-        return int.from_bytes(data, "little", signed=self.signed)
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Smallest and largest raw value: the EDS's limits within those of the type."""
-        low, high = natural_limits(self.bits, signed=self.signed, real=self.real)
-        if self.real:
-            low, high = sensible_limits(low, high)
-        return (
-            low if self.low is None else max(low, self.low),
-            high if self.high is None else min(high, self.high),
-        )
+        return float(self.variable.decode_raw(data))
 
 
 def label(address: Address) -> str:
@@ -142,25 +97,13 @@ def read_eds(
         raise ConfigurationError(source, [Flaw("bus.eds", f"{path} is no .eds and no .dcf file")])
     try:
         text, remarks = mended(description_text(path))
-        named = StringIO(text)
-        named.name = str(path)  # from which the parser takes the format
-        return _sound(import_od(named, node_id)), remarks
+        dictionary = import_eds(StringIO(text), node_id)
+        if not dictionary:
+            raise ValueError("it describes no object")  # noqa: TRY301 - reported as all others
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw("bus.eds", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
-
-
-def _sound(dictionary: ObjectDictionary) -> ObjectDictionary:
-    if not len(dictionary):
-        raise ValueError("it describes no object")
-    return dictionary
-
-
-def load_dictionary(
-    path: Path, node_id: int, source: Path | str = "configuration"
-) -> ObjectDictionary:
-    """Read an EDS file, as `read_eds` does, for its objects alone."""
-    return read_eds(path, node_id, source)[0]
+    return dictionary, remarks
 
 
 class ObjectCatalogue(Catalogue[Entry]):
@@ -174,18 +117,17 @@ class ObjectCatalogue(Catalogue[Entry]):
 
     def field(self, item: Entry, use: Use) -> Field:  # noqa: ARG002 - limits hold for all uses
         """Return how an entry is coded."""
-        low, high = item.limits
-        return Field(item.name, low, high, integer=not item.real)
+        return item.coding
 
     def refusal(self, item: Entry, use: Use) -> str | None:
         """Return why an entry cannot travel in a PDO of this direction, None where it can."""
-        if use in {"command", "constant"}:
-            fits, verb = item.writable, "take"
-        else:
-            fits, verb = item.readable, "send"
-        if fits and item.mappable:
+        name, variable = item.coding.name, item.variable
+        if use == "setup":
+            return None if variable.writable else f"{name!r} cannot be written"
+        sent = use not in {"command", "constant"}
+        if variable.pdo_mappable and (variable.readable if sent else variable.writable):
             return None
-        return f"the drive does not {verb} {item.name!r} in a PDO"
+        return f"the drive does not {'send' if sent else 'take'} {name!r} in a PDO"
 
     @property
     def identity(self) -> tuple[tuple[Address, int], ...]:
@@ -212,7 +154,8 @@ class ObjectCatalogue(Catalogue[Entry]):
         """
         thing = self._look_up(reference)
         if thing is None:
-            hint = f"{self._hint(reference)}{self.remark(reference)}"
+            known = [variable.qualname for variable in self.variables()]
+            hint = f"{nearest(reference, known)}{self.remark(reference)}"
             self.note(place, f"the EDS has no object {reference!r}{hint}")
             return None
         if not isinstance(thing, ODVariable):
@@ -231,46 +174,51 @@ class ObjectCatalogue(Catalogue[Entry]):
         found = next((one for one in self._remarks if named in one.lower()), "")
         return found and f"; {found}"
 
+    def variables(self) -> Iterator[ODVariable]:
+        """Yield every value, members of objects too."""
+        for thing in self._dictionary.values():
+            yield from [thing] if isinstance(thing, ODVariable) else thing.values()
+
     def _look_up(self, reference: str) -> Thing | None:
         number = _BY_NUMBER.fullmatch(reference)
-        if number is None:
-            return self._named(reference)
-        index = int(number[1], 16)
-        if number[2] is None:
-            return self._dictionary.get(index)
-        return self._dictionary.get_variable(index, int(number[2]))
-
-    def _named(self, name: str) -> Thing | None:
-        found: Thing | None = self._dictionary.names.get(name)
-        if found is None and "." in name:
-            outer, _, inner = name.partition(".")
-            found = getattr(self._dictionary.names.get(outer), "names", {}).get(inner)
-        return found
-
-    def _hint(self, reference: str) -> str:
-        known = [
-            variable.qualname
-            for thing in self._dictionary.values()
-            for variable in ([thing] if isinstance(thing, ODVariable) else thing.values())
-        ]
-        return nearest(reference, known)
+        if number and number[2]:
+            return self._dictionary.get_variable(int(number[1], 16), int(number[2]))
+        with contextlib.suppress(KeyError, TypeError):  # a value has no members
+            return self._dictionary[int(number[1], 16) if number else reference]
+        return None
 
 
 def _entry(variable: ODVariable) -> Entry | None:
-    real = variable.data_type in {REAL32, REAL64}
-    if not real and variable.data_type not in INTEGER_TYPES:
+    if variable.data_type not in NUMBER_TYPES:
         return None
-    return Entry(
-        index=variable.index,
-        subindex=variable.subindex,
-        label=label((variable.index, variable.subindex)),
-        name=variable.qualname,
-        bits=len(variable),
-        signed=variable.data_type in SIGNED_TYPES,
-        real=real,
-        low=variable.min,
-        high=variable.max,
-        readable=variable.readable,
-        writable=variable.writable,
-        mappable=variable.pdo_mappable,
-    )
+    bits, real = len(variable), variable.data_type in FLOAT_TYPES
+    low, high = natural_limits(bits, signed=variable.data_type in SIGNED_TYPES, real=real)
+    if real:
+        low, high = sensible_limits(low, high)
+    low = low if variable.min is None else max(low, variable.min)
+    high = high if variable.max is None else min(high, variable.max)
+    coded = Field(variable.qualname, low, high, integer=not real)
+    return Entry((variable.index, variable.subindex), bits, variable, coded)
+
+
+def candidates(path: Path, node_id: int) -> Iterator[Candidate]:
+    """Yield every object that may be a quantity.
+
+    Args:
+        path: EDS file.
+        node_id: Node id of the drive.
+
+    Raises:
+        ConfigurationError: The file cannot be read or is no EDS.
+    """
+    for variable in ObjectCatalogue(*read_eds(path, node_id, path)).variables():
+        entry, index = _entry(variable), variable.index
+        if entry and variable.pdo_mappable and index >= _FIRST_OF_DEVICE and index not in _WORDS:
+            yield Candidate(
+                reference=entry.label,
+                words=variable.qualname,
+                unit="",
+                range="",
+                commanded=variable.writable,
+                bits=entry.bits,
+            )

@@ -1,12 +1,81 @@
-"""Conditions that prevent a node from being energised, as text."""
+"""Conditions that prevent a node from being energised: its emergencies, its state, other senders.
+
+Emergency (EMCY) frames in words: classes of CiA 301 by the library, single codes of CiA 402.
+"""
 
 from __future__ import annotations
 
-from adaptdrive.hardware.canopen.emergency import Emergency, parse_emergency
+from dataclasses import dataclass
+
+import can
+from canopen.emcy import EmcyError
+
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.master import Master
 from adaptdrive.hardware.canopen.profile import DriveControl, DriveState
+from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
+from adaptdrive.hardware.rival import Rival
+
+LENGTH = 8
+
+_SINGLE = {
+    0x2310: "continuous over-current at the output",
+    0x2320: "short circuit at the output",
+    0x3110: "mains over-voltage",
+    0x3120: "mains under-voltage",
+    0x3130: "mains phase failure",
+    0x3210: "DC link over-voltage",
+    0x3220: "DC link under-voltage",
+    0x4210: "excess temperature of the device",
+    0x4310: "excess temperature of the drive",
+    0x8130: "heartbeat of the daemon lost",
+    0x8140: "recovered from bus off",
+}
 
 _UNFIT = frozenset({None, DriveState.UNKNOWN, DriveState.NOT_READY})
+
+_SDO_WRITES = frozenset({0, 1, 6})
+"""Client command specifiers of SDO frames that write: segment, initiate and block download."""
+
+
+@dataclass(frozen=True, slots=True)
+class Emergency:
+    """One emergency.
+
+    Attributes:
+        code: Error code.
+        register: Error register 0x1001.
+        detail: What the manufacturer adds.
+    """
+
+    code: int
+    register: int
+    detail: bytes
+
+    @property
+    def over(self) -> bool:
+        """True if the frame reports the end of all errors."""
+        return self.code >> 8 == 0
+
+    def __str__(self) -> str:
+        kind = EmcyError(self.code, self.register, self.detail, 0.0).get_desc().lower()
+        words = _SINGLE.get(self.code) or kind or "unknown"
+        return f"emergency 0x{self.code:04X}, {words} (error register 0x{self.register:02X})"
+
+
+def parse_emergency(data: bytes) -> Emergency | None:
+    """Read an emergency frame.
+
+    Args:
+        data: Its bytes.
+
+    Returns:
+        The emergency, None when the frame has not its eight bytes.
+    """
+    if len(data) != LENGTH:
+        return None
+    return Emergency(int.from_bytes(data[:2], "little"), data[2], data[3:])
 
 
 class Health:
@@ -50,3 +119,44 @@ class Health:
     def forgive(self) -> None:
         """Forget an emergency: the node was restarted, or the operator has reset it."""
         self._emergency = None
+
+
+class ForeignCommands:
+    """Detects commands of another sender; no bus returns the frames that this port sends.
+
+    Attributes:
+        names: Name of each frame that commands the drive, by id.
+    """
+
+    def __init__(self, mapping: CanOpenMapping, config: CanOpenBus, rival: Rival) -> None:
+        self._sdo = 0x600 + config.node_id
+        self._rival = rival
+        names = {order.codec.frame_id: order.codec.name for order in mapping.orders}
+        names[self._sdo] = "SDO write"
+        names[0x700 + config.own_node_id] = "heartbeat of another node with bus.own_node_id"
+        if config.sync == "daemon":
+            names[SYNC_COB_ID] = "SYNC of another node"
+        self.names = {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
+
+    def hear(self, frame: can.Message) -> bool:
+        """Report a foreign frame that commands this drive; return whether it does.
+
+        A heartbeat under the daemon's own id does, too: the drive would obey its last command for
+        as long as that node lives, however long ago this daemon has died. Nor may another node send
+        SYNC where this daemon does: control would run too fast. A frame that reads objects is no
+        command. Nor is NMT: a node that it stops or restarts reports that itself.
+        """
+        can_id, data = frame.arbitration_id, frame.data
+        reads = can_id == self._sdo and not (data and data[0] >> 5 in _SDO_WRITES)
+        if can_id not in self.names or reads:
+            return False
+        self._rival.hear(self.names[can_id])
+        return True
+
+    def writes_objects(self, frame: can.Message) -> bool:
+        """Return whether a foreign frame that commands this drive writes one of its objects.
+
+        Args:
+            frame: A frame that `hear` has reported.
+        """
+        return frame.arbitration_id == self._sdo

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from canopen.objectdictionary.datatypes import SIGNED_TYPES
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
@@ -93,8 +94,7 @@ def codec(pdo: Pdo) -> MessageCodec:
     for entry in pdo.entries:
         signals.append(_signal(entry, start))
         start += entry.bits
-    message = Message(pdo.channel.cob_id, pdo.name, (start + 7) // 8, signals)
-    return MessageCodec(message)
+    return MessageCodec(Message(pdo.channel.cob_id, pdo.name, (start + 7) // 8, signals))
 
 
 def _has_room(entries: Sequence[Entry], entry: Entry) -> bool:
@@ -103,13 +103,12 @@ def _has_room(entries: Sequence[Entry], entry: Entry) -> bool:
 
 
 def _signal(entry: Entry, start: int) -> Signal:
-    low, high = entry.limits
     return Signal(
         entry.label,
         start,
         entry.bits,
-        is_signed=entry.signed,
-        conversion=BaseConversion.factory(is_float=entry.real),
-        minimum=low,
-        maximum=high,
+        is_signed=entry.variable.data_type in SIGNED_TYPES,
+        conversion=BaseConversion.factory(is_float=not entry.coding.integer),
+        minimum=entry.coding.low,
+        maximum=entry.coding.high,
     )

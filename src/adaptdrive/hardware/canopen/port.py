@@ -19,16 +19,14 @@ import can
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.canopen.health import Health
+from adaptdrive.hardware.canopen.health import ForeignCommands, Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
-from adaptdrive.hardware.canopen.orders import ForeignCommands, command_frames
-from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, DriveControl
+from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
 from adaptdrive.hardware.canopen.reports import Reports
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
-from adaptdrive.hardware.canopen.unseen import UnseenStop
 from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
@@ -70,9 +68,7 @@ class CanOpenPort(CountingPort):
         self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._control = DriveControl()
         self._unseen = UnseenStop(self._control, timing)
-        self._reports = Reports(
-            mapping.statuses, mapping.faults, self._control, self._unseen, self._counts
-        )
+        self._reports = Reports(mapping, self._control, self._unseen, self._counts)
         self._master = Master(config, mapping, timing.half_cycle_s, self._put, clock)
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(timing.half_cycle_s, clock, self._send_sync)
@@ -141,7 +137,7 @@ class CanOpenPort(CountingPort):
         self._unseen.look(self._clock())
         word = self._control.controlword(command)
         self._unseen.note(word)
-        frames = list(command_frames(self._mapping, command, word))
+        frames = [order.encode(command, word) for order in self._mapping.orders]
         if command != SAFE_COMMAND:
             self._obedience.forget()
         if not self._master.ready:
@@ -169,7 +165,7 @@ class CanOpenPort(CountingPort):
 
     def details(self) -> list[str]:
         """Return the missing PDOs of the node."""
-        return [self.explain_age()] if self._reports.assembly.missing else []
+        return [self.explain_age()] if self._reports.missing else []
 
     async def reset_fault(self) -> None:
         """Have the drive leave its fault by an edge of the reset bit; ends in a second at most.
@@ -214,7 +210,7 @@ class CanOpenPort(CountingPort):
         return takers
 
     def _take_sync(self, frame: can.Message) -> None:
-        self._reports.assembly.begin(self._clock() - self._arrivals.waited_s(frame))
+        self._reports.begin(self._clock() - self._arrivals.waited_s(frame))
 
     def _take_heartbeat(self, frame: can.Message) -> None:
         if len(frame.data) != 1:
@@ -252,14 +248,14 @@ class CanOpenPort(CountingPort):
     def _send_sync(self) -> None:
         self.catch_up()  # what waits belongs to the SYNC before
         if self._master.ready:
-            self._reports.assembly.begin(self._clock())
+            self._reports.begin(self._clock())
             self._put(SYNC_COB_ID, b"")
 
     def _disable_lost(self) -> None:
         """Send the safe command, and no heartbeat, to a lost node that may still take it."""
         if self._master.mapped:
-            for frame in command_frames(self._mapping, SAFE_COMMAND, DISABLE_VOLTAGE):
-                self._put(*frame)
+            for order in self._mapping.orders:
+                self._put(*order.encode(SAFE_COMMAND, DISABLE_VOLTAGE))
 
     def _beat(self) -> None:
         """Send the daemon's heartbeat where the next command would be too late for it."""

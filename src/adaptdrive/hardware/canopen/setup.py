@@ -64,10 +64,10 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
         server.settle(address, data)
     for channel in mapping.unused:
         _switch_off(server, channel)
-    for pdo in mapping.transmits:
-        _describe(server, pdo, _EACH_SYNC)
-    for pdo in mapping.receives:
-        _describe(server, pdo, _ON_ARRIVAL)
+    for status in mapping.statuses:
+        _describe(server, status.pdo, _EACH_SYNC)
+    for order in mapping.orders:
+        _describe(server, order.pdo, _ON_ARRIVAL)
     for entry, data, reads in mapping.setup:
         write = server.write_surely if reads else server.write
         write(entry.address, data)
@@ -134,7 +134,7 @@ def _describe(server: Server, pdo: Pdo, transmission: int) -> None:
     count = channel.mapping, 0
     server.write(count, b"\0")
     for number, entry in enumerate(pdo.entries, start=1):
-        mapped = entry.index << 16 | entry.subindex << 8 | entry.bits
+        mapped = entry.address[0] << 16 | entry.address[1] << 8 | entry.bits
         server.write_surely((channel.mapping, number), mapped.to_bytes(4, "little"))
     server.write_surely(count, bytes((len(pdo.entries),)))
     server.write((channel.communication, 1), (channel.cob_id | remote).to_bytes(4, "little"))

@@ -17,8 +17,9 @@ from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveState,
 from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
 from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.fault_latch import FaultLatch
-from adaptdrive.hardware.link.bus import describe_bus, open_bus
-from adaptdrive.hardware.link.reader import read_frames
+from adaptdrive.hardware.link.arrival import ArrivalClock
+from adaptdrive.hardware.link.bus import describe_bus
+from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.port import Listener, Reading, composed
 
 _PAUSE_S = 0.2
@@ -31,6 +32,9 @@ class CanOpenWatch(CountingPort):
     complaint = None
     """None: this port cannot energise the drive."""
 
+    safe_s = math.inf
+    """Never: nothing is commanded."""
+
     def __init__(
         self, config: CanOpenBus, mapping: CanOpenMapping, clock: Callable[[], float]
     ) -> None:
@@ -39,17 +43,12 @@ class CanOpenWatch(CountingPort):
         self._mapping = mapping
         self._clock = clock
         self._link: SdoLink | None = None
-        self._bus: can.BusABC | None = None
+        self._connection = CanConnection(config, self, ArrivalClock(clock), self._counts)
 
     @property
     def description(self) -> str:
         """The bus in one phrase, such as `socketcan can0 node 5`."""
         return f"{describe_bus(self._config)} {describe_node(self._config)}"
-
-    @property
-    def safe_s(self) -> float:
-        """Never: nothing is commanded."""
-        return math.inf
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and read the drive again and again until cancelled.
@@ -59,17 +58,10 @@ class CanOpenWatch(CountingPort):
             opened: Called once, when the bus is open.
 
         Raises:
-            BusError: The bus cannot be opened, or is lost.
+            BusError: The bus cannot be opened at the first attempt.
         """
-        self._bus = bus = open_bus(self._config, [0x580 + self._config.node_id])
-        try:
-            opened()
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._look(listener), name="look")
-                raise BusError(self.description, await read_frames(bus, self))
-        finally:
-            self._bus = None
-            bus.shutdown()
+        ids = [0x580 + self._config.node_id]
+        await self._connection.run(ids, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:  # noqa: ARG002 - what a port takes
         """Send nothing."""
@@ -80,19 +72,30 @@ class CanOpenWatch(CountingPort):
         """Name nothing: nothing is driven from here."""
         return ""
 
+    def hand_out(self) -> None:
+        """Nothing waits: a reading is handed out when it is whole."""
+
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""
-        if frame.arbitration_id == 0x600 + self._config.node_id:
-            return  # multicast returns what we send
         self._counts["received"] += 1
         if frame.arbitration_id != 0x580 + self._config.node_id or frame.is_extended_id:
             self._counts["foreign"] += 1
         elif self._link is not None:
             self._link.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
 
-    async def _look(self, listener: Listener) -> None:
+    async def _serve(self, announce: Callable[[], None]) -> str:
+        """Read the drive until the bus is lost; return the reason."""
+        announce()
+        async with asyncio.TaskGroup() as tasks:
+            look = tasks.create_task(self._look(), name="look")
+            problem = await self._connection.read()
+            look.cancel()
+        return problem
+
+    async def _look(self) -> None:
         """Read all objects at intervals; report when the drive stops or resumes its replies."""
-        reported = ""
+        reported, listener = "", self._connection.listener
+        assert listener is not None  # noqa: S101 - of the connection in use
         while True:
             start_s = self._clock()
             self._link = link = SdoLink(self._put)
@@ -131,12 +134,6 @@ class CanOpenWatch(CountingPort):
             bridge=state in POWERED,
         )
 
-    def _put(self, can_id: int, data: bytes) -> None:
+    def _put(self, can_id: int, data: bytes) -> bool:
         frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
-        try:
-            if self._bus is not None:
-                self._bus.send(frame, timeout=0.0)
-        except (can.CanError, OSError, ValueError):
-            self._counts["send_drops"] += 1
-        else:
-            self._counts["sent"] += 1
+        return self._connection.send(frame)
