@@ -17,7 +17,7 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.health import parse_emergency
 from adaptdrive.hardware.canopen.mapping import map_drive
 from adaptdrive.hardware.canopen.sdo import Server
-from adaptdrive.hardware.dbc.database import load_database, message_codec
+from adaptdrive.hardware.dbc.database import read_dbc
 from adaptdrive.hardware.link.codec import Decoded, MessageCodec
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.modbus.codec import decode_value
@@ -32,7 +32,7 @@ _NOT_WHOLE = frozenset({FrameVerdict.WRONG_LENGTH, FrameVerdict.WRONG_CHECKSUM})
 @functools.cache
 def _codecs() -> tuple[MessageCodec, ...]:
     names = ("adaptdrive.dbc", "inverter.dbc", "bath.dbc", "battery.dbc")
-    bases = [load_database(EXAMPLES / name) for name in names]
+    bases = [read_dbc(EXAMPLES / name).database for name in names]
     plain = [MessageCodec(message) for base in bases for message in base.messages]
     return (*plain, *_protected("motor-inverter.toml"), *_protected("battery.toml"))
 
@@ -41,7 +41,8 @@ def _protected(name: str) -> list[MessageCodec]:
     """The messages of an example whose frames have a counter or a checksum."""
     bus = load_configuration(EXAMPLES / name).bus
     assert isinstance(bus, CanBus)
-    return [message_codec(load_database(bus.database), bus, one) for one in bus.integrity]
+    known = read_dbc(bus.database).database.get_message_by_name
+    return [MessageCodec(known(one), integrity) for one, integrity in bus.integrity.items()]
 
 
 def frame(data: bytes) -> object:

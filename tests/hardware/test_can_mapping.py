@@ -6,7 +6,7 @@ import pytest
 from adaptdrive.config.bus import CanBus, CommandSignals, FrameIntegrity, SignalSource, SwitchSource
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import load_database, message_codec
+from adaptdrive.hardware.dbc.database import read_dbc
 from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.demands import demands_of
 from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING, motor_bus, motor_signals
@@ -190,7 +190,7 @@ def with_initial(folder: Path, message: str, signal: str, kind: str, value: str)
 def test_an_initial_value_of_either_kind_is_sent(tmp_path: Path, kind: str, value: int) -> None:
     bus = with_initial(tmp_path, "DriveCommand", "Spare", kind, str(value))
     (order,) = map_drive(bus, MOTOR.signals, TIMING).orders
-    message = load_database(bus.database).get_message_by_name("DriveCommand")
+    message = read_dbc(bus.database).database.get_message_by_name("DriveCommand")
     sent = message.decode_simple(order.encode(SAFE_COMMAND))
     assert (sent["Spare"], sent["BoostReference"]) == (value, 0.0)
 
@@ -253,7 +253,7 @@ def test_a_number_that_the_parser_cannot_hold_is_named_with_its_line(
     path = tmp_path / "endless.dbc"
     path.write_text(f'VERSION ""\n\nBA_DEF_ "Rate" INT 0 10;\nBA_DEF_DEF_ "Rate" {number};\n')
     with pytest.raises(ConfigurationError, match=rf"line 4: {re.escape(shown)} is not the value"):
-        load_database(path)
+        read_dbc(path)
 
 
 @pytest.mark.parametrize(("start", "bits"), [(-1, 16), (0, 4294967295), (0, 0), (10**400, 8)])
@@ -269,7 +269,7 @@ def test_a_signal_that_no_message_has_room_for_is_named_with_its_line(
     ]
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(ConfigurationError, match=rf"line 4: no message has {bits} bits from bit"):
-        load_database(path)
+        read_dbc(path)
 
 
 @pytest.mark.parametrize(
@@ -296,7 +296,7 @@ def test_pages_that_take_all_memory_are_named_with_their_line(
     path.write_text("\n".join(lines) + "\n")
     named = rf"line 6: {re.escape(shown)} in SG_MUL_VAL_ makes more than 131072 pages"
     with pytest.raises(ConfigurationError, match=named):
-        load_database(path)
+        read_dbc(path)
 
 
 def rewritten(folder: Path, *changes: tuple[str, str]) -> CanBus:
@@ -394,17 +394,3 @@ def test_a_measurement_that_cannot_show_what_trips_is_a_flaw(
     assert flaw.place == place
     assert f"interlocks.{key} can never trip" in flaw.message
     map_drive(motor_bus(), MOTOR.signals, TIMING, demands=demands)
-
-
-@pytest.mark.parametrize(
-    ("name", "changes", "place"),
-    [
-        ("DriveStats", {}, "bus"),
-        ("DriveLoad", {"checksum": "LoadCurrent"}, "bus.integrity.DriveLoad.checksum"),
-    ],
-)
-def test_a_codec_alone_is_checked_as_well(name: str, changes: dict[str, str], place: str) -> None:
-    bus = motor_bus(integrity=integrity("DriveLoad", **changes))
-    with pytest.raises(ConfigurationError) as caught:
-        message_codec(load_database(bus.database), bus, name)
-    assert [flaw.place for flaw in caught.value.flaws] == [place]

@@ -61,8 +61,10 @@ class CanSensors:
         message: SensorMessage, values: Mapping[str, float], *, open_circuit: bool
     ) -> dict[str, float | None]:
         return {
-            signal: None if open_circuit else (values[name] - offset) / scale
-            for name, signal, scale, offset in message.sources
+            one.item.signal.name: None
+            if open_circuit
+            else (values[one.quantity] - one.offset) / one.scale
+            for one in message.sources
         }
 
     def _send(

@@ -16,12 +16,7 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import (
-    SignalCatalogue,
-    cycle_time_s,
-    describe,
-    message_codec,
-)
+from adaptdrive.hardware.dbc.database import SignalCatalogue, cycle_time_s, describe
 from adaptdrive.hardware.dbc.orders import (
     CommandFrame,
     build_orders,
@@ -156,9 +151,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
     Raises:
         ConfigurationError: The database and the configuration do not fit together.
     """
-    description = describe(bus, source)
-    database = description.database
-    catalogue = SignalCatalogue(description, fd=bus.fd, integrity=bus.integrity)
+    catalogue = SignalCatalogue(describe(bus, source), fd=bus.fd, integrity=bus.integrity)
     sinks = _find_sinks(catalogue, configuration)
     sent = catalogue.sinks(configuration.signals.command, demands_of(configuration))
     orders = find_orders(catalogue, sent)
@@ -171,7 +164,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
     return DriveMessages(
         tuple(
             StatusMessage(
-                message_codec(database, bus, name, source),
+                MessageCodec(catalogue.known(name), bus.integrity.get(name)),
                 tuple(_pages(catalogue, catalogue.known(name), sinks[name])),
                 _every_ticks(catalogue.known(name), bus, half_cycle_ms),
             )

@@ -132,8 +132,9 @@ def _described(
     """Return the bus part that a DBC or EDS gives, None for the reference drive."""
     if dbc is not None:
         from adaptdrive.hardware.dbc import proposal  # noqa: PLC0415 - cantools only where needed
+        from adaptdrive.hardware.dbc.database import read_dbc  # noqa: PLC0415 - likewise
 
-        database = proposal.read_description(dbc)
+        database = read_dbc(dbc, dbc, "dbc").database
         found = list(proposal.candidates(database))
         return can_part(database, _place(dbc, directory), _choose(load, found, ask=ask))
     if eds is not None:

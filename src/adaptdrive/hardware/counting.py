@@ -13,6 +13,13 @@ class CountingPort:
     A port overrides what is otherwise with it.
     """
 
+    counter_modulus: int | None = None
+    """None: no frame of the drive counts half cycles."""
+
+    stop_slack_s: float | None = 0.0
+    bridge_cycle_s = 0.0
+    """0: each reading has a report of the bridge."""
+
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
 
@@ -20,21 +27,6 @@ class CountingPort:
     def statistics(self) -> PortStatistics:
         """Counts since the port was built."""
         return PortStatistics(**self._counts)
-
-    @property
-    def counter_modulus(self) -> int | None:
-        """None: no frame of the drive counts half cycles."""
-        return None
-
-    @property
-    def stop_slack_s(self) -> float | None:
-        """Return 0: each reading has a report of the bridge."""
-        return 0.0
-
-    @property
-    def bridge_cycle_s(self) -> float:
-        """Return 0, as above."""
-        return 0.0
 
     def catch_up(self) -> None:
         """Nothing waits: each answer is taken where it was asked for."""

@@ -1,31 +1,38 @@
-"""Presence of a sensor bus, reported at each change."""
+"""Counts and presence of a sensor bus, which every port of one reports."""
 
 from __future__ import annotations
 
-from adaptdrive.hardware.port import SensorListener
+from collections import Counter
+
+from adaptdrive.hardware.port import PortStatistics, SensorListener
 
 
-class Presence:
-    """Last report on one sensor bus to a listener.
+class SensingPort:
+    """The part of a port of sensors that is the same on each kind of bus.
 
-    Args:
+    Attributes:
         description: The bus in one phrase.
     """
 
     def __init__(self, description: str) -> None:
-        self._description = description
+        self.description = description
+        self._counts: Counter[str] = Counter()
         self._up: bool | None = None
 
     @property
-    def known(self) -> bool:
-        """True if the bus was reported present or missing before."""
-        return self._up is not None
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(**self._counts)
 
-    def report(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
-        """Report a change; a bus that is present at the start is none."""
+    def _count_reopened(self) -> None:
+        """Count a bus that is open, unless it is so for the first time."""
+        self._counts["reconnects"] += self._up is not None
+
+    def _report(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
+        """Report a change of presence; a bus that is present at the start is none."""
         if up is self._up:
             return
-        news, self._up = self.known or not up, up
+        news, self._up = self._up is not None or not up, up
         if news:
-            detail = self._description if up else f"{self._description}: {problem}"
+            detail = self.description if up else f"{self.description}: {problem}"
             listener.on_bus(up=up, detail=detail)

@@ -28,7 +28,13 @@ QUANTITIES = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 
 
 class SensoredPort:
-    """A drive and its separate sensors, as one port."""
+    """A drive and its separate sensors, as one port.
+
+    Attributes:
+        counter_modulus: As of the drive's own port, like all that follow.
+        stop_slack_s: Additional time for the report of the bridge.
+        bridge_cycle_s: Time from one report of the bridge to the next.
+    """
 
     def __init__(
         self,
@@ -49,6 +55,9 @@ class SensoredPort:
         """
         self._stated = stated
         self._drive = drive
+        self.counter_modulus = drive.counter_modulus
+        self.stop_slack_s = drive.stop_slack_s
+        self.bridge_cycle_s = drive.bridge_cycle_s
         self.buses = tuple(buses)
         self._derivations = tuple(derivations)
         self._clock = clock
@@ -62,11 +71,6 @@ class SensoredPort:
         """The drive's bus and those of the sensors in one phrase."""
         sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self.buses]
         return "; ".join([self._drive.description, *sensors])
-
-    @property
-    def counter_modulus(self) -> int | None:
-        """Modulus of the drive's half-cycle counter, None for a drive without a counter."""
-        return self._drive.counter_modulus
 
     @property
     def statistics(self) -> PortStatistics:
@@ -85,16 +89,6 @@ class SensoredPort:
     def safe_s(self) -> float:
         """Time at which the safe command in force was taken, infinite while none is in force."""
         return self._drive.safe_s
-
-    @property
-    def stop_slack_s(self) -> float | None:
-        """Additional time for the report of the bridge, None for a drive that never reports it."""
-        return self._drive.stop_slack_s
-
-    @property
-    def bridge_cycle_s(self) -> float:
-        """Time from one report of the bridge to the next, as the drive's own port gives it."""
-        return self._drive.bridge_cycle_s
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Serve the drive and the sensors until cancelled; the sensors end first.

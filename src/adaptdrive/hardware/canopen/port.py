@@ -43,7 +43,11 @@ _LOOK_S = 0.005
 
 
 class CanOpenPort(CountingPort):
-    """One connection to one drive on CANopen."""
+    """One connection to one drive on CANopen.
+
+    Attributes:
+        description: The bus in one phrase, such as `socketcan can0 node 5`.
+    """
 
     def __init__(
         self,
@@ -61,6 +65,8 @@ class CanOpenPort(CountingPort):
             clock: Monotonic clock, in seconds.
         """
         super().__init__()
+        self.description = f"{describe_bus(config)} {describe_node(config)}"
+        self.counter_modulus = mapping.counter_modulus
         self._config = config
         self._mapping = mapping
         self._clock = clock
@@ -79,16 +85,6 @@ class CanOpenPort(CountingPort):
         self._takers = self._make_takers()
         self._rival = Rival(clock)
         self._foreign = ForeignCommands(mapping, config, self._rival)
-
-    @property
-    def description(self) -> str:
-        """The bus in one phrase, such as `socketcan can0 node 5`."""
-        return f"{describe_bus(self._config)} {describe_node(self._config)}"
-
-    @property
-    def counter_modulus(self) -> int | None:
-        """Modulus of the drive's half-cycle counter, None for a drive without a counter."""
-        return self._mapping.counter_modulus
 
     @property
     def complaint(self) -> str | None:

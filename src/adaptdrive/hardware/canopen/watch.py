@@ -39,16 +39,12 @@ class CanOpenWatch(CountingPort):
         self, config: CanOpenBus, mapping: CanOpenMapping, clock: Callable[[], float]
     ) -> None:
         super().__init__()
+        self.description = f"{describe_bus(config)} {describe_node(config)}"
         self._config = config
         self._mapping = mapping
         self._clock = clock
         self._link: SdoLink | None = None
         self._connection = CanConnection(config, self, ArrivalClock(clock), self._counts)
-
-    @property
-    def description(self) -> str:
-        """The bus in one phrase, such as `socketcan can0 node 5`."""
-        return f"{describe_bus(self._config)} {describe_node(self._config)}"
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and read the drive again and again until cancelled.

@@ -16,17 +16,16 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanBus, CanDescription, FrameAddress, FrameIntegrity
+from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.tables import shortened
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
-from adaptdrive.hardware.dbc.mending import MendedText, mended
+from adaptdrive.hardware.dbc.mending import MendedText, mended, refuse_endless
 from adaptdrive.hardware.description import description_text, problem_text
 from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.link.codec import (
     CLASSIC_LENGTH,
-    MessageCodec,
     checksum_span,
     counter_modulus,
     follows_counter,
@@ -46,18 +45,6 @@ _MOST_LEFT_OUT = 20
 """Lines that cannot be read, of a file that is a DBC nevertheless."""
 
 logging.getLogger("cantools").setLevel(logging.CRITICAL)  # `check` states what matters of a file
-
-_LARGE = re.compile(r"(?<![\w.])[0-9]+(?:(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)|(?<=[0-9]{309}))")
-"""A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
-
-_PLACE = re.compile(r'\bSG_\s[^:;"]*:\s*(-?[0-9]+)\s*\|\s*(-?[0-9]+)\s*@')
-_PAGES = re.compile(r'\bSG_MUL_VAL_\s[^;"]*')
-_PAGE_RANGE = re.compile(r"(?<![\w.])(-?[0-9]+)\s*-\s*([0-9]+)(?![\w.])")
-_MOST_PAGES = 1 << 17
-"""More pages than all multiplexed signals of a file have together: the parser lists each."""
-
-_MOST_BITS = 1 << 16
-"""More bits than any message has: those of J1939 in several frames have up to 1785 bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +75,7 @@ def read_dbc(path: Path, source: Path | str = "configuration", bus: str = "bus")
     """
     try:
         text = description_text(path)
-        _refuse_impossible_places(text)
-        _refuse_endless_numbers(text)
-        _refuse_endless_pages(text)
+        refuse_endless(text)
         whole = mended(text)
         return Description(_parsed(whole), whole.remarks, whole.unfit)
     except Exception as problem:  # the parser's own errors are of many kinds
@@ -139,11 +124,6 @@ def _readdressed(
                 yield Flaw(f"{place}.{name}", "an id of 11 bits has no source address")
 
 
-def load_database(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Database:
-    """Read a DBC file, as `read_dbc` does, for its messages alone."""
-    return read_dbc(path, source, bus).database
-
-
 def _parsed(whole: MendedText) -> Database:
     """Return what the parser finds; a line that it cannot read is left out."""
     for _ in range(_MOST_LEFT_OUT):
@@ -160,60 +140,6 @@ def _parsed(whole: MendedText) -> Database:
             assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
             return database
     raise ValueError(f"more than {_MOST_LEFT_OUT} lines cannot be read; {whole.remarks[-1]}")
-
-
-def _refuse_endless_numbers(text: str) -> None:
-    """Refuse a number whose digits the parser would expand for minutes or hours."""
-    for found in _LARGE.finditer(text):
-        if math.isinf(float(found[0])):
-            line = text.count("\n", 0, found.start()) + 1
-            raise ValueError(f"line {line}: {shortened(found[0])} is not the value of any signal")
-
-
-def _refuse_impossible_places(text: str) -> None:
-    """Refuse a signal that no message has room for: billions of bits keep the parser busy."""
-    for found in _PLACE.finditer(text):
-        start, length = float(found[1]), float(found[2])
-        if not (0 <= start < _MOST_BITS and 1 <= length < _MOST_BITS):
-            line = text.count("\n", 0, found.start()) + 1
-            raise ValueError(f"line {line}: no message has {found[2]} bits from bit {found[1]} on")
-
-
-def _refuse_endless_pages(text: str) -> None:
-    """Refuse a range of pages (values of a multiplexer) that takes all memory to list."""
-    pages = 0
-    for entry in _PAGES.finditer(text):
-        for found in _PAGE_RANGE.finditer(entry[0]):
-            pages += max(0, int(found[2]) - int(found[1]) + 1)
-            if pages > _MOST_PAGES:
-                line = text.count("\n", 0, entry.start() + found.start()) + 1
-                shown = f"{shortened(found[1])}-{shortened(found[2])}"
-                problem = f"{shown} in SG_MUL_VAL_ makes more than {_MOST_PAGES} pages"
-                raise ValueError(f"line {line}: {problem}")
-
-
-def message_codec(
-    database: Database, bus: CanBus, name: str, source: Path | str = "configuration"
-) -> MessageCodec:
-    """The codec of one message, with the integrity that `[bus.integrity]` gives it.
-
-    Args:
-        database: The DBC.
-        bus: The configured bus.
-        name: The message.
-        source: The configuration, for the error message.
-
-    Raises:
-        ConfigurationError: The DBC has no such message, or its integrity does not fit it.
-    """
-    catalogue = SignalCatalogue(Description(database, (), {}), fd=bus.fd)
-    message = catalogue.message(name, "bus")
-    integrity = bus.integrity.get(name)
-    if integrity:
-        catalogue.check_integrity(name, integrity)
-    if message is None or catalogue.flaws:
-        raise ConfigurationError(source, catalogue.flaws)
-    return MessageCodec(message, integrity)
 
 
 class Located(NamedTuple):
@@ -234,8 +160,8 @@ class SignalCatalogue(Catalogue[Located]):
         integrity: Mapping[str, FrameIntegrity] = MappingProxyType({}),
     ) -> None:
         super().__init__()
-        self._database = description.database
         self._description = description
+        self._messages = description.database.messages
         self._fd = fd
         self._integrity = integrity
 
@@ -256,15 +182,9 @@ class SignalCatalogue(Catalogue[Located]):
 
     def count_problem(self, item: Located) -> str | None:
         """Return why a signal cannot count, None where it can."""
-        signal = item.signal
-        counts = (
-            is_word(signal)
-            and not signal.is_signed
-            and not is_multiplexed(signal)
-            and signal.length > 1
-            and compile_field(signal).low == 0
-        )
-        if counts:
+        signal, field = item.signal, compile_field(item.signal)
+        plain = field.is_word and not signal.is_signed and not is_multiplexed(signal)
+        if plain and signal.length > 1 and field.low == 0:
             return None
         return (
             f"signal {signal.name!r} cannot count: a counter is an unsigned integer of two bits"
@@ -280,17 +200,17 @@ class SignalCatalogue(Catalogue[Located]):
 
     def known(self, name: str) -> Message:
         """The message called `name`, which has been found before."""
-        return self._database.get_message_by_name(name)
+        return self._description.database.get_message_by_name(name)
 
     def message(self, name: str, place: str) -> Message | None:
         """The message called `name`, or None and a flaw at `place`."""
-        known = {message.name: message for message in self._database.messages}
+        known = {message.name: message for message in self._messages}
         message = known.get(name) or known.get(f"_{name}")
         if message is None:
             problem = f"the database has no message {name!r}{nearest(name, known)}"
             self.note(place, f"{problem}{self._remark(name)}")
             return None
-        ids = [f"{one.frame_id:#x}" for one in self._database.messages if one.name == name]
+        ids = [f"{one.frame_id:#x}" for one in self._messages if one.name == name]
         if len(ids) > 1:
             self.note(place, f"message {name!r} is the name of {' and '.join(ids)}: rename one")
         if needs_fd(message) and not self._fd:
@@ -344,16 +264,13 @@ class SignalCatalogue(Catalogue[Located]):
         """Gather a flaw for each used message whose id is that of one with measurements."""
         owners: dict[int, str] = {}
         for name in measuring:
-            self._check_id(owners, name, place)
-            owners.setdefault(_key(self.known(name)), name)
+            self._check_id(owners.setdefault(_key(self.known(name)), name), name, place)
         for name in commanding:
-            self._check_id(owners, name, f"{place}.command")
+            self._check_id(owners.get(_key(self.known(name)), name), name, f"{place}.command")
 
-    def _check_id(self, owners: Mapping[int, str], name: str, place: str) -> None:
-        message = self.known(name)
-        owner = owners.get(_key(message), name)
+    def _check_id(self, owner: str, name: str, place: str) -> None:
         if owner != name:
-            number = f"0x{message.frame_id:03X}"
+            number = f"0x{self.known(name).frame_id:03X}"
             self.note(place, f"messages {owner!r} and {name!r} have the same id {number}")
 
     def check_integrity(self, name: str, integrity: FrameIntegrity, bus: str = "bus") -> None:
@@ -362,45 +279,38 @@ class SignalCatalogue(Catalogue[Located]):
         message = self.message(name, place)
         if message is None:
             return
-        if integrity.counter:
-            self._check_counter(message, integrity, f"{place}.counter")
-        if integrity.checksum:
-            self._check_checksum(message, integrity, f"{place}.checksum")
-        if integrity.nibble and integrity.data_id_mode == "nibble":
-            self._check_nibble(message, integrity.nibble, f"{place}.nibble")
+        wanted = {"counter": integrity.counter, "checksum": integrity.checksum}
+        if integrity.data_id_mode == "nibble":
+            wanted["nibble"] = integrity.nibble
+        for key, proof in wanted.items():
+            signal = self.signal_of(message, proof, f"{place}.{key}") if proof else None
+            if signal is not None:
+                at, problem = self._proof_flaw(key, Located(message, signal), integrity)
+                self.note(f"{place}.{at}", problem)
         for key, problem in _form_flaws(message, integrity):
             self.note(f"{place}{key}", problem)
 
-    def _check_nibble(self, message: Message, name: str, place: str) -> None:
-        signal = self.signal_of(message, name, place)
-        if signal is None:
-            return
-        plain = is_word(signal) and not signal.is_signed and not is_multiplexed(signal)
-        if signal.length != _NIBBLE_BITS or not plain:
-            self.note(place, f"signal {name!r} must be four bits of every frame")
-
-    def _check_counter(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
-        signal = self.signal_of(message, integrity.counter or "", place)
-        problem = None if signal is None else self.count_problem(Located(message, signal))
-        if problem:
-            self.note(place, problem)
-        if signal is None or problem:
-            return
-        modulus = counter_modulus(compile_field(signal))
-        if integrity.max_jump >= modulus:
-            problem = f"{integrity.max_jump} must be below the counter's {modulus} values"
-            self.note(place.replace(".counter", ".max_jump"), problem)
-
-    def _check_checksum(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
-        name, bits = integrity.checksum or "", integrity.crc.width if integrity.crc else 8
-        signal = self.signal_of(message, name, place)
-        if signal is None:
-            return
-        span = checksum_span(message, name)
-        if span is None or 8 * span.length != bits or is_multiplexed(signal):
+    def _proof_flaw(
+        self, key: str, item: Located, integrity: FrameIntegrity
+    ) -> tuple[str, str | None]:
+        """Return why a signal is no such proof of a message, None where it is, and at which key."""
+        message, signal = item
+        if key == "counter":
+            modulus, problem = counter_modulus(compile_field(signal)), self.count_problem(item)
+            if problem or integrity.max_jump < modulus:
+                return key, problem
+            return "max_jump", f"{integrity.max_jump} must be below the counter's {modulus} values"
+        if key == "checksum":
+            bits = integrity.crc.width if integrity.crc else 8
+            span = checksum_span(message, signal.name)
+            if span and 8 * span.length == bits and not is_multiplexed(signal):
+                return key, None
             size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
-            problem = f"must fill {size} of every frame"
-            self.note(place, f"signal {name!r} {problem}")
+            return key, f"signal {signal.name!r} must fill {size} of every frame"
+        plain = is_word(signal) and not signal.is_signed and not is_multiplexed(signal)
+        if signal.length == _NIBBLE_BITS and plain:
+            return key, None
+        return key, f"signal {signal.name!r} must be four bits of every frame"
 
 
 def _form_flaws(message: Message, integrity: FrameIntegrity) -> Iterator[tuple[str, str]]:

@@ -6,10 +6,12 @@ error only for who names what it describes.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from adaptdrive.config.tables import shortened
 from adaptdrive.hardware.link.layout import bit_mask
 
 _COMMENT = re.compile(r'^[ \t]*CM_(?=[ \t])[^"\n]*"(?:[^"\\]|\\.)*"[ \t]*;?', re.MULTILINE)
@@ -27,6 +29,18 @@ _NAMED_BY_DIGIT = re.compile(
     r"[ \t]+(?=\d+[A-Za-z_])"
 )
 _BARE_POINT = re.compile(r"(?<=[(,\[|])([ \t]*-?)\.(?=\d)")
+
+_LARGE = re.compile(r"(?<![\w.])[0-9]+(?:(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)|(?<=[0-9]{309}))")
+"""A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
+
+_PLACE = re.compile(r'\bSG_\s[^:;"]*:\s*(-?[0-9]+)\s*\|\s*(-?[0-9]+)\s*@')
+_PAGES = re.compile(r'\bSG_MUL_VAL_\s[^;"]*')
+_PAGE_RANGE = re.compile(r"(?<![\w.])(-?[0-9]+)\s*-\s*([0-9]+)(?![\w.])")
+_MOST_PAGES = 1 << 17
+"""More pages than all multiplexed signals of a file have together: the parser lists each."""
+
+_MOST_BITS = 1 << 16
+"""More bits than any message has: those of J1939 in several frames have up to 1785 bytes."""
 
 _EXTENDED = 1 << 31
 _LARGEST_STANDARD, _LARGEST_ID = 0x7FF, 0x1FFF_FFFF
@@ -77,6 +91,37 @@ class _Signal:
     name: str
     page: str
     bits: int
+
+
+def refuse_endless(text: str) -> None:
+    """Refuse what keeps the parser busy for hours, or takes all memory.
+
+    Args:
+        text: Text of a DBC.
+
+    Raises:
+        ValueError: It has such a number, such a signal or such pages, in the line that is named.
+    """
+    for at, problem in _endless(text):
+        raise ValueError(f"line {text.count(chr(10), 0, at) + 1}: {problem}")
+
+
+def _endless(text: str) -> Iterator[tuple[int, str]]:
+    """Yield numbers, signals and values of multiplexers that no message has, and their places."""
+    for found in _PLACE.finditer(text):
+        if not (0 <= float(found[1]) < _MOST_BITS and 1 <= float(found[2]) < _MOST_BITS):
+            yield found.start(), f"no message has {found[2]} bits from bit {found[1]} on"
+    for found in _LARGE.finditer(text):
+        if math.isinf(float(found[0])):
+            yield found.start(), f"{shortened(found[0])} is not the value of any signal"
+    pages = 0
+    for entry in _PAGES.finditer(text):
+        for found in _PAGE_RANGE.finditer(entry[0]):
+            pages += max(0, int(found[2]) - int(found[1]) + 1)
+            if pages > _MOST_PAGES:
+                shown = f"{shortened(found[1])}-{shortened(found[2])}"
+                problem = f"{shown} in SG_MUL_VAL_ makes more than {_MOST_PAGES} pages"
+                yield entry.start() + found.start(), problem
 
 
 def mended(text: str) -> MendedText:

@@ -42,7 +42,14 @@ _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 
 
 class CanPort:
-    """One connection to one drive on a CAN bus."""
+    """One connection to one drive on a CAN bus.
+
+    Attributes:
+        description: The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`.
+        counter_modulus: As in `Port`, like all that follow.
+        stop_slack_s: Additional time for the report of the bridge.
+        bridge_cycle_s: Time from one report of the bridge to the next.
+    """
 
     def __init__(
         self,
@@ -76,23 +83,17 @@ class CanPort:
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._stopping = bridge_first(mapping.orders)
-        limit_s = mapping.timing.obeyed_s(self._assembly.bridge_cycle_s)
+        self.description = describe_bus(config)
+        self.counter_modulus = mapping.counter_modulus
+        self.stop_slack_s = self._assembly.bridge_slack_s
+        self.bridge_cycle_s = self._assembly.bridge_cycle_s
+        limit_s = mapping.timing.obeyed_s(self.bridge_cycle_s)
         self._obedience = Obedience(limit_s, clock)
         self._bridge_sent = False
         self._relink = Relink()
         self._leapt_s = -math.inf
         self._newest: Reading | None = None
         self._made_up = list(_made_up(config, mapping))
-
-    @property
-    def description(self) -> str:
-        """The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`."""
-        return describe_bus(self._config)
-
-    @property
-    def counter_modulus(self) -> int | None:
-        """Modulus of the drive's half-cycle counter, None for a drive without a counter."""
-        return self._mapping.counter_modulus
 
     @property
     def statistics(self) -> PortStatistics:
@@ -113,16 +114,6 @@ class CanPort:
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
         return self._obedience.heard_s
-
-    @property
-    def stop_slack_s(self) -> float | None:
-        """Additional time for the report of the bridge, None for a drive that never reports it."""
-        return self._assembly.bridge_slack_s
-
-    @property
-    def bridge_cycle_s(self) -> float:
-        """Time from one report of the bridge to the next, infinite where nothing states it."""
-        return self._assembly.bridge_cycle_s
 
     def run(self, listener: Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -284,7 +275,7 @@ class CanPort:
 
         Never for one that does not report its bridge: the wait itself would let it stop.
         """
-        if self._assembly.bridge_slack_s is None:
+        if self.stop_slack_s is None:
             return
         self._leapt_s = arrival_s
         self._relink.open(bridge=self._bridge_sent, how=LEAPT)
@@ -299,7 +290,7 @@ class CanPort:
     @property
     def _awaits_bridge(self) -> bool:
         """True if the safe command is in force, and the drive reports whether it obeys."""
-        return self._obedience.awaited and self._assembly.bridge_slack_s is not None
+        return self._obedience.awaited and self.stop_slack_s is not None
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""

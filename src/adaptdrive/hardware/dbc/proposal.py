@@ -4,28 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.units import known_unit
-from adaptdrive.hardware.dbc.database import load_database
 from adaptdrive.hardware.proposal import Candidate
 
 _COMMANDING = re.compile(r"cmd|command|ctrl|control|set|req|host|order", re.IGNORECASE)
 _ALIVE = re.compile(r"alive|rolling|heartbeat|count|cnt|seq", re.IGNORECASE)
 _CHECKSUM = re.compile(r"crc|checksum|chk", re.IGNORECASE)
-
-
-def read_description(path: Path) -> Database:
-    """Read a DBC file.
-
-    Raises:
-        ConfigurationError: The file cannot be read or is no DBC.
-    """
-    return load_database(path, path, "dbc")
 
 
 def candidates(database: Database) -> Iterator[Candidate]:

@@ -7,7 +7,6 @@ and is counted. Nothing is ever sent.
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,24 +16,24 @@ import can
 from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import BusBackoff
-from adaptdrive.hardware.binding import sensor_entries
-from adaptdrive.hardware.dbc.database import SignalCatalogue, describe
+from adaptdrive.hardware.binding import Source, sensor_entries
+from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, describe
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import channel_flaws, describe_bus, open_bus
 from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.link.reader import read_frames
-from adaptdrive.hardware.port import PortStatistics, SensorListener
-from adaptdrive.hardware.presence import Presence
+from adaptdrive.hardware.port import SensorListener
+from adaptdrive.hardware.presence import SensingPort
 
 
 @dataclass(frozen=True, slots=True)
 class SensorMessage:
-    """A message, and what is taken from it: name, signal, scale and offset."""
+    """A message, and what is taken from it."""
 
     codec: MessageCodec
-    sources: tuple[tuple[str, str, float, float], ...]
+    sources: tuple[Source[Located], ...]
 
 
 def build_can_sensors(
@@ -75,47 +74,43 @@ def map_sensors(
     """
     catalogue = SignalCatalogue(describe(bus, source, place), fd=bus.fd)
     catalogue.flaws.extend(channel_flaws(bus, place))
-    found: dict[str, list[tuple[str, str, float, float]]] = {}
+    found: dict[str, list[Source[Located]]] = {}
     for one in catalogue.sources(sensor_entries(bus, place), demands):
-        taken = (one.quantity, one.item.signal.name, one.scale, one.offset)
-        found.setdefault(one.item.message.name, []).append(taken)
+        found.setdefault(one.item.message.name, []).append(one)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity, place)
     catalogue.check_ids(found, (), f"{place}.signals")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
-    return tuple(
-        SensorMessage(_codec(catalogue, bus, name, sources), tuple(sources))
-        for name, sources in found.items()
-    )
+    messages = []
+    for name, sources in found.items():
+        signals = dict.fromkeys(one.item.signal.name for one in sources)
+        codec = MessageCodec(
+            catalogue.known(name),
+            bus.integrity.get(name),
+            wanted=signals,
+            measured=signals,
+            cycle_s=bus.cycle_s,
+        )
+        messages.append(SensorMessage(codec, tuple(sources)))
+    return tuple(messages)
 
 
-class CanSensorPort:
+class CanSensorPort(SensingPort):
     """One connection to the sensors on one CAN bus."""
 
     def __init__(
         self, config: Config, messages: tuple[SensorMessage, ...], clock: Callable[[], float]
     ) -> None:
+        super().__init__(describe_bus(config))
         self._config = config
         self._messages = {
             frame_key(one.codec.frame_id, extended=one.codec.is_extended): one for one in messages
         }
         self._clock = clock
         self._arrivals = ArrivalClock(clock)
-        self._counts: Counter[str] = Counter()
         self._listener: SensorListener | None = None
         self._heard_s = 0.0
-        self._presence = Presence(self.description)
-
-    @property
-    def description(self) -> str:
-        """The bus in one phrase, such as `socketcan can1`."""
-        return describe_bus(self._config)
-
-    @property
-    def statistics(self) -> PortStatistics:
-        """Counts since the port was built."""
-        return PortStatistics(**self._counts)
 
     async def run(self, listener: SensorListener) -> None:
         """Hear the bus until cancelled; one that is lost or not there is opened again.
@@ -125,36 +120,31 @@ class CanSensorPort:
         """
         self._listener = listener
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._watch_silence(), name="silence")
-            await self._hear()
+            tasks.create_task(self._watch_silence(listener), name="silence")
+            backoff = BusBackoff(lambda: self._counts["received"] - self._counts["foreign"])
+            while True:
+                self._report(listener, up=False, problem=await self._try())
+                await asyncio.sleep(backoff.next_s())
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""
-        self._counts["received"] += 1
         key = frame_key(frame.arbitration_id, extended=frame.is_extended_id)
         message = self._messages.get(key)
         if message is None or frame.is_error_frame or frame.is_remote_frame:
-            self._counts["foreign"] += 1
+            self.take_garbage()
             return
+        self._counts["received"] += 1
         decoded = message.codec.decode(bytes(frame.data))
         self._counts["counter_lost"] += decoded.lost
         if decoded.verdict is FrameVerdict.GOOD:
-            waited_s = self._arrivals.waited_s(frame)
-            self._hand_out(message, decoded.values, self._clock() - waited_s)
+            self._hand_out(message, decoded.values, self._clock() - self._arrivals.waited_s(frame))
         elif decoded.verdict is not FrameVerdict.COUNTER_LOST:
             self._counts[decoded.verdict] += 1
 
     def take_garbage(self) -> None:
-        """Count something on the bus that is no frame."""
+        """Count something on the bus that is no frame of a sensor."""
         self._counts["received"] += 1
         self._counts["foreign"] += 1
-
-    async def _hear(self) -> None:
-        """One bus after the other, less and less often while there is none."""
-        backoff = BusBackoff(lambda: self._counts["received"] - self._counts["foreign"])
-        while True:
-            self._report(up=False, problem=await self._try())
-            await asyncio.sleep(backoff.next_s())
 
     async def _try(self) -> str:
         """Open the bus and read it until it is lost; return the reason."""
@@ -164,8 +154,7 @@ class CanSensorPort:
             bus = open_bus(self._config, self._messages)
         except BusError as problem:
             return problem.problem
-        if self._presence.known:
-            self._counts["reconnects"] += 1
+        self._count_reopened()
         for message in self._messages.values():
             message.codec.resume()
         try:
@@ -177,37 +166,20 @@ class CanSensorPort:
         self, message: SensorMessage, values: Mapping[str, float], arrival_s: float
     ) -> None:
         found = {
-            name: values[signal] * scale + offset
-            for name, signal, scale, offset in message.sources
-            if signal in values
+            one.quantity: value * one.scale + one.offset
+            for one in message.sources
+            if (value := values.get(one.item.signal.name)) is not None
         }
         self._heard_s = self._clock()
-        self._report(up=True)
         if self._listener is not None:
+            self._report(self._listener, up=True)
             self._listener.on_values(found, arrival_s)
 
-    async def _watch_silence(self) -> None:
+    async def _watch_silence(self, listener: SensorListener) -> None:
         """Report when nothing good has come for as long as a value may be held."""
         limit_s = self._config.oldest_s
         self._heard_s = self._clock()
         while True:
             await asyncio.sleep(self._config.cycle_s)
             if self._clock() - self._heard_s > limit_s:
-                self._report(up=False, problem=f"no good frame for {limit_s:g} s")
-
-    def _report(self, *, up: bool, problem: str = "") -> None:
-        if self._listener is not None:
-            self._presence.report(self._listener, up=up, problem=problem)
-
-
-def _codec(
-    catalogue: SignalCatalogue, bus: Config, name: str, sources: list[tuple[str, str, float, float]]
-) -> MessageCodec:
-    signals = dict.fromkeys(signal for _, signal, _, _ in sources)
-    return MessageCodec(
-        catalogue.known(name),
-        bus.integrity.get(name),
-        wanted=signals,
-        measured=set(signals),
-        cycle_s=bus.cycle_s,
-    )
+                self._report(listener, up=False, problem=f"no good frame for {limit_s:g} s")

@@ -63,7 +63,7 @@ class MessageCodec:
     """Encodes and decodes the frames of one message.
 
     Each direction keeps its own alive counter. Build it from a message whose integrity has
-    been checked, as `adaptdrive.hardware.dbc.database.message_codec` does.
+    been checked, as `SignalCatalogue.check_integrity` does.
     """
 
     def __init__(  # noqa: PLR0913 - one for each property of a message

@@ -55,6 +55,7 @@ class ModbusPort(CountingPort):
         self._config = config
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self._poll = poll
+        self.stop_slack_s = 0.0 if poll.reports_bridge else None
         self._poll_s = timing.reading_s
         self._clock = clock
         look_s = look_limit_s(config.timeout_s, len(poll.writes))
@@ -88,11 +89,6 @@ class ModbusPort(CountingPort):
     def safe_s(self) -> float:
         """Time at which the drive acknowledged the safe command, infinite without one in force."""
         return self._commander.safe_s
-
-    @property
-    def stop_slack_s(self) -> float | None:
-        """Nothing, or None for a drive whose map has no register for its bridge."""
-        return 0.0 if self._poll.reports_bridge else None
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the link, call `opened`, and poll until cancelled; reconnect when it is lost.

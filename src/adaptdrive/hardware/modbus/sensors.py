@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import combinations, groupby
 from pathlib import Path
@@ -29,8 +28,8 @@ from adaptdrive.hardware.modbus.mapping import Named, RegisterCatalogue, inside,
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
-from adaptdrive.hardware.port import PortStatistics, SensorListener
-from adaptdrive.hardware.presence import Presence
+from adaptdrive.hardware.port import SensorListener
+from adaptdrive.hardware.presence import SensingPort
 
 _SILENT_CYCLES = 3
 """Cycles without any reply after which the modules are reported lost."""
@@ -68,7 +67,7 @@ def build_modbus_sensors(
     return ModbusSensorPort(bus, blocks, clock)
 
 
-class ModbusSensorPort:
+class ModbusSensorPort(SensingPort):
     """One connection to the modules on one link."""
 
     def __init__(
@@ -77,28 +76,17 @@ class ModbusSensorPort:
         blocks: tuple[SensorBlock, ...],
         clock: Callable[[], float],
     ) -> None:
+        super().__init__(describe_bus(config))
         self._config = config
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self._blocks = blocks
         self._clock = clock
-        self._counts: Counter[str] = Counter()
         self._closing = asyncio.Event()
         self._silent = 0
         self._foreign = 0
         pairs = combinations([block.exchange for block in blocks], 2)
         self._alike = any(are_alike(config, pair) for pair in pairs)  # their order may change
         self._patience = math.ceil(config.oldest_s / config.cycle_s - 1e-6)
-        self._presence = Presence(self.description)
-
-    @property
-    def description(self) -> str:
-        """The link in one phrase, such as `modbus-tcp 10.0.0.8:502 device 1`."""
-        return describe_bus(self._config)
-
-    @property
-    def statistics(self) -> PortStatistics:
-        """Counts since the port was built."""
-        return PortStatistics(**self._counts)
 
     async def run(self, listener: SensorListener) -> None:
         """Poll until cancelled; a link that is lost or not there is opened again.
@@ -129,8 +117,7 @@ class ModbusSensorPort:
             await link.open()
         except BusError as problem:
             return problem.problem
-        if self._presence.known:
-            self._counts["reconnects"] += 1
+        self._count_reopened()
         try:
             return await self._serve(link, listener)
         finally:
@@ -205,7 +192,7 @@ class ModbusSensorPort:
 
     def _report(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
         if not self._closing.is_set():
-            self._presence.report(listener, up=up, problem=problem)
+            super()._report(listener, up=up, problem=problem)
 
     async def _sleep(self, seconds: float) -> None:
         """Sleep, unless the port is closed."""
