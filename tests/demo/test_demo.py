@@ -214,7 +214,6 @@ def test_two_demonstrations_use_a_running_broker_at_once(start: Start, mosquitto
         ("--duration=0", "--duration 0"),
         ("--noise=2", "--noise 2"),
         ("--speed=2", "--speed: this story passes in real time"),
-        ("--channel=vcan3", "--channel vcan3 needs --interface"),
         ("--broker=127.0.0.1:1", "broker 127.0.0.1:1: "),
         ("--broker=no where", "'no where' is not HOST:PORT"),
     ],

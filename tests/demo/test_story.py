@@ -84,7 +84,8 @@ def test_the_view_fills_the_terminal_and_cuts_nothing(story: Story, size: tuple[
     stage, player = staged(story, 30.0)
     asyncio.run(player.run())
     assert stage.record is not None
-    view = DemoView(stage.record, player, {"folder": "/tmp/demo"})
+    stage.places = {"folder": "/tmp/demo"}
+    view = DemoView(stage.record, player, stage)
     text = "\n".join(lines := shown(view, size))
     assert len(lines) == size[1]
     assert max(map(len, lines)) <= size[0]

@@ -12,7 +12,7 @@ import pytest
 
 from adaptdrive.config.file import load_configuration
 from adaptdrive.household.ports import Ports
-from adaptdrive_sim.demo.real import RealStage, choose_bus
+from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import read_story
 
@@ -67,11 +67,3 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DemoError, match="file"), stage(tmp_path / "file" / "run"):
         pass
-
-
-def test_a_bus_that_is_asked_for_is_taken() -> None:
-    named = DemoSettings(interface="socketcan", channel="can7")
-    assert choose_bus(named, 1) == {"interface": "socketcan", "channel": "can7"}
-    assert choose_bus(DemoSettings(interface="socketcan"), 1)["channel"] == "vcan0"
-    group = DemoSettings(interface="udp_multicast", channel="239.1.2.3")
-    assert choose_bus(group, 7)["channel"] == "239.1.2.3"

@@ -7,9 +7,8 @@ import os
 import socket
 import time
 from collections.abc import Coroutine
-from contextlib import AsyncExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from adaptdrive.app.lock import NAMESPACE
@@ -45,22 +44,6 @@ _ASKED = 3
 _LOOK_s = 0.05
 _WAIT_s = 0.1
 
-VIRTUAL_INTERFACE = "vcan0"
-
-
-def choose_bus(settings: DemoSettings, port: int) -> dict[str, Any]:
-    """Return the bus for the configuration; by default one that no other demonstration has.
-
-    Args:
-        settings: The interface and channel that are asked for, if any.
-        port: UDP port for multicast.
-    """
-    if settings.interface == "socketcan":
-        return {"interface": "socketcan", "channel": settings.channel or VIRTUAL_INTERFACE}
-    number = os.getpid()
-    group = settings.channel or f"239.74.{number >> 8 & 255}.{number & 255}"
-    return {"interface": "udp_multicast", "channel": group, "udp_port": port}
-
 
 class RealStage:
     """The processes of a demonstration. Use it as an async context manager.
@@ -80,8 +63,8 @@ class RealStage:
         self._story, self._settings = story, settings
         self.workspace = make_workspace(settings.directory, story.configuration)
         self._ports = Ports()
-        port = self._ports.take(socket.SOCK_DGRAM)
-        bus = choose_bus(settings, port)
+        port, number = self._ports.take(socket.SOCK_DGRAM), os.getpid()
+        group = f"239.74.{number >> 8 & 255}.{number & 255}"
         document = story.document()
         self.drive_name = str(document["drive"]["name"])
         if settings.broker is None:
@@ -89,44 +72,36 @@ class RealStage:
             self._page, self._websocket = self._ports.take(), self._ports.take()
         else:
             self._broker = parse_address(settings.broker)
-            self.drive_name = f"{self.drive_name}-{os.getpid()}"  # others share that broker
+            self.drive_name = f"{self.drive_name}-{number}"  # others share that broker
         document["drive"]["name"] = self.drive_name
-        document["bus"] |= bus
+        document["bus"] |= {"interface": "udp_multicast", "channel": group, "udp_port": port}
         document["mqtt"] = {"host": self._broker.host, "port": self._broker.port}
         document["recording"] = {"directory": str(self.workspace.sessions)}
         self.workspace.write(document)
-        state = {"STATE_DIRECTORY": str(self.workspace.state), NAMESPACE: f"demo-{os.getpid()}"}
+        state = {"STATE_DIRECTORY": str(self.workspace.state), NAMESPACE: f"demo-{number}"}
         self._household = Household({**os.environ, **state})
         self._ask = over_mqtt(self._broker, self.drive_name, _ANSWER_s)
-        self._closing = AsyncExitStack()
-        place = [str(bus[name]) for name in ("channel", "udp_port") if name in bus]
         self.places = {
             "folder": str(self.workspace.directory),
-            "bus": f"{bus['interface']} {':'.join(place)}",
+            "bus": f"udp_multicast {group}:{port}",
             "broker": self.broker,
             "try": f"{program()} mode {self.drive_name} adaptive --broker {self.broker}",
         }
 
     async def __aenter__(self) -> Self:
         """Start the processes."""
-        await self._closing.enter_async_context(self._household)
         try:
             await self._start()
         except BaseException:
-            await self._closing.aclose()
+            await self._household.stop()
             raise
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        problem: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, _kind: object, problem: object, _trace: object) -> None:
         """End the processes, and wait until the session is closed."""
         if problem is not None:
             await asyncio.sleep(AFTERMATH_s)
-        await self._closing.aclose()
+        await self._household.stop()
         self.close()
         with suppress(TimeoutError, RecordingError):
             async with asyncio.timeout(SESSION_s):

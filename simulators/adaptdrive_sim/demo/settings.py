@@ -11,7 +11,6 @@ from cyclopts import Parameter
 
 from adaptdrive.cli.integers import Integer
 from adaptdrive.errors import AdaptdriveError, RefusedError
-from adaptdrive_sim.device_settings import InterfaceChoice
 
 SPEED_MAX = 1e6
 """Times real time: more than any machine reaches."""
@@ -34,8 +33,6 @@ class DemoSettings:
             left out.
         seed: Seed of the noise.
         broker: HOST:PORT of a running MQTT broker; one is started when left out.
-        interface: Bus interface; multicast on the loopback interface when left out.
-        channel: Channel of that interface, such as vcan1 or a multicast group.
         directory: Folder for configuration, logs and sessions; a new one in build/demo when left
             out.
         speed: Times real time, for a story in virtual time.
@@ -46,8 +43,6 @@ class DemoSettings:
     noise: float | None = None
     seed: Integer = 0
     broker: str | None = None
-    interface: InterfaceChoice | None = None
-    channel: str | None = None
     directory: Path | None = None
     speed: float | None = None
 
@@ -66,9 +61,7 @@ class DemoSettings:
             raise RefusedError(f"--speed {self.speed:g} must lie above 0, and up to 1e6")
         if self.noise is not None and not 0.0 <= self.noise <= 1.0:
             raise RefusedError(f"--noise {self.noise:g} must lie in 0…1")
-        if self.channel is not None and self.interface is None:
-            raise RefusedError(f"--channel {self.channel} needs --interface")
-        unused = ("broker", "interface", "directory") if virtual else ("speed",)
+        unused = ("broker", "directory") if virtual else ("speed",)
         for name in unused:
             if getattr(self, name) is not None:
                 time = "virtual time, without processes" if virtual else "real time"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Any, Literal
@@ -89,14 +90,13 @@ class Value(_Table, frozen=True):
     keep: Literal["last", "highest", "returned"] = "last"
     unit: str = ""
     scale: float = 1.0
-    at_most: float | None = None
-    at_least: float | None = None
+    at_most: float = math.inf
+    at_least: float = -math.inf
     from_s: float = 0.0
 
     def fits(self, value: float) -> bool:
         """Return whether control has worked, as far as this value shows it."""
-        low = -float("inf") if self.at_least is None else self.at_least
-        return low <= value <= (float("inf") if self.at_most is None else self.at_most)
+        return self.at_least <= value <= self.at_most
 
 
 class Story(_Table, frozen=True, rename={"scenes": "scene", "values": "value"}):

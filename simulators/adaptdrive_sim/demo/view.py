@@ -2,39 +2,63 @@
 
 from __future__ import annotations
 
+import asyncio
+import webbrowser
 from textwrap import wrap
 
 from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
+from adaptdrive.aside import in_thread
+from adaptdrive.errors import AdaptdriveError
+from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.plot import CONTROLLERS
 from adaptdrive.watch.tables import DIM, figure, flow, rows
 from adaptdrive.watch.view import KEYS as DRIVE_KEYS
 from adaptdrive.watch.view import Surroundings, screen
 from adaptdrive_sim.demo.player import Player
+from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.demo.virtual import VirtualStage
 
 KEYS = ("q end", "space pause", "d disk", "f fixed", "a adaptive", "p panel", "s STOP", "? help")
 
 
 class DemoView:
-    """Shows a record and its story.
+    """Shows a record and its story, and heeds the keys of the story.
 
     Attributes:
         help: Whether the help is shown.
     """
 
-    def __init__(self, record: DemoRecord, player: Player, places: dict[str, str]) -> None:
+    def __init__(self, record: DemoRecord, player: Player, stage: RealStage | VirtualStage) -> None:
         """Prepare the view.
 
         Args:
             record: What was heard.
             player: The story.
-            places: Folder and addresses for the help, by name.
+            stage: Where it is played.
         """
         self.help = False
-        self._record, self._player, self._places = record, player, places
+        self._record, self._player, self._stage = record, player, stage
+        self._opening: asyncio.Task[None] | None = None
+
+    def takes(self, key: str) -> KeyCommand | bool:
+        """Heed a key of the story; return its disturbance, or whether it was such a key."""
+        match key:
+            case " ":
+                self._player.toggle()
+            case "?":
+                self.help = not self.help
+            case "p":
+                self._opening = asyncio.create_task(self._open_panel())
+            case "d":
+                return self._player.dropped() or True
+            case "s" | "S":
+                self._player.hold("The drive was stopped.")
+                return False
+        return key in " ?p"
 
     def screen(self, size: tuple[int, int]) -> Layout:
         """Return the whole screen for a terminal of some width and height."""
@@ -61,8 +85,18 @@ class DemoView:
         offered = self._record.features
         digits = [f"{digit} {one.get('text')}" for digit, one in enumerate(offered, 1)]
         lines = [*flow(digits, width), *flow(DRIVE_KEYS[:-1], width)]
-        lines += [f" {name:<7} {place}" for name, place in self._places.items()]
+        lines += [f" {name:<7} {place}" for name, place in self._stage.places.items()]
         return Text("\n".join(lines), DIM, no_wrap=True, overflow="ellipsis")
+
+    async def _open_panel(self) -> None:
+        self._record.answer = "panel: starting…"
+        try:
+            address = await self._stage.panel()
+        except AdaptdriveError as problem:
+            self._record.answer = f"panel: {problem}"
+        else:
+            self._record.answer = f"panel: {address}"
+            in_thread(lambda: webbrowser.open(address), "adaptdrive-browser")
 
 
 def story_table(record: DemoRecord) -> tuple[str, Table]:

@@ -30,8 +30,6 @@ _NAMED_KEY = re.compile(r"\x1b(?:[NO].|\[[0-?]*[ -/]*[@-~])")
 """Sequence of a terminal for a key without a letter (ECMA-48), such as ESC O S for F4."""
 
 _STEP = 0.01
-_PLAIN = {"s": (STOP, None), "S": (STOP, None), "r": ("reset", None)}
-_MODES = {"f": "fixed", "a": "adaptive", "m": "manual"}
 _STEPS = {"+": 1, "-": -1}
 
 
@@ -60,6 +58,13 @@ class KeyCommand:
         return self.verb == STOP and self.disturbance is None
 
 
+_COMMANDS = {
+    **dict.fromkeys("sS", KeyCommand(STOP)),
+    "r": KeyCommand("reset"),
+    **{mode[0]: KeyCommand("mode", mode) for mode in ("fixed", "adaptive", "manual")},
+}
+
+
 class KeyReader:
     """Turns keys into commands; `enable` needs a second press."""
 
@@ -75,10 +80,8 @@ class KeyReader:
             alone: False where other keys came with it, as from a clipboard: it confirms nothing.
         """
         armed_s, self._armed_s = self._armed_s, None
-        if key in _PLAIN:
-            return KeyCommand(*_PLAIN[key])
-        if key in _MODES:
-            return KeyCommand("mode", _MODES[key])
+        if key in _COMMANDS:
+            return _COMMANDS[key]
         if key in _STEPS:
             return self._step(_STEPS[key])
         if key == "e":

@@ -18,15 +18,12 @@ from adaptdrive.operation.payloads import printable
 from adaptdrive.watch.ending import ended_once, whole
 from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.sending import CommandsUnderWay, over_mqtt
+from adaptdrive.watch.sending import Ask, CommandsUnderWay, over_mqtt
 from adaptdrive.watch.telling import tell_last
 from adaptdrive.watch.terminal import draw
-from adaptdrive.watch.view import WATCH, Surroundings, screen
+from adaptdrive.watch.view import WATCH, Surroundings, Takes, screen
 
 _RETRY_S = 2.0
-
-Press = Callable[..., KeyCommand | None]
-"""Returns the command of a key; `alone` is false where other keys came with it."""
 
 Show = Callable[[tuple[int, int]], Layout]
 
@@ -52,41 +49,43 @@ async def watch(
         after the view names each.
     """
     record = WatchRecord(drive, time.monotonic)
-    under_way = CommandsUnderWay(over_mqtt(broker, drive, timeout_s), record)
     show = functools.partial(screen, record, around=around)
-    reader = KeyReader(record)
-
-    def press(key: str, *, alone: bool = True) -> KeyCommand | None:
-        return None if around.takes(key) else reader.press(key, alone=alone)
-
-    return await run_view(show, press, under_way, [follow_drive(broker, record), *services])
+    ask = over_mqtt(broker, drive, timeout_s)
+    return await run_view(
+        record, ask, [follow_drive(broker, record), *services], show, around.takes
+    )
 
 
 async def run_view(
-    show: Show | None,
-    press: Press,
-    under_way: CommandsUnderWay,
+    record: WatchRecord,
+    ask: Ask,
     services: Iterable[Coroutine[Any, Any, None]],
+    show: Show | None,
+    takes: Takes,
 ) -> bool:
     """Draw a view and heed its keys until `q`, a signal, or the end of a service.
 
     Args:
+        record: What is heard of the drive.
+        ask: Sends the commands of the keys.
+        services: Run for as long as the view does; one that fails ends it with its error.
         show: Returns the screen for a terminal of some width and height; without it nothing is
             drawn, and no key is heeded.
-        press: Reads a key.
-        under_way: Sends the commands of the keys.
-        services: Run for as long as the view does; one that fails ends it with its error.
+        takes: Sees each key first.
 
     Returns:
         False where a command is not known to be carried out; a line names each.
     """
+    under_way, reader = CommandsUnderWay(ask, record), KeyReader(record)
     ended, unanswered = asyncio.Event(), list[str]()
 
     def on_keys(keys: str) -> None:
         for key in keys:
             if key == QUIT:
                 ended.set()
-            elif (command := press(key, alone=len(keys) == 1)) is not None:
+                continue
+            command = takes(key) or reader.press(key, alone=len(keys) == 1)
+            if isinstance(command, KeyCommand):
                 under_way.send(command)
 
     async def leave() -> None:

@@ -69,25 +69,26 @@ class Mark:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class PlotFrame:
-    """Range and size of a plot.
+class Canvas:
+    """Cells of dots; each cell has the style of what was drawn there last.
 
     Attributes:
         now_s: Right edge.
         window_s: Time from the left edge to the right one.
         low: Lower edge.
         high: Upper edge.
-        columns: Width of the canvas in cells.
-        rows: Height of the canvas in cells.
+        columns: Width in cells.
+        rows: Height in cells.
     """
 
-    now_s: float
-    window_s: float
-    low: float
-    high: float
-    columns: int
-    rows: int
+    def __init__(
+        self, now_s: float, window_s: float, edges: tuple[float, float], size: tuple[int, int]
+    ) -> None:
+        self.now_s, self.window_s = now_s, window_s
+        self.low, self.high = edges
+        self.columns, self.rows = size
+        self._bits = [[0] * self.columns for _ in range(self.rows)]
+        self._styles = [[""] * self.columns for _ in range(self.rows)]
 
     def column(self, time_s: float) -> int:
         """Dot column of a time."""
@@ -99,20 +100,21 @@ class PlotFrame:
         share = (self.high - value) / (self.high - self.low)
         return round(min(max(share, 0.0), 1.0) * (4 * self.rows - 1))
 
-
-class Canvas:
-    """Cells of dots; each cell has the style of what was drawn there last."""
-
-    def __init__(self, columns: int, rows: int) -> None:
-        self._bits = [[0] * columns for _ in range(rows)]
-        self._styles = [[""] * columns for _ in range(rows)]
-
     def dot(self, column: int, row: int, style: str) -> None:
         """Set one dot; one outside is left out."""
         cell, line = column // 2, row // 4
-        if 0 <= line < len(self._bits) and 0 <= cell < len(self._bits[0]):
+        if 0 <= line < self.rows and 0 <= cell < self.columns:
             self._bits[line][cell] |= _DOTS[column % 2][row % 4]
             self._styles[line][cell] = style
+
+    def text_line(self, texts: Iterable[tuple[float, str]]) -> str:
+        """Return a line as wide as the plot, with texts at their times; later ones win."""
+        line = [" "] * (_LABEL_WIDTH + self.columns)
+        for time_s, text in texts:
+            start = _LABEL_WIDTH + self.column(time_s) // 2
+            if start >= _LABEL_WIDTH:
+                line[start : start + len(text)] = text
+        return "".join(line)[: _LABEL_WIDTH + self.columns]
 
     def lines(self) -> Iterator[Text]:
         """The canvas, one line of text after the other."""
@@ -147,17 +149,17 @@ def plot(
     shown = [point for point in points if now_s - point.time_s <= window_s]
     if not shown or columns < 10 or rows < 2:
         return Text("waiting for the drive …", AXIS_STYLE)
-    frame = PlotFrame(now_s, window_s, *_range(shown), columns, rows)
-    canvas = Canvas(columns, rows)
-    _trace(canvas, frame, [(p.time_s, p.reference, REFERENCE) for p in shown])
-    _trace(canvas, frame, [(p.time_s, p.output, FORMS.get(p.controller, OFF)) for p in shown])
+    canvas = Canvas(now_s, window_s, _range(shown), (columns, rows))
+    _trace(canvas, [(p.time_s, p.reference, REFERENCE) for p in shown])
+    _trace(canvas, [(p.time_s, p.output, FORMS.get(p.controller, OFF)) for p in shown])
     references = [one for one, _ in groupby(p.reference for p in shown) if isfinite(one)]
-    labels = _labels(frame, references[-_LEVELS:])
+    labels = _labels(canvas, references[-_LEVELS:])
     labelled = [
         Text.assemble((label.rjust(_LABEL_WIDTH), AXIS_STYLE), line)
         for label, line in zip(labels, canvas.lines(), strict=True)
     ]
-    return Text("\n").join([_marks(frame, marks), *labelled, _times(frame)])
+    marked = canvas.text_line((one.time_s, f"▼{one.text} ") for one in marks)
+    return Text("\n").join([Text(marked, MARK_STYLE), *labelled, _times(canvas)])
 
 
 def _range(points: Sequence[PlotPoint]) -> tuple[float, float]:
@@ -168,14 +170,14 @@ def _range(points: Sequence[PlotPoint]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _trace(canvas: Canvas, frame: PlotFrame, values: Sequence[tuple[float, float, Form]]) -> None:
+def _trace(canvas: Canvas, values: Sequence[tuple[float, float, Form]]) -> None:
     """Draw a curve: dots reach vertically and horizontally from one value to the next."""
     before: tuple[int, int] | None = None
     for time_s, value, form in values:
         if not isfinite(value):
             before = None
             continue
-        column, row = frame.column(time_s), frame.row(value)
+        column, row = canvas.column(time_s), canvas.row(value)
         first_column, first = before or (column, row)
         for between in range(first_column, column):
             _draw(canvas, form, between, (first, first))
@@ -191,33 +193,18 @@ def _draw(canvas: Canvas, form: Form, column: int, rows: tuple[int, int]) -> Non
             canvas.dot(column, row, form.style)
 
 
-def _labels(frame: PlotFrame, references: Iterable[float]) -> list[str]:
+def _labels(canvas: Canvas, references: Iterable[float]) -> list[str]:
     """Values next to the rows: both edges, and the references, which matter more."""
-    labels = [""] * frame.rows
-    for value in (frame.low, frame.high, *references):
-        labels[frame.row(value) // 4] = f"{value:.{2 if abs(value) < 100.0 else 1}f} "
+    labels = [""] * canvas.rows
+    for value in (canvas.low, canvas.high, *references):
+        labels[canvas.row(value) // 4] = f"{value:.{2 if abs(value) < 100.0 else 1}f} "
     return labels
 
 
-def _marks(frame: PlotFrame, marks: Sequence[Mark]) -> Text:
-    """Marks with as much of their text as fits before the next one."""
-    line = [" "] * (_LABEL_WIDTH + frame.columns)
-    for mark in marks:
-        start = _LABEL_WIDTH + frame.column(mark.time_s) // 2
-        if start < _LABEL_WIDTH:
-            continue
-        text = f"▼{mark.text} "
-        line[start : start + len(text)] = text
-    return Text("".join(line)[: _LABEL_WIDTH + frame.columns], MARK_STYLE)
-
-
-def _times(frame: PlotFrame) -> Text:
+def _times(canvas: Canvas) -> Text:
     """Times before now along the lower edge."""
-    line = [" "] * (_LABEL_WIDTH + frame.columns)
-    apart_s = next(s for s in _APART_s if frame.window_s <= 5 * s)
-    for back in range(1, int(frame.window_s / apart_s) + 1):
-        text = f"-{back * apart_s} s" if apart_s < 300 else f"-{back * apart_s // 60} min"
-        start = _LABEL_WIDTH + frame.column(frame.now_s - back * apart_s) // 2
-        line[start : start + len(text)] = text
-    line[-3:] = "now"
-    return Text("".join(line), AXIS_STYLE)
+    apart_s = next(s for s in _APART_s if canvas.window_s <= 5 * s)
+    unit, length_s = ("s", 1) if apart_s < 300 else ("min", 60)
+    backs_s = range(apart_s, int(canvas.window_s) + 1, apart_s)
+    texts = [(canvas.now_s - back_s, f"-{back_s // length_s} {unit}") for back_s in backs_s]
+    return Text(f"{canvas.text_line(texts)[:-3]}now", AXIS_STYLE)

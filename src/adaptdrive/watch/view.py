@@ -12,6 +12,7 @@ from rich.text import Text
 
 from adaptdrive.operation.estimate_names import quantity_and_unit
 from adaptdrive.operation.payloads import number, part, printable, unconfirmed_stop
+from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.plot import FORMS, OFF, REFERENCE, plot
 from adaptdrive.watch.record import Payload, WatchRecord
 from adaptdrive.watch.tables import (
@@ -37,6 +38,10 @@ _TRIP_LINES = 2
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
 
 
+Takes = Callable[[str], KeyCommand | bool]
+"""Sees a key first; returns the command that it asks for, or whether it was for it."""
+
+
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """Context that a view shows around a drive.
@@ -48,7 +53,7 @@ class Surroundings:
         longest_s: Longest time that the plot shows.
         cover: Takes the place of the tables, where it is there.
         plant: Whether the keys of a simulated plant are named.
-        takes: Sees each key first, and returns whether it was for it.
+        takes: Sees each key first.
     """
 
     keys: Sequence[str] = KEYS
@@ -57,7 +62,7 @@ class Surroundings:
     longest_s: float = 600.0
     cover: Text | None = None
     plant: bool = True
-    takes: Callable[[str], bool] = lambda _: False
+    takes: Takes = lambda _: False
 
 
 WATCH = Surroundings()
