@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 import sys
 import time
 from pathlib import Path
@@ -12,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.household import leash
+from adaptdrive.household.ports import Ports
 from adaptdrive.household.processes import Household, ProcessDiedError
-from tests.support import Spawn
+from tests.support import Spawn, free_port
 
 PATIENCE_S = 120.0
 SLEEPER = """
@@ -99,3 +101,14 @@ def test_a_leash_without_its_parent_does_not_start_anything(tmp_path: Path, spaw
     process = spawn(sys.executable, leash.__file__, "1", sys.executable, "-c", "print('started')")
     assert process.wait(timeout=PATIENCE_S) == 1
     assert "is gone" in (tmp_path / "process-0.log").read_text()
+
+
+def test_of_two_programs_that_start_at_once_each_takes_a_port_of_its_own() -> None:
+    usual = free_port(socket.SOCK_STREAM)
+    first, second, third = Ports(), Ports(), Ports()
+    assert first.take(usual=usual) == usual
+    assert second.take(usual=usual) != usual
+    first.close()
+    assert third.take(usual=usual) == usual
+    second.close()
+    third.close()

@@ -23,8 +23,9 @@ class Ports:
 
         Args:
             kind: Of TCP or UDP.
-            usual: The port to take where it is free; any when 0.
+            usual: The port to take where it is free and no other program is taking it; any when 0.
         """
+        usual = usual if usual and self._reserve(usual) else 0
         probe = self._held.enter_context(socket.socket(socket.AF_INET, kind))
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -32,6 +33,15 @@ class Ports:
         except OSError:
             probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
+
+    def _reserve(self, port: int) -> bool:
+        """Return whether no other program holds this number, although nothing listens there yet."""
+        mark = self._held.enter_context(socket.socket(socket.AF_UNIX))
+        try:
+            mark.bind(f"\0adaptdrive-port-{port}")
+        except OSError:
+            return False
+        return True
 
     def close(self) -> None:
         """Give all back."""
