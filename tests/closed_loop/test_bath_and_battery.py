@@ -3,63 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
-from adaptdrive.config.file import validate_configuration
-from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
+from adaptdrive_sim.experiments.examples import example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import SimulatedLoad
-from adaptdrive_sim.virtual import OperatedDrive
-from adaptdrive_sim.world import World, WorldParameters
+from tests.closed_loop.life import load_world, periods, started, wait
 
 HALF_s = 1200.0
 ONE = BatteryParameters()
 TWO = BatteryParameters(relaxation_2_Ohm=0.2, relaxation_2_s=300.0)
 
 
-def configured(name: str) -> Configuration:
-    return validate_configuration(example_tables(f"{name}.toml"), FOLDER / f"{name}.toml")
-
-
-def world(load: SimulatedLoad, noise: float) -> World:
-    return World(load, WorldParameters(noise=NoiseParameters(sigma=noise)))
-
-
-def enabled(configuration: Configuration, plant: World) -> OperatedDrive:
-    """A drive that has just reached `running`."""
-    drive = OperatedDrive(configuration, plant)
-    drive.tick()
-    drive.carry_out(Enable())
-    while drive.machine.state is not State.RUNNING:
-        drive.tick()
-    drive.tick()
-    return drive
-
-
-def periods(drive: OperatedDrive, seconds: float) -> Iterator[None]:
-    """Run for a while, and stop after each slow period."""
-    end_s = drive.time_s + seconds
-    while drive.time_s < end_s:
-        if drive.tick():
-            yield
-
-
 def overshoots(mode: Mode) -> list[float]:
     """Overshoot of each half wave of 10 and 13 K, with the drain raised in the third."""
     bath = Bath(BathParameters())
-    plant = world(bath, 0.05)
+    plant = load_world(bath, 0.05)
     plant.settle(plant.boost_voltage_for(10.0))
-    drive = enabled(configured("bath"), plant)
-    drive.carry_out(SetMode(mode))
+    drive = started("bath", plant, mode)
     drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 10.0, 13.0, 2 * HALF_s)))
     found = []
     for half in range(5):
@@ -89,8 +56,7 @@ def test_a_battery_is_charged_tapers_and_is_complete(
     battery: BatteryParameters, mode: Mode
 ) -> None:
     plant = Battery(dataclasses.replace(battery, charge=0.45, capacity_Ah=4.0))
-    drive = enabled(configured("battery"), world(plant, 0.02))
-    drive.carry_out(SetMode(mode))
+    drive = started("battery", load_world(plant, 0.02), mode)
     drive.carry_out(SetSetpoint(12.0))
     for _ in periods(drive, 40.0):
         assert plant.output < 1.1 * 12.0
@@ -120,8 +86,7 @@ def test_the_terminals_of_a_full_battery_pass_their_limit_by_two_percent_at_most
     limit_V = tables["load"]["charge"]["voltage_max_V"]
     plant = Battery(dataclasses.replace(ONE, charge=0.93))
     assert plant.open_circuit_V > limit_V
-    drive = enabled(configured("battery"), world(plant, 0.0))
-    drive.carry_out(SetMode(Mode.ADAPTIVE))
+    drive = started("battery", load_world(plant), Mode.ADAPTIVE)
     drive.carry_out(SetSetpoint(12.6))
     highest_V = 0.0
     while drive.time_s < 30.0:
@@ -133,12 +98,12 @@ def test_the_terminals_of_a_full_battery_pass_their_limit_by_two_percent_at_most
 @pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE])
 def test_a_battery_is_charged_while_it_is_learnt_without_filters(mode: Mode) -> None:
     """Such a model has no direct term: that parameter of it is exactly 0."""
-    tables = example_tables("battery.toml")
-    tables["estimator"] |= {"method": "rls", "settle_s": 5.0}
-    tables["supervisor"]["warm_up_s"] = 10.0
+    changes: dict[str, dict[str, Any]] = {
+        "estimator": {"method": "rls", "settle_s": 5.0},
+        "supervisor": {"warm_up_s": 10.0},
+    }
     plant = Battery(dataclasses.replace(ONE, charge=0.45))
-    drive = enabled(validate_configuration(tables, FOLDER / "battery.toml"), world(plant, 0.02))
-    drive.carry_out(SetMode(mode))
+    drive = started("battery", load_world(plant, 0.02), mode, changes)
     drive.carry_out(SetSetpoint(6.0))
     currents = [plant.output for _ in periods(drive, 60.0)]
     assert drive.machine.state is State.RUNNING, drive.machine.trip
@@ -151,7 +116,7 @@ def test_the_first_current_into_a_battery_overshoots_little(
     charge: float, current_A: float
 ) -> None:
     plant = Battery(dataclasses.replace(ONE, charge=charge))
-    drive = enabled(configured("battery"), world(plant, 0.02))
+    drive = started("battery", load_world(plant, 0.02))
     drive.carry_out(SetSetpoint(current_A))
     highest_A, end_s = 0.0, drive.time_s + 40.0
     while drive.time_s < end_s:
@@ -166,11 +131,9 @@ def test_the_current_of_a_battery_follows_a_wave_under_adaptive_control(
     battery: BatteryParameters,
 ) -> None:
     plant = Battery(battery)
-    drive = enabled(configured("battery"), world(plant, 0.02))
-    drive.carry_out(SetMode(Mode.ADAPTIVE))
+    drive = started("battery", load_world(plant, 0.02), Mode.ADAPTIVE)
     drive.carry_out(SetSetpoint(8.0))
-    for _ in periods(drive, 60.0):
-        pass
+    wait(drive, 60.0)
     drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 6.0, 10.0, 60.0)))
     adaptive, beyond = 0, 0.0
     for _ in periods(drive, 300.0):
@@ -184,11 +147,9 @@ def test_the_current_of_a_battery_follows_a_wave_under_adaptive_control(
 
 
 def test_a_steady_current_teaches_nothing_and_says_so() -> None:
-    drive = enabled(configured("battery"), world(Battery(ONE), 0.02))
-    drive.carry_out(SetMode(Mode.ADAPTIVE))
+    drive = started("battery", load_world(Battery(ONE), 0.02), Mode.ADAPTIVE)
     drive.carry_out(SetSetpoint(12.0))
-    for _ in periods(drive, 200.0):
-        pass
+    wait(drive, 200.0)
     assert drive.decision is not None
     assert drive.decision.controller is Mode.FIXED
     assert "is uncertain" in drive.decision.reason

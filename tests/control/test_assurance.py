@@ -39,14 +39,6 @@ def motor_model(tau_motor_s: float) -> tuple[list[float], list[float]]:
 
 
 @pytest.mark.parametrize("load", LOADS.values(), ids=LOADS.keys())
-def test_a_load_is_made_of_its_physical_parameters(load: Load) -> None:
-    values = load.physical(list(load.numerator), list(load.denominator))
-    numerator, denominator = load.realise(values)
-    assert numerator == pytest.approx(load.numerator, rel=1e-14)
-    assert denominator == pytest.approx(load.denominator, rel=1e-14)
-
-
-@pytest.mark.parametrize("load", LOADS.values(), ids=LOADS.keys())
 @given(shares=st.lists(decades(0.2, 8.0), min_size=3, max_size=3))
 def test_parameters_and_models_are_inverse_to_each_other(load: Load, shares: list[float]) -> None:
     nominal = load.physical(list(load.numerator), list(load.denominator))

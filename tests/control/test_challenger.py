@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
-from adaptdrive.control import fast_half as fast
 from adaptdrive.control import regression as reg
 from adaptdrive.control.doubt import is_doubtful
 from adaptdrive.control.settings import Learning
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING, TICKS, TICK_s
+from tests.control.learning import learn_course
 from tests.control.systems import Array
 
 LEARNING = replace(
@@ -54,33 +54,12 @@ def learn(voltages: Array, outputs: Array, learning: Learning = LEARNING) -> lis
     """Learn a course; second, values, shown deviations and doubt of each slow period."""
     state = est.new_estimator(learning, MOTOR, 2)
     learning.method.begin(state, learning, MOTOR)
-    bank = fast.new_filter_bank(
-        MOTOR, TICK_s, learning.tau_lambda_s, float(outputs[0]), float(voltages[0])
-    )
-    rows = []
-    for n in range(1, len(voltages)):
-        fast.filter_sample(bank, float(outputs[n]), float(voltages[n]), 1)
-        if (n - 1) % TICKS >= TICKS - 90:
-            fast.accumulate(bank)
-        if n % TICKS == 0:
-            rows.append(_learn_slow(state, learning, fast.take_means(bank), n // TICKS))
+    rows, samples = [], (voltages, outputs)
+    for n in learn_course(state, learning, MOTOR, samples, tick_s=TICK_s, ticks=TICKS, samples=90):
+        values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
+        shown = learning.method.shown_deviations(state, learning, MOTOR, values)
+        rows.append((n // TICKS, values, shown, is_doubtful(state)))
     return rows
-
-
-def _learn_slow(
-    state: est.EstimatorState, learning: Learning, means: list[float], second: int
-) -> Row:
-    y, *rest = means
-    state.sample.time_s += 1.0
-    reg.fill_filtered_regressor(state.sample.regressor, learning, MOTOR, rest[:2], rest[2:])
-    elapsed_s = state.sample.time_s - state.estimate.origin_s
-    reg.fill_initial_state(state.sample.regressor, learning, MOTOR, elapsed_s)
-    lowered = state.rivals.lowered
-    reg.fill_lowered_regressor(lowered, learning, MOTOR, y, rest[:2], rest[2:])
-    est.learn(state, learning, MOTOR, y, usable=True)
-    values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
-    shown = learning.method.shown_deviations(state, learning, MOTOR, values)
-    return second, values, shown, is_doubtful(state)
 
 
 def worst(row: Row, disks: int) -> float:

@@ -49,17 +49,6 @@ def test_it_charges_with_the_set_point_then_at_the_limit_of_the_voltage_and_ends
     assert trace[full][1] == pytest.approx(58.0, rel=0.01)
 
 
-def test_a_small_set_point_far_from_full_is_not_the_end() -> None:
-    assert not any(done for *_, done in charge(0.5, 200))
-
-
-def test_a_small_set_point_just_below_the_limit_is_not_the_end() -> None:
-    state = ChargeState(0.5)
-    for _ in range(30):
-        taper(LIMITS, state, 0.5, 57.9, 0.5)
-    assert not is_complete(LIMITS, state)
-
-
 def test_the_terminal_voltage_is_what_the_droop_leaves() -> None:
     assert terminal_voltage(LIMITS, 280.0, 10.0) == 60.0
 

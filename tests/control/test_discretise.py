@@ -15,13 +15,11 @@ from adaptdrive.control.discretise import (
     input_taps,
     propagate,
 )
-from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 from tests.control.systems import (
     Array,
     System,
     decades,
     held_polynomials,
-    motor_system,
     polynomials,
     stable_systems,
 )
@@ -134,17 +132,6 @@ def test_the_impulse_invariant_pair_is_scipys_whatever_the_poles(
     assert np.allclose([*a, *b], expected, rtol=0.0, atol=1e-11 * max(1.0, gain))
 
 
-@pytest.mark.parametrize("period_s", [0.5, 1.0, 2.0])
-def test_the_impulse_invariant_pair_is_the_sum_of_the_sampled_residues(period_s: float) -> None:
-    slow, fast = 23.4, 10.0
-    a, b = impulse_invariant_pair(0.011, slow + fast, slow * fast, period_s)
-    residue = 0.011 / (slow - fast)
-    decays = [math.exp(-period_s / slow), math.exp(-period_s / fast)]
-    assert a == pytest.approx([1.0, -sum(decays), math.prod(decays)], rel=1e-12)
-    assert b[1] == pytest.approx(period_s * residue * (decays[0] - decays[1]), rel=1e-12)
-    assert b[0] == b[2] == 0.0
-
-
 def test_equal_time_constants_are_no_special_case() -> None:
     at = impulse_invariant_pair(0.011, *EQUAL, 1.0)
     near = [impulse_invariant_pair(0.011, EQUAL[0], EQUAL[1] * (1 + e), 1.0) for e in (1e-9, -1e-9)]
@@ -153,29 +140,6 @@ def test_equal_time_constants_are_no_special_case() -> None:
     assert at[1][1] == pytest.approx(0.011 / 100.0 * decay, rel=1e-14)
     for a, b in near:
         assert [*a, *b] == pytest.approx([*at[0], *at[1]], rel=1e-8)
-
-
-def test_as_printed_the_impulse_invariant_poles_are_wrong_and_the_loop_explodes() -> None:
-    fast, slow = math.exp(-1.0 / 10.0), math.exp(-1.0 / 11.7)
-    b1 = 0.011 * (slow - fast) / 1.7
-    printed, model = [1.0, -(slow - fast), slow * fast], [0.0, b1, 0.0]
-    right, _ = impulse_invariant_pair(0.011, 21.7, 117.0, 1.0)
-    assert sorted(np.roots(right)) == pytest.approx([fast, slow], abs=1e-9)
-    assert min(abs(np.roots(printed) - slow)) > 0.5
-
-    def radius(designed_for: list[float]) -> float:
-        r, s = place_poles(designed_for, model, desired_polynomial(0.7, 4))
-        return float(max(abs(np.roots(np.polyadd(np.convolve(right, r), np.convolve(model, s))))))
-
-    assert radius(printed) == pytest.approx(3.1, abs=0.05)
-    assert radius(right) == pytest.approx(0.7, abs=1e-3)
-
-
-def test_the_print_leaves_out_the_period() -> None:
-    _, once = impulse_invariant_pair(0.011, 21.7, 117.0, 1e-3)
-    system = motor_system()
-    peak_free = system.numerator[2] * 1e-3  # the impulse response starts with this slope
-    assert once[1] == pytest.approx(1e-3 * peak_free, rel=1e-3)
 
 
 def test_a_load_without_a_state_is_its_gain() -> None:

@@ -125,13 +125,17 @@ def test_equal_time_constants_have_a_limit_where_the_print_divides_by_zero() -> 
 
 
 def test_the_coefficients_of_the_past_voltages_are_one_plus_d1_and_minus_d1() -> None:
-    d1 = POLE**4 / corrected(1.0).a2
-    gains = corrected(1.0).gains()
+    model, gains = corrected(1.0), corrected(1.0).gains()
+    d1 = POLE**4 / model.a2
     assert gains[:2] == pytest.approx([-(1.0 + d1), d1], rel=1e-9)
     poles = loop_poles([-d1, -(d1 - 1.0), *gains[2:]], 1.0)
     assert radius(poles) < 1.0  # stable: only the positions tell
     expected = [0.85j, -0.85j, 0.90 + 0.03j, 0.90 - 0.03j]
     assert distance(poles, expected) < 0.01
+    a, b, s = [1.0, model.a1, model.a2], [0.0, model.b1, 0.0], gains[2:]
+    for r, dc_gain in (([1.0, -d1, 1.0 - d1], 0.42), ([1.0, *gains[:2]], 1.0)):
+        loop = np.convolve(a, r) + np.convolve(b, s)
+        assert sum(s) * sum(b) / sum(loop) == pytest.approx(dc_gain, abs=0.01)
 
 
 def test_a_forgetting_factor_of_099_remembers_33_minutes_of_20_s_not_60() -> None:

@@ -19,6 +19,7 @@ from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.ud_factors import covariance
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING, TICKS, TICK_s
+from tests.control.learning import learn_course
 from tests.control.systems import Array, held_polynomials, motor_system, row_norms
 
 FINE = 4
@@ -47,19 +48,11 @@ def simulate(
 def learn_filtered(
     learning: Learning, voltages: Array, outputs: Array, samples: int
 ) -> est.EstimatorState:
-    state = est.new_estimator(learning, MOTOR, 2)
-    bank = fast.new_filter_bank(
-        MOTOR, TICK_s, learning.tau_lambda_s, float(outputs[0]), float(voltages[0])
-    )
-    for n in range(1, len(voltages)):
-        fast.filter_sample(bank, float(outputs[n]), float(voltages[n]), 1)
-        if (n - 1) % TICKS >= TICKS - samples:
-            fast.accumulate(bank)
-        if n % TICKS == 0:
-            y, *rest = fast.take_means(bank)
-            reg.fill_filtered_regressor(state.sample.regressor, learning, MOTOR, rest[:2], rest[2:])
-            reg.fill_initial_state(state.sample.regressor, learning, MOTOR, n * TICK_s)
-            est.learn(state, learning, MOTOR, y, usable=True)
+    state, course = est.new_estimator(learning, MOTOR, 2), (voltages, outputs)
+    for _ in learn_course(
+        state, learning, MOTOR, course, tick_s=TICK_s, ticks=TICKS, samples=samples
+    ):
+        pass
     return state
 
 
@@ -158,15 +151,6 @@ def learn_direct(learning: Learning, inputs: Array, outputs: Array) -> tuple[Arr
     return np.array(a), np.array(b)
 
 
-@pytest.mark.parametrize("learning", [PLAIN_LEARNING, SCALED_LEARNING])
-def test_direct_least_squares_finds_the_held_model(learning: Learning) -> None:
-    learning = replace(learning, method=METHODS["rls"], gate=0.0)
-    inputs, outputs, a, b = held_motor(600, 0.0)
-    found_a, found_b = learn_direct(learning, inputs, outputs)
-    assert found_a == pytest.approx(a, abs=1e-5)
-    assert found_b == pytest.approx(b, abs=1e-7)
-
-
 def test_noise_ruins_direct_least_squares_and_leaves_the_lambda_method_standing() -> None:
     noise = 0.002
     direct = replace(PLAIN_LEARNING, method=METHODS["rls"])
@@ -225,11 +209,6 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
         found.append(values)
         claimed.append(row_norms(in_force.parameter_root(state, learning, MOTOR, values)))
     assert np.mean(claimed, axis=0) == pytest.approx(np.std(found, axis=0), rel=0.3)
-
-
-def test_error_bars_are_unknown_before_there_are_more_samples_than_parameters() -> None:
-    assert math.isnan(in_force.residual_noise(taught(PLAIN_LEARNING, 3)))
-    assert math.isfinite(in_force.residual_noise(taught(PLAIN_LEARNING, 5)))
 
 
 def memory(state: est.EstimatorState) -> list[float]:

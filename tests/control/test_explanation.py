@@ -16,6 +16,7 @@ from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
 from adaptdrive.control.rls import predict
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
+from tests.control.learning import fill_sample
 from tests.control.systems import Array
 
 LEARNING = replace(
@@ -97,11 +98,7 @@ def learn(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
 def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> None:
     state = seen.state
     state.sample.time_s += 1.0
-    reg.fill_filtered_regressor(state.sample.regressor, LEARNING, MOTOR, y, u)
-    reg.fill_initial_state(
-        state.sample.regressor, LEARNING, MOTOR, state.sample.time_s - state.estimate.origin_s
-    )
-    reg.fill_lowered_regressor(state.rivals.lowered, LEARNING, MOTOR, output, y, u)
+    fill_sample(state, LEARNING, MOTOR, output, outputs=y, inputs=u)
     expected = LEARNING.output_scale * predict(state.estimate.theta, state.sample.regressor)
     est.learn(state, LEARNING, MOTOR, output, usable=True)
     if state.rivals.samples == 0 and state.surprise.alarms == (seen.alarms or [0])[-1]:

@@ -13,7 +13,7 @@ from scipy.signal import lsim
 
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control.signals import Measurement
-from tests.closed_loop.bench import EXACT, MOTOR, PAPER, RATES, STAGE, TICK_s
+from tests.closed_loop.bench import EXACT, MOTOR, RATES, STAGE, TICK_s
 from tests.control.systems import Array
 
 plausible = st.floats(-10.0, 400.0)
@@ -171,14 +171,6 @@ def test_each_tick_is_in_the_books_of_its_period() -> None:
     assert applied_V == pytest.approx(360.5)
     assert followed
     assert held == 40
-
-
-def test_the_paper_knows_no_rounding() -> None:
-    filters, books = bank(), state()
-    for tick in range(1, 2401):
-        output = 3.0 + 0.02 * (tick // 40 % 5)
-        fast.take_in(EXACT, MOTOR, books, filters, measured(tick, output=output))
-    assert fast.take_rounding(PAPER, filters) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("clip", [0.0, 0.5, 6.0])

@@ -15,7 +15,6 @@ from adaptdrive.control.branch import (
     Branch,
     Datum,
     count_prediction,
-    new_branch,
     predict_sample,
 )
 from adaptdrive.control.hypotheses import (
@@ -123,17 +122,6 @@ def doubt(kind: int, direction: Array) -> float:
     return math.sqrt(ud.excitation(one.upper, one.diagonal, direction.tolist()))
 
 
-def test_each_kind_of_change_doubts_what_it_may_have_moved() -> None:
-    bias = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    dynamics = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert doubt(NOTHING, bias) == pytest.approx(1e-3)
-    assert doubt(NOTHING, dynamics) == pytest.approx(1e-3)
-    assert doubt(DISTURBANCE, bias) > 100.0
-    assert doubt(DISTURBANCE, dynamics) == pytest.approx(1e-3)
-    assert doubt(LOAD, dynamics) > 1000.0
-    assert doubt(BOTH, bias) > 100.0
-
-
 CHARGING = replace(LEARNING, charge=True)
 BATTERY = battery_load(0.25, 1.2, 0.4, 30.0)
 
@@ -212,11 +200,6 @@ def test_a_prediction_is_judged_by_its_error_and_by_what_it_was_unsure_of() -> N
         weight = forgetting / (forgetting + excitation)
         assert one.squares == pytest.approx(count * error**2 * weight)
         assert one.logs == pytest.approx(-count * math.log(weight))
-
-
-def test_a_new_explanation_has_room_for_its_parameters() -> None:
-    one = new_branch(3)
-    assert (one.theta, one.upper, one.diagonal) == ([0.0] * 3, [0.0] * 9, [0.0] * 3)
 
 
 def test_another_load_keeps_gain_and_offset() -> None:

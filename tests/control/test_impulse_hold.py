@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,9 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete
 
 from adaptdrive.control.discretise import impulse_invariant_pair
-from adaptdrive.control.fast_half import FastState, kick
 from adaptdrive.control.impulse_hold import kick_factors
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.pole_placement import desired_polynomial, place_poles
-from tests.closed_loop.bench import STAGE
 
 Array = NDArray[Any]
 
@@ -84,18 +81,3 @@ def test_kicks_for_one_disk_nearly_fit_more(disks: int) -> None:
     _, expected = impulse_invariant_pair(GAIN, tau_s + FILTER_S, tau_s * FILTER_S, 1.0)
     assert b[1] == pytest.approx(expected[1], rel=0.01)
     assert np.abs(b[2:]).max() < 0.01 * b[1]
-
-
-def test_a_change_of_v_c_is_exaggerated_in_two_parts_and_a_rest_is_not() -> None:
-    stage = replace(STAGE, kick_ticks=2, kick_first=4.0, kick_second=-1.5)
-    state = FastState(tick=0, boost_reference_V=280.0, error_sum=0.0)
-
-    def ticks(count: int) -> list[float]:
-        start, state.tick = state.tick, state.tick + count
-        return [kick(state, stage, state.boost_reference_V, start + i) for i in range(count)]
-
-    assert ticks(3) == [280.0] * 3
-    state.boost_reference_V = 290.0
-    assert ticks(6) == [330.0, 330.0, 275.0, 275.0, 290.0, 290.0]
-    state.boost_reference_V = 240.0
-    assert ticks(3) == [200.0, 200.0, 315.0]

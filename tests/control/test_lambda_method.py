@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
-from adaptdrive.control import in_force
 from adaptdrive.control import regression as reg
 from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.load import Load
@@ -155,15 +154,6 @@ def test_the_deviations_are_those_of_p_by_the_noise_of_the_innovations() -> None
     expected = propagated(state, 1e-3 * np.eye(6), math.sqrt(30e-6 / (36.0 - 6.0)))
     root = np.reshape(learning.method.root(state, learning, MOTOR, values), (3, 3))
     assert np.linalg.norm(root, axis=1) == pytest.approx(expected, rel=1e-3)
-
-
-@pytest.mark.parametrize(("weight", "noise"), [(3.0, math.nan), (3.5, 2.0)])
-def test_the_noise_is_known_from_more_innovations_than_parameters(
-    weight: float, noise: float
-) -> None:
-    state = est.new_estimator(SCALED_LEARNING, MOTOR, 2)
-    state.residual_power, state.residual_weight = 2.0, weight
-    assert in_force.residual_noise(state) == pytest.approx(noise, nan_ok=True)
 
 
 def test_the_offset_of_the_input_is_what_bias_and_charge_move_the_output_by_over_beta() -> None:

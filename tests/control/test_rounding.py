@@ -161,16 +161,6 @@ def test_the_papers_design_looks_for_none() -> None:
     assert rounding_of(bank, 0.0, exact=False) == 0.0
 
 
-def test_a_step_that_an_earlier_run_found_counts_from_the_first_sample() -> None:
-    step = 0.01
-    grid = rd.remembered_grid(step)
-    assert rd.step_found(grid, SCALE) == step
-    for count in (310, 310, 311, 315, 312):
-        rd.note_sample(grid, count * step + 0.003, SCALE)
-        assert rd.step_found(grid, SCALE) == step
-    assert rd.step_found(rd.remembered_grid(0.0), SCALE) == 0.0
-
-
 def test_a_remembered_step_of_a_sensor_that_was_replaced_is_forgotten() -> None:
     grid = rd.remembered_grid(0.01)
     for y in np.round(slow_course() / 0.0037) * 0.0037:

@@ -187,15 +187,6 @@ def test_the_filters_follow_the_measured_line_frequency() -> None:
     assert snapshot.period_s == pytest.approx(1.2)
 
 
-@pytest.mark.parametrize(("held", "learns"), [(12, True), (13, False)])
-def test_a_tenth_of_the_ticks_may_be_stood_in_for(held: int, *, learns: bool) -> None:
-    controller = Controller(replace(EXACT, learning=PLAIN_LEARNING), MOTOR)
-    for tick in range(1, TICKS + 1):
-        controller.tick(measured(tick, 3.01, fresh=tick > held), order())
-    controller.decide(snapshot_of(controller))
-    assert any(controller._slow.estimator.estimate.theta) is learns
-
-
 SMALL = Rates(ticks_per_period=2, latency_ticks=1, samples=1, nominal_tick_s=1.0)
 RESPONDING = replace(
     EXACT,

@@ -59,17 +59,6 @@ def test_a_battery_is_never_raised_above_the_highest_input() -> None:
     assert slow_step(SETTINGS, BATTERY, state, sample(0.0, 20.0, 395.0, 0.0)) == HIGHEST_V
 
 
-@pytest.mark.parametrize(("terminal_V", "lowered"), [(58.4, True), (57.6, False)])
-def test_the_terminal_voltage_follows_from_the_input_without_its_lags(
-    terminal_V: float, *, lowered: bool
-) -> None:
-    """N2 V_c is the terminal voltage and the drop of R_d."""
-    state = new_slow_state(SETTINGS, BATTERY, 10.0, 240.0)
-    newest_V = (terminal_V + 10.0 * 1.0) / TURNS
-    slow_step(SETTINGS, BATTERY, state, sample(10.0, 20.0, newest_V, 0.0))
-    assert (state.reference < 10.0) is lowered
-
-
 @pytest.mark.parametrize(("high_V", "unresponsive"), [(HIGHEST_V, False), (250.0, True)])
 def test_below_its_own_voltage_a_battery_need_not_answer(
     high_V: float, *, unresponsive: bool

@@ -110,26 +110,11 @@ def test_a_reference_faster_than_a_slow_pole_is_no_error_of_the_loop() -> None:
     assert state.watch.fallback == Fallback.NONE
 
 
-def test_a_law_that_is_not_a_number_keeps_the_last_input() -> None:
-    state = at_rest()
-    slow_step(EXACT, MOTOR, state, sample())
-    before = state.inputs[0]
-    assert slow_step(EXACT, MOTOR, state, sample(reference=math.nan)) == before
-
-
 @pytest.mark.parametrize(("held_share", "learns"), [(0.0, True), (0.1, True), (0.11, False)])
 def test_a_period_with_many_stand_in_ticks_teaches_nothing(held_share: float, learns: bool) -> None:
     settings = replace(EXACT, learning=PLAIN_LEARNING)
     state = at_rest(settings)
     slow_step(settings, MOTOR, state, sample(3.01, held_share=held_share))
-    assert any(state.estimator.estimate.theta) == learns
-
-
-@pytest.mark.parametrize(("moved", "learns"), [(0.009, False), (0.011, True), (-0.011, True)])
-def test_an_output_within_the_dead_band_teaches_nothing(moved: float, learns: bool) -> None:
-    settings = replace(EXACT, learning=replace(PLAIN_LEARNING, dead_band=0.01))
-    state = at_rest(settings)
-    slow_step(settings, MOTOR, state, sample(3.0 + moved))
     assert any(state.estimator.estimate.theta) == learns
 
 

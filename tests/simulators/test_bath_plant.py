@@ -59,10 +59,6 @@ def test_many_short_steps_end_where_one_long_step_ends(steps: int, over_s: float
     assert short.volume_gal == pytest.approx(long.volume_gal, rel=1e-12)
 
 
-def test_filling_by_the_inflow_alone_takes_the_bath_five_minutes() -> None:
-    assert (1.5 - 0.6) * GALLON_kg / INFLOW_kg_s == pytest.approx(300.0, rel=2e-3)
-
-
 @pytest.mark.parametrize(("volume_gal", "tau_s"), [(0.6, 200.0), (1.5, 500.0)])
 def test_the_reference_bath_has_its_published_model(volume_gal: float, tau_s: float) -> None:
     model = Bath(BathParameters(volume_gal=volume_gal)).model(0.25, DROOP_Ohm)

@@ -77,12 +77,6 @@ def test_beyond_full_the_voltage_goes_on_rising() -> None:
     assert battery.open_circuit_V > full_V
 
 
-def test_the_charge_counts_the_ampere_hours() -> None:
-    battery = Battery(BatteryParameters(capacity_Ah=1.0, charge=0.5))
-    coulomb = sum(battery.drive(85.0, DROOP_Ohm, 0.5) * 0.5 for _ in range(200))
-    assert battery.charge - 0.5 == pytest.approx(coulomb / 3600.0, rel=1e-12)
-
-
 def test_the_model_is_the_admittance_of_the_control_side() -> None:
     own = BatteryParameters()
     load = battery_load(0.25, DROOP_Ohm + own.series_Ohm, own.relaxation_Ohm, own.relaxation_s)

@@ -51,15 +51,6 @@ def test_one_long_step_is_exact(
     assert (motor.speed_rad_s, motor.output, current) == pytest.approx(expected, rel=1e-8)
 
 
-def test_many_short_steps_end_where_one_long_step_ends() -> None:
-    short, long = Motor(MotorParameters(), 2), Motor(MotorParameters(), 2)
-    for _ in range(1200):
-        short.drive(70.0, DROOP_Ohm, 1.0 / 120.0)
-    long.drive(70.0, DROOP_Ohm, 10.0)
-    assert short.speed_rad_s == pytest.approx(long.speed_rad_s, rel=1e-11)
-    assert short.output == pytest.approx(long.output, rel=1e-11)
-
-
 def test_dry_friction_and_drag_brake_as_their_equation_says() -> None:
     own = MotorParameters(coulomb_Nm=0.3, drag_Nms2=2e-5)
     motor = Motor(own)

@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.parameters import ParameterError
-from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import Sample, World, WorldParameters
 
@@ -137,23 +136,6 @@ def test_from_290_to_200_V_the_current_of_the_reference_plant_stays_positive() -
         ticks += 1
     assert ticks / 120.0 == pytest.approx(0.17, abs=0.09)
     assert current_A == pytest.approx(0.9, abs=0.1)
-
-
-def test_a_one_way_drive_does_not_brake_a_shaft_that_turns_too_fast() -> None:
-    plant = world()
-    plant.settle(400.0)
-    plant.boost.settle(180.0, 0.0)
-    plant.step(0.0, bridge=True)
-    assert plant.step(0.0, bridge=True).load_current_A == 0.0
-
-
-def test_a_two_way_drive_does_brake_it() -> None:
-    plant = world(WorldParameters(boost=BoostParameters(bidirectional=True)))
-    plant.settle(400.0)
-    plant.boost.settle(180.0, 0.0)
-    sample = plant.step(0.0, bridge=True)
-    assert sample.load_current_A < 0.0
-    assert sample.boost_voltage_V > 180.0
 
 
 def test_the_noise_has_the_asked_deviation_and_leaves_the_truth_alone() -> None:

@@ -24,10 +24,6 @@ def test_the_published_maps_between_voltage_and_power() -> None:
     assert to_voltage(500.0, BATH.input_gain, BATH.input_exponent) == pytest.approx(by_formula)
 
 
-def test_the_dc_gain_is_the_thermal_resistance() -> None:
-    assert System(list(BATH.numerator), list(BATH.denominator)).dc_gain == pytest.approx(0.02104)
-
-
 def test_the_papers_model_is_the_step_invariant_one() -> None:
     numerator, denominator = list(BATH.numerator), list(BATH.denominator)
     a, b = paper_model(numerator, denominator, 20.0)

@@ -10,12 +10,6 @@ BATTERY = battery_load(turns_ratio=0.25, series_Ohm=1.2, relaxation_Ohm=0.3, rel
 SYSTEM = System(list(BATTERY.numerator), list(BATTERY.denominator))
 
 
-@pytest.mark.parametrize("rad_s", [1e-5, 0.01, 0.1, 100.0])
-def test_the_admittance_is_that_of_the_circuit(rad_s: float) -> None:
-    impedance = 1.2 + 0.3 / (1.0 + 1j * rad_s * 60.0)
-    assert SYSTEM.response(rad_s) == pytest.approx(0.25 / impedance, rel=1e-12)
-
-
 def test_its_parameters_are_what_a_step_shows_first_and_last_and_how_fast() -> None:
     direct, final, tau_s = physical(SYSTEM.numerator, SYSTEM.denominator)
     assert direct == pytest.approx(0.25 / 1.2)
