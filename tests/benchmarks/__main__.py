@@ -21,9 +21,8 @@ from adaptdrive.pure import build_name
 from tests.benchmarks.rows import Extent, Row, table, write_json
 
 PARTS = (
-    *("compute", "path", "experiment", "campaign", "lateness", "turnaround", "load"),
-    *("daemon", "daemons", "stop", "kills", "day", "stalled_disk", "page_storm", "topic_storm"),
-    *("panels", "builds", "equality"),
+    *("compute", "path", "lateness", "turnaround", "load", "daemon", "daemons", "stop"),
+    *("kills", "day", "stalled_disk", "page_storm", "topic_storm", "builds", "equality"),
 )
 RESULT = Path("build/bench.json")
 

@@ -18,7 +18,7 @@ from zipfile import ZipFile
 from tests.benchmarks.rows import Extent, Row
 from tests.builds.run import BUILDS, COMPILED, PURE, ROOT, environment
 
-PARTS = ("compute", "path", "experiment", "daemon", "turnaround")
+PARTS = ("compute", "path", "daemon", "turnaround")
 ROUNDS = 3
 
 Runs = dict[tuple[str, str], dict[str, list[dict[str, Any]]]]

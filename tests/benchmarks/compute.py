@@ -36,6 +36,9 @@ from tests.benchmarks.rows import Extent, Row, alternating, quantile
 from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
 from tests.loopback_port import LoopbackPort
 
+Array = np.ndarray[tuple[int, int], np.dtype[np.float64]]
+Job = Callable[[], object]
+
 TICK_US = 0.5e6 / MOTOR.drive.line_frequency_Hz
 CALLS, ROUNDS = 2000, 21
 WARM_UP = 80
@@ -48,8 +51,7 @@ COLD = 300
 
 def rows(_: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    yield from _estimator("RLS update, n = 3", 3, filtered=False)
-    yield from _estimator("LM-RLS update, n = 3, with its regressor", 3, filtered=True)
+    yield from _estimator(3)
     yield from _tick()
     yield from _frames()
 
@@ -57,73 +59,43 @@ def rows(_: Extent) -> Iterator[Row]:
 # -- estimator -------------------------------------------------------------------------------
 
 
-def _estimator(name: str, size: int, *, filtered: bool) -> Iterator[Row]:
+def _estimator(size: int) -> Iterator[Row]:
     source = np.random.default_rng(1)
     regressors = source.normal(size=(997, size))
     targets = [float(one) for one in regressors @ source.normal(size=size)]
     jobs = [
-        _ours(regressors.tolist(), targets, filtered),
-        _padasip(regressors, targets, filtered),
-        _textbook(regressors, targets, filtered),
+        _ours(regressors.tolist(), targets),
+        _padasip(regressors, targets),
+        _textbook(regressors, targets),
     ]
     ours, peer, textbook = alternating(jobs, CALLS, ROUNDS)
-    faster = "at least 5 times faster"
+    name, faster = f"RLS update, n = {size}", "at least 5 times faster"
     yield Row(name, ours, "us", peer, "padasip FilterRLS", faster, 5.0 * ours <= peer)
     yield Row(name, ours, "us", textbook, "textbook form in numpy")
 
 
-def _ours(
-    regressors: list[list[float]], targets: list[float], filtered: bool
-) -> Callable[[], object]:
+def _ours(regressors: list[list[float]], targets: list[float]) -> Job:
     size = len(regressors[0])
     theta, upper, diagonal = [0.0] * size, [0.0] * size**2, [0.0] * size
     rls.reset(theta, upper, diagonal, 1e4)
     samples = itertools.cycle(zip(regressors, targets, strict=True))
-    regressor = [0.0] * size
-
-    def plain() -> object:
-        values, target = next(samples)
-        return rls.update(theta, upper, diagonal, values, target, 0.97)
-
-    def with_regressor() -> object:
-        values, target = next(samples)
-        regressor[0], regressor[1] = -values[0] / 3.0, -values[1] / 3.0
-        regressor[2] = values[2] / 280.0
-        return rls.update(theta, upper, diagonal, regressor, target, 0.97)
-
-    return with_regressor if filtered else plain
+    return lambda: rls.update(theta, upper, diagonal, *next(samples), 0.97)
 
 
-def _padasip(
-    regressors: np.ndarray[tuple[int, int], np.dtype[np.float64]],
-    targets: list[float],
-    filtered: bool,
-) -> Callable[[], object]:
+def _padasip(regressors: Array, targets: list[float]) -> Job:
     adaptive = padasip.filters.FilterRLS(n=regressors.shape[1], mu=0.97)
-    samples = itertools.cycle(zip(regressors, targets, strict=True))
-    scales = np.array([-3.0, -3.0, 280.0])
-
-    def job() -> object:
-        values, target = next(samples)
-        return adaptive.adapt(target, values / scales if filtered else values)
-
-    return job
+    samples = itertools.cycle(zip(targets, regressors, strict=True))
+    return lambda: adaptive.adapt(*next(samples))
 
 
-def _textbook(
-    regressors: np.ndarray[tuple[int, int], np.dtype[np.float64]],
-    targets: list[float],
-    filtered: bool,
-) -> Callable[[], object]:
+def _textbook(regressors: Array, targets: list[float]) -> Job:
     size = regressors.shape[1]
     theta, covariance = np.zeros(size), 1e4 * np.eye(size)
     samples = itertools.cycle(zip(regressors, targets, strict=True))
-    scales = np.array([-3.0, -3.0, 280.0])
 
     def job() -> object:
         nonlocal theta, covariance
-        values, target = next(samples)
-        r = values / scales if filtered else values
+        r, target = next(samples)
         gain = covariance @ r / (0.97 + r @ covariance @ r)
         theta = theta + gain * (target - r @ theta)
         covariance = (covariance - np.outer(gain, r) @ covariance) / 0.97

@@ -7,14 +7,13 @@ prints one line for each scenario: median and worst over the runs.
 
 from __future__ import annotations
 
-import argparse
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 import numpy as np
 
 from adaptdrive.control.signals import Mode
+from tests.benchmarks.seeds import over_seeds
 from tests.closed_loop.life import (
     STEP,
     Event,
@@ -31,23 +30,17 @@ SCENARIOS = ("torque steps", "torque steps, noise 2 %", "sinusoidal torque", "ra
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seed", type=int)
-    parser.add_argument("--runs", type=int, default=20)
-    given = parser.parse_args()
-    seeds = range(given.seed, given.seed + given.runs)
     say = sys.stdout.write
     say("| scenario | adaptive, median (worst) | in force, least | load known, median (worst) |\n")
     say("|---|---|---|---|\n")
-    with ProcessPoolExecutor() as pool:
-        for scenario in SCENARIOS:
-            found = np.array(list(pool.map(partial(_run, scenario), seeds)))
-            (adaptive, in_force, known) = found.T
-            say(
-                f"| {scenario} | {np.median(adaptive):.3f} ({adaptive.max():.3f}) "
-                f"| {100.0 * in_force.min():.0f} % | {np.median(known):.3f} ({known.max():.3f}) |\n"
-            )
-            sys.stdout.flush()
+    for scenario in SCENARIOS:
+        found = np.array([row for _, row in over_seeds(partial(_run, scenario), __doc__)])
+        (adaptive, in_force, known) = found.T
+        say(
+            f"| {scenario} | {np.median(adaptive):.3f} ({adaptive.max():.3f}) "
+            f"| {100.0 * in_force.min():.0f} % | {np.median(known):.3f} ({known.max():.3f}) |\n"
+        )
+        sys.stdout.flush()
 
 
 def _run(scenario: str, seed: int) -> tuple[float, float, float]:

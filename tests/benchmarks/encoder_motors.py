@@ -16,10 +16,8 @@ Seeds from 610000 and from 710000 on were used for tuning, those from 720000 on 
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import sys
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +40,7 @@ from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World, WorldParameters
+from tests.benchmarks.seeds import over_seeds
 
 Array = NDArray[np.float64]
 
@@ -179,18 +178,12 @@ def judged(seed: int) -> tuple[float, float, float, float]:
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seed", type=int)
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--jobs", type=int, default=None)
-    given = parser.parse_args()
-    seeds = range(given.seed, given.seed + given.runs)
-    with ProcessPoolExecutor(given.jobs) as pool:
-        found = np.array(list(pool.map(judged, seeds)))
-    for seed, row in zip(seeds, found, strict=True):
+    rows = []
+    for seed, row in over_seeds(judged, __doc__):
         sys.stdout.write(f"{seed}: " + "  ".join(f"{one:6.1f}" for one in row) + "\n")
+        rows.append(row)
     names = ("in force", "overshoot", "overshoot, fixed", "wrong and trusted")
-    for name, column in zip(names, found.T, strict=True):
+    for name, column in zip(names, np.array(rows).T, strict=True):
         worst = column.min() if name == "in force" else column.max()
         sys.stdout.write(f"{name}: median {np.median(column):.1f} %, worst {worst:.1f} %\n")
 

@@ -7,28 +7,20 @@ prints how many runs hold each claim, and a line for each run that does not hold
 
 from __future__ import annotations
 
-import argparse
 import sys
-from concurrent.futures import ProcessPoolExecutor
 
+from tests.benchmarks.seeds import over_seeds
 from tests.closed_loop.foreign_motor import JUDGED_S, WITHIN, Judged, draw, run
 
 
 def main() -> None:
     """Print the counts."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seed", type=int)
-    parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--jobs", type=int, default=None)
-    given = parser.parse_args()
-    seeds = range(given.seed, given.seed + given.runs)
     found: list[Judged] = []
-    with ProcessPoolExecutor(given.jobs) as pool:
-        for seed, judged in zip(seeds, pool.map(_judged, seeds), strict=True):
-            found.append(judged)
-            if not _holds(judged):
-                sys.stdout.write(f"{seed}: {judged}\n")
-                sys.stdout.flush()
+    for seed, judged in over_seeds(_judged, __doc__, runs=200):
+        found.append(judged)
+        if not _holds(judged):
+            sys.stdout.write(f"{seed}: {judged}\n")
+            sys.stdout.flush()
     sys.stdout.write(_summary(found))
 
 

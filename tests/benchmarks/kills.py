@@ -20,11 +20,10 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Self
 
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
@@ -33,8 +32,9 @@ from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import Ending, session_directories
 from tests.benchmarks.rows import Extent, Row, quantile
 from tests.benchmarks.site import broker
-from tests.benchmarks.tools import BUSY, bus_ports, bus_socket, is_command, process
+from tests.benchmarks.tools import BUSY, bus_ports, process
 from tests.support import Process, children, stop_process
+from tests.system.bus_ear import BusEar
 from tests.system.site import motor_configuration, until
 
 LONGEST_PAUSE_s = 3.0
@@ -42,8 +42,6 @@ PATIENCE_s = 300.0
 SETTLED_s = 15.0
 """From a start to its last report about earlier sessions, and past the record of a trip."""
 COMMANDS_per_s = 10.0
-HEARD_s = 0.05
-"""Longest wait for a frame."""
 
 LONGEST_LOSS_s = 0.25
 """Ticks that a kill may cost: one flush, and the time to write it."""
@@ -97,13 +95,13 @@ class Drive:
         with _ended(daemon):
             if self.deaths:
                 self.deaths[-1] = self._judged(self.deaths[-1], log)
-            with self._operator(), Commands(self.bus_port) as commands:
+            with self._operator(), BusEar(self.folder / "motor.toml") as ear:
                 if self.chance.random() < 0.5:
                     self._pause()
                     self._kill("archiver", daemon)
                 self._pause()
                 self._kill(self.chance.choice(("daemon", "both")), daemon)
-                self.deaths[-1] = replace(self.deaths[-1], commanded_s=commands.last_s)
+                self.deaths[-1] = replace(self.deaths[-1], commanded_s=_last_command_s(ear))
 
     def rest(self) -> None:
         """Start a last time, and end in order."""
@@ -203,36 +201,6 @@ def _ended(daemon: Process) -> Iterator[None]:
         archivers = [one for one in children(daemon.pid) if _archives(one)]
         stop_process(daemon)
         until(lambda: not any(map(_archives, archivers)), "the archiver ends", PATIENCE_s)
-
-
-class Commands:
-    """Hears the commands on a bus for as long as the block runs.
-
-    Attributes:
-        last_s: When the last one came, monotonic; NaN before the first.
-    """
-
-    def __init__(self, bus_port: int) -> None:
-        self.last_s = math.nan
-        self._bus = bus_socket(bus_port)
-        self._bus.settimeout(HEARD_s)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._hear)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._bus.close()
-
-    def _hear(self) -> None:
-        while not self._ended.is_set():
-            with suppress(TimeoutError):
-                if is_command(self._bus.recv(512)):
-                    self.last_s = time.monotonic()
 
 
 class Operator:
@@ -339,6 +307,11 @@ def _lost_s(session: Path, commanded_s: float) -> float:
     if read.ticks.num_rows:
         return max(0.0, commanded_s - float(read.ticks["monotonic_s"][-1].as_py()))
     return max((commanded_s - one.monotonic_s for one in read.events if one.tick > 0), default=0.0)
+
+
+def _last_command_s(ear: BusEar) -> float:
+    """Return when the last command was heard, monotonic; NaN without one."""
+    return max((one.time_s for one in ear.commands()), default=math.nan)
 
 
 def _archives(pid: int) -> bool:

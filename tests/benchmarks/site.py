@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tests.benchmarks.tools import PRIORITY, bus_ports, process
 from tests.support import MosquittoLauncher, Process, free_port, stop_process
-from tests.system.site import motor_configuration
+from tests.system.site import Site, motor_configuration
 
 REALTIME = {
     "realtime.priority": str(PRIORITY),
@@ -74,6 +75,20 @@ def site(changes: dict[str, str]) -> Iterator[tuple[Running, Process]]:
         mosquitto, port = stack.enter_context(broker(folder))
         (bus_port,) = bus_ports(1)
         yield start_daemon(stack, folder, bus_port, port, changes), mosquitto
+
+
+@contextmanager
+def prompt_site(folder: Path, environment: dict[str, str] | None = None) -> Iterator[Site]:
+    """A broker and a simulated drive with real-time priority, for a daemon that has it, too."""
+    launcher = MosquittoLauncher("/usr/sbin/mosquitto", folder)
+    ports = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
+    with closing(Site(folder, launcher, *ports, REALTIME, environment or {})) as site:
+        site.start_broker()
+        site.start_device("--initial-voltage", "280")
+        for one in (site.broker, site.device):
+            if one is not None:
+                os.sched_setscheduler(one.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        yield site
 
 
 def await_broker(running: Running, patience_s: float = 120.0) -> None:

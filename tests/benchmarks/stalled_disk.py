@@ -7,8 +7,6 @@ is compared are the times of the ticks that the daemon itself recorded.
 
 from __future__ import annotations
 
-import os
-import socket
 import subprocess
 import sys
 import time
@@ -22,12 +20,11 @@ import polars as pl
 
 from adaptdrive.lab import load_session
 from tests.benchmarks.rows import Extent, Row
-from tests.benchmarks.site import REALTIME
+from tests.benchmarks.site import prompt_site
 from tests.benchmarks.stop import FLOOD
-from tests.benchmarks.tools import PRIORITY, process
-from tests.support import MosquittoLauncher, free_port
+from tests.benchmarks.tools import process
 from tests.system.own_disk import mounted, stalled
-from tests.system.site import Site, until
+from tests.system.site import until
 
 STALL_S = 5.0
 CALM_S = 3.0
@@ -54,7 +51,11 @@ def rows(extent: Extent) -> Iterator[Row]:
         disk = stack.enter_context(mounted(folder))
         if disk is None:
             raise RuntimeError("no file system can be mounted")
-        site = _site(folder, disk, stack)
+        site = stack.enter_context(prompt_site(folder, {"STATE_DIRECTORY": str(disk)}))
+        site.start_daemon()
+        site.run_drive()
+        words = [sys.executable, str(FLOOD), str(site.broker_port), str(COMMANDS_PER_S)]
+        stack.enter_context(process(words, stdout=subprocess.DEVNULL))
         windows = list(_windows(disk, extent.pick(20, 3, 1)))
         sessions = disk / "sessions"
         (session,) = (path for path in sessions.iterdir() if path.name[0] != ".")
@@ -62,21 +63,6 @@ def rows(extent: Extent) -> Iterator[Row]:
         if site.stop_daemon() != 0:
             raise RuntimeError(site.daemon_log)
         yield from _compared(session, windows)
-
-
-def _site(folder: Path, disk: Path, stack: ExitStack) -> Site:
-    launcher = MosquittoLauncher("/usr/sbin/mosquitto", folder)
-    ports = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
-    site = Site(folder, launcher, *ports, REALTIME, {"STATE_DIRECTORY": str(disk)})
-    stack.callback(site.close)
-    site.start("--initial-voltage", "280")
-    for one in (site.broker, site.device):
-        if one is not None:
-            os.sched_setscheduler(one.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    site.run_drive()
-    words = [sys.executable, str(FLOOD), str(site.broker_port), str(COMMANDS_PER_S)]
-    stack.enter_context(process(words, stdout=subprocess.DEVNULL))
-    return site
 
 
 def _windows(disk: Path, pairs: int) -> Iterator[Window]:

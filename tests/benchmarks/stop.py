@@ -8,27 +8,23 @@ machine is not measured. Each trial enables the drive, waits until it runs, and 
 from __future__ import annotations
 
 import json
-import os
-import socket
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Self
 
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tests.benchmarks.rows import Extent, Row, quantile
-from tests.benchmarks.site import REALTIME
-from tests.benchmarks.tools import PRIORITY, try_fifo
-from tests.support import MosquittoLauncher, free_port, slow_disk
+from tests.benchmarks.site import prompt_site
+from tests.benchmarks.tools import PRIORITY, process, try_fifo
+from tests.support import slow_disk
 from tests.system.bus_ear import BusEar, Commanded
-from tests.system.site import Site, until
+from tests.system.site import until
 
 FLOOD = Path(__file__).with_name("flood.py")
 STOP = "adaptdrive/motor/command/disable"
@@ -86,32 +82,21 @@ def rows(extent: Extent) -> Iterator[Row]:
 
 def _measure(case: Case, trials: int) -> Iterator[float]:
     with TemporaryDirectory() as name, ExitStack() as stack:
-        site = _site(Path(name), case, stack)
+        folder = Path(name)
+        site = stack.enter_context(prompt_site(folder))
+        site.environment.update(slow_disk(folder, case.fsync_s) or {} if case.fsync_s else {})
+        site.start_daemon()
+        site.await_measurement()
         ear = stack.enter_context(BusEar(site.config))
-        operator = stack.enter_context(_Operator(site.broker_port))
+        operator = stack.enter_context(_operator(site.broker_port))
         for _ in range(trials):
             site.run_drive()
-            with _Flood(site.broker_port, case.commands_per_s):
-                began_s = operator.stop(case)
+            with _flood(site.broker_port, case.commands_per_s):
+                began_s = time.monotonic()
+                operator.publish(STOP, case.payload, qos=1, retain=case.retain)
                 yield 1e3 * (_first_safe(ear, began_s) - began_s)
             until(lambda: site.ask("reset")["accepted"], "the drive rests")
             site.await_state(state="standby")
-
-
-def _site(folder: Path, case: Case, stack: ExitStack) -> Site:
-    launcher = MosquittoLauncher("/usr/sbin/mosquitto", folder)
-    ports = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
-    site = Site(folder, launcher, *ports, REALTIME)
-    stack.callback(site.close)
-    site.start_broker()
-    site.start_device("--initial-voltage", "280")
-    for process in (site.broker, site.device):
-        if process is not None:
-            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    site.environment.update(slow_disk(folder, case.fsync_s) or {} if case.fsync_s else {})
-    site.start_daemon()
-    site.await_measurement()
-    return site
 
 
 def _first_safe(ear: BusEar, began_s: float) -> float:
@@ -122,46 +107,26 @@ def _first_safe(ear: BusEar, began_s: float) -> float:
     return until(find, "the bridge is commanded off").time_s
 
 
-@dataclass
-class _Operator:
+@contextmanager
+def _operator(port: int) -> Iterator[paho.Client]:
     """A client that stays connected, so that its own start is not measured."""
-
-    port: int
-    client: paho.Client = field(init=False)
-
-    def __enter__(self) -> Self:
-        self.client = paho.Client(CallbackAPIVersion.VERSION2)
-        self.client.connect("127.0.0.1", self.port)
-        self.client.loop_start()
-        until(self.client.is_connected, "the operator is connected")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.client.disconnect()
-        self.client.loop_stop()
-
-    def stop(self, case: Case) -> float:
-        """Publish the stop; the monotonic time of it."""
-        began_s = time.monotonic()
-        self.client.publish(STOP, case.payload, qos=1, retain=case.retain)
-        return began_s
+    client = paho.Client(CallbackAPIVersion.VERSION2)
+    client.connect("127.0.0.1", port)
+    client.loop_start()
+    try:
+        until(client.is_connected, "the operator is connected")
+        yield client
+    finally:
+        client.disconnect()
+        client.loop_stop()
 
 
-@dataclass
-class _Flood:
+@contextmanager
+def _flood(port: int, per_s: float) -> Iterator[None]:
     """Set-points from another client; it has been at it for some time when the block begins."""
-
-    port: int
-    per_s: float
-    process: subprocess.Popen[bytes] | None = None
-
-    def __enter__(self) -> None:
-        if self.per_s:
-            command = [sys.executable, str(FLOOD), str(self.port), str(self.per_s)]
-            self.process = subprocess.Popen(command)
-            time.sleep(3.0)
-
-    def __exit__(self, *_: object) -> None:
-        if self.process is not None:
-            self.process.terminate()
-            self.process.wait()
+    if not per_s:
+        yield
+        return
+    with process([sys.executable, str(FLOOD), str(port), str(per_s)]):
+        time.sleep(3.0)
+        yield

@@ -24,7 +24,7 @@ from tests.fuzz.mutate import mutated
 from tests.operation.contract import validators
 from tests.operation.fence import Fence
 from tests.panel.hostile import Hostile
-from tests.support import MosquittoLauncher, free_port
+from tests.support import MosquittoLauncher, free_port, resident_MiB
 from tests.system.site import PATIENT_DRIVE, Site
 
 EACH = 10_000
@@ -86,18 +86,18 @@ def storm(site: Site, name: str, each: int, state: dict[str, Any]) -> Outcome:
     """Publish payloads on a topic, and judge the answers and the state after them."""
     assert site.daemon is not None
     pid, began_s = site.daemon.pid, cpu_s(site.daemon.pid)
-    answers, first_kB = 0, 0
+    answers, first_MB = 0, 0.0
     with closing(Fence(site.broker_port)) as fence:
         for number, (topic, raw, retain) in enumerate(messages(name, each)):
             if number == each // 5:
-                first_kB = memory_kB(pid)
+                first_MB = resident_MiB(pid)
             fence.send(topic, raw, retain=retain, answered=name != ASKED)
         fence.wait()
         answers = _judged(name, fence.replies)
         fence.forget_retained()
         found = {key: fence.state[key] for key in LASTING}
         _require(found == state, f"{state} became {found} after {name}")
-    return Outcome(answers, cpu_s(pid) - began_s, (memory_kB(pid) - first_kB) / 1024)
+    return Outcome(answers, cpu_s(pid) - began_s, resident_MiB(pid) - first_MB)
 
 
 def _judged(name: str, replies: list[dict[str, Any]]) -> int:
@@ -133,12 +133,6 @@ def _allowed(schema: Any, raw: bytes) -> bool:
         return bool(schema.is_valid(json.loads(raw)))
     except (ValueError, RecursionError):
         return False
-
-
-def memory_kB(pid: int) -> int:
-    """Return the resident memory of a process."""
-    lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
-    return int(next(line.split()[1] for line in lines if line.startswith("VmRSS")))
 
 
 def _require(found: bool, what: object) -> None:
