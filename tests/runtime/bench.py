@@ -202,10 +202,12 @@ class FastBench:
         )
         self.port.deliver(replace(reading, **changes))  # type: ignore[arg-type]
 
-    def frames(self, count: int) -> None:
-        """Deliver a frame each half cycle."""
+    def frames(
+        self, count: int, after_s: float = TICK_S, steps: int = 1, **changes: object
+    ) -> None:
+        """Deliver so many such frames, each half cycle unless another time is given."""
         for _ in range(count):
-            self.frame()
+            self.frame(after_s, steps, **changes)
 
     def ask(self, request: Request) -> None:
         """Carry out an operator's request between two ticks."""
@@ -216,6 +218,11 @@ class FastBench:
     def state(self) -> State:
         """Where the state machine is now."""
         return self.machine.state
+
+    @property
+    def trip(self) -> str:
+        """Why it has tripped; empty while it has not."""
+        return self.machine.trip or ""
 
     def start(self) -> None:
         """Wait until the frame rate is known, enable the drive and wait until it runs."""
@@ -247,6 +254,26 @@ async def fast_bench(
     finally:
         serving.cancel()
         await asyncio.wait([serving])
+
+
+@contextlib.asynccontextmanager
+async def running_bench(
+    settings: FastLoopSettings = FAST,
+    modulus: int | None = 65536,
+    slack_s: float | None = 0.0,
+    *,
+    frames: int = 0,
+) -> AsyncIterator[FastBench]:
+    """Open a bench whose drive has come to run, and has sent so many frames since."""
+    async with fast_bench(settings, modulus, slack_s) as bench:
+        bench.start()
+        bench.frames(frames)
+        yield bench
+
+
+def timed(**changes: float | None) -> FastLoopSettings:
+    """The settings with other times."""
+    return replace(FAST, timing=replace(FAST.timing, **changes))  # type: ignore[arg-type]
 
 
 async def until(condition: Callable[[], bool]) -> None:

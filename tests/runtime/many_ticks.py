@@ -13,14 +13,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.runtime.bench import TICK_S, FastBench, fast_bench
+from tests.runtime.bench import TICK_S, FastBench, running_bench
 
 SETTLE_MINUTES, MINUTES = 5, 20
 
 
 async def _run() -> dict[str, Any]:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         _minutes(bench, SETTLE_MINUTES)
         before_KiB, objects_before = _in_use()
         _minutes(bench, MINUTES)

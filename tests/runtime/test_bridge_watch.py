@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -75,6 +76,13 @@ class Seen:
     @property
     def awaits_report(self) -> bool:
         return self._watch.awaits_report
+
+    def awaits_from(self, limit: float, of: str) -> None:
+        """A report is waited for from a time on, and not before, in which none has come."""
+        for ticks, awaited in ((limit - 0.1, False), (limit + 0.1, True)):
+            ages: dict[str, Any] = {of: ticks}
+            self.look(ticks, bridge=True, **ages)
+            assert self.awaits_report is awaited
 
     def must_report(self, unwatched: float) -> bool:
         return self._watch.must_report(unwatched * TICK_S)
@@ -364,22 +372,12 @@ def test_no_report_is_waited_for_of_a_drive_that_was_not_on() -> None:
     assert not seen.awaits_report
 
 
-@pytest.mark.parametrize(("ticks_per_reading", "limit"), [(1, 10.24), (6, 15.0), (60, 150.0)])
-def test_after_a_silence_a_report_is_waited_for(ticks_per_reading: int, limit: float) -> None:
-    """80 ms, or two readings and a half."""
-    seen = Seen(ticks_per_reading)
-    seen.look(0.0, bridge=True)
-    seen.look(limit - 0.1, bridge=True, old=limit - 0.1)
-    assert not seen.awaits_report
-    seen.look(limit + 0.1, bridge=True, old=limit + 0.1)
-    assert seen.awaits_report
-    seen.look(limit + 1.0, bridge=True)
-    assert not seen.awaits_report
-
-
 @pytest.mark.parametrize(
     ("ticks_per_reading", "timeout", "limit"),
     [
+        (1, None, 10.24),  # 80 ms, or two readings and a half
+        (6, None, 15.0),
+        (60, None, 150.0),
         (1, 4.0, 3.0),  # the command before the last reading may be the last one received
         (1, 6.0, 4.8),
         (1, 100.0, 10.24),
@@ -387,43 +385,34 @@ def test_after_a_silence_a_report_is_waited_for(ticks_per_reading: int, limit: f
         (6, 1000.0, 15.0),
     ],
 )
-def test_a_short_time_out_of_the_drive_shortens_the_silence(
-    ticks_per_reading: int, timeout: float, limit: float
+def test_after_a_silence_which_a_short_time_out_of_the_drive_shortens_a_report_is_waited_for(
+    ticks_per_reading: int, timeout: float | None, limit: float
 ) -> None:
     seen = Seen(ticks_per_reading, timeout=timeout)
     seen.look(0.0, bridge=True)
-    seen.look(limit - 0.1, bridge=True, old=limit - 0.1)
+    seen.awaits_from(limit, "old")
+    seen.look(limit + 1.0, bridge=True)
     assert not seen.awaits_report
-    seen.look(limit + 0.1, bridge=True, old=limit + 0.1)
-    assert seen.awaits_report
 
 
 @pytest.mark.parametrize(
-    ("ticks_per_reading", "timeout", "limit"),
-    [(1, 50.0, 150.0), (20, 80.0, 60.0), (1, 100.0, 80.0), (1, 400.0, 150.0)],
+    ("ticks_per_reading", "cycle", "timeout", "limit"),
+    [
+        (1, 60, 50.0, 150.0),  # not below the cycle: each report would be waited for
+        (20, 60, 80.0, 60.0),
+        (1, 60, 100.0, 80.0),
+        (1, 60, 400.0, 150.0),
+        (1, math.inf, None, 10.24),  # it comes nobody knows how often
+        (1, math.inf, 6.0, 4.8),
+        (1, math.inf, 50.0, 40.0),
+    ],
 )
-def test_a_short_time_out_of_the_drive_shortens_the_time_without_a_report_of_the_bridge(
-    ticks_per_reading: int, timeout: float, limit: float
+def test_a_time_out_of_the_drive_limits_the_time_without_a_report_of_the_bridge(
+    ticks_per_reading: int, cycle: float, timeout: float | None, limit: float
 ) -> None:
-    """Not below its cycle of 60 half cycles: each report would be waited for."""
-    seen = Seen(ticks_per_reading, cycle=60, timeout=timeout)
+    seen = Seen(ticks_per_reading, cycle=cycle, timeout=timeout)
     seen.look(0.0, bridge=True)
-    seen.look(limit - 0.1, bridge=True, reported=limit - 0.1)
-    assert not seen.awaits_report
-    seen.look(limit + 0.1, bridge=True, reported=limit + 0.1)
-    assert seen.awaits_report
-
-
-@pytest.mark.parametrize(("timeout", "limit"), [(None, 10.24), (6.0, 4.8), (50.0, 40.0)])
-def test_a_report_that_comes_nobody_knows_how_often_is_waited_for_by_the_time_out(
-    timeout: float | None, limit: float
-) -> None:
-    seen = Seen(cycle=math.inf, timeout=timeout)
-    seen.look(0.0, bridge=True)
-    seen.look(limit - 0.1, bridge=True, reported=limit - 0.1)
-    assert not seen.awaits_report
-    seen.look(limit + 0.1, bridge=True, reported=limit + 0.1)
-    assert seen.awaits_report
+    seen.awaits_from(limit, "reported")
 
 
 def test_a_silence_in_which_a_bridge_went_off_is_named() -> None:
@@ -471,10 +460,7 @@ def test_a_report_of_the_bridge_that_is_missing_is_waited_for_while_readings_com
     """Another node sends the clock of the readings, and the drive is silent."""
     seen = Seen(ticks_per_reading, cycle=cycle)
     seen.look(0.0, bridge=True, reported=0.0)
-    seen.look(limit - 0.1, bridge=True, reported=limit - 0.1)
-    assert not seen.awaits_report
-    seen.look(limit + 0.1, bridge=True, reported=limit + 0.1)
-    assert seen.awaits_report
+    seen.awaits_from(limit, "reported")
     seen.look(limit + 1.0, bridge=True, reported=limit + 1.0)
     assert seen.awaits_report
     assert seen.look(limit + 2.0, bridge=False, reported=0.0)

@@ -7,7 +7,7 @@ import pytest
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, SetSetpoint
-from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
+from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench, running_bench
 
 LONG_FRAMES = round(2.0 * FAST.timing.stop_s / TICK_S)
 
@@ -15,16 +15,14 @@ LONG_FRAMES = round(2.0 * FAST.timing.stop_s / TICK_S)
 def enable_at_rest(bench: FastBench) -> None:
     """Enable a drive whose load stands still."""
     bench.frames(RATE_FRAMES)
-    for _ in range(3):
-        bench.frame(output=0.0)
+    bench.frames(3, output=0.0)
     bench.ask(Enable())
 
 
 async def test_enabling_a_load_at_rest_sends_safe_commands_alone_and_trips_nothing() -> None:
     async with fast_bench() as bench:
         enable_at_rest(bench)
-        for _ in range(LONG_FRAMES):
-            bench.frame(output=0.0)
+        bench.frames(LONG_FRAMES, output=0.0)
         assert set(bench.sent) == {SAFE_COMMAND}
         assert (bench.state(), bench.machine.trip) == (State.RUNNING, None)
         assert bench.loop.stop is StopWord.CONFIRMED
@@ -42,8 +40,7 @@ async def test_a_set_point_starts_it_through_the_precharge() -> None:
 
 
 async def test_coasting_from_a_run_must_be_confirmed_by_the_drive() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.ask(SetSetpoint(0.0))
         bench.frames(LONG_FRAMES)
         assert bench.sent[-1] == SAFE_COMMAND
@@ -55,26 +52,22 @@ async def test_coasting_from_a_run_must_be_confirmed_by_the_drive() -> None:
 
 
 async def test_a_bridge_that_stays_on_while_it_should_coast_trips() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.ask(SetSetpoint(0.0))
-        for _ in range(LONG_FRAMES):
-            bench.frame(bridge=True)
-        assert (bench.machine.trip or "").startswith("the drive does not stop: its bridge is still")
+        bench.frames(LONG_FRAMES, bridge=True)
+        assert bench.trip.startswith("the drive does not stop: its bridge is still")
 
 
 async def test_a_bridge_that_comes_on_while_it_coasts_trips() -> None:
     async with fast_bench() as bench:
         enable_at_rest(bench)
         bench.frames(10)
-        for _ in range(3):
-            bench.frame(bridge=True)
-        assert "although this daemon did not command it" in (bench.machine.trip or "")
+        bench.frames(3, bridge=True)
+        assert "although this daemon did not command it" in bench.trip
 
 
 async def test_a_drive_that_cannot_confirm_coasts_as_well() -> None:
-    async with fast_bench(slack_s=None) as bench:
-        bench.start()
+    async with running_bench(slack_s=None) as bench:
         bench.ask(SetSetpoint(0.0))
         bench.frames(LONG_FRAMES)
         assert bench.machine.trip is None
@@ -83,11 +76,9 @@ async def test_a_drive_that_cannot_confirm_coasts_as_well() -> None:
 
 @pytest.mark.parametrize("output", [0.0, 1.5])
 async def test_an_output_that_stands_or_falls_while_it_coasts_is_believed(output: float) -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.ask(SetSetpoint(0.0))
-        for _ in range(1000):
-            bench.frame(output=output)
+        bench.frames(1000, output=output)
         assert bench.machine.trip is None
         bench.ask(Disable())
         bench.frames(3)

@@ -172,6 +172,14 @@ async def daemon_bench(
         bench.port.problem.cancel()
 
 
+@contextlib.asynccontextmanager
+async def running_daemon() -> AsyncIterator[DaemonBench]:
+    """A daemon whose drive runs."""
+    async with daemon_bench() as bench:
+        await bench.start()
+        yield bench
+
+
 def leaves(group: BaseExceptionGroup[BaseException]) -> list[BaseException]:
     return [
         leaf
@@ -203,8 +211,7 @@ async def test_it_begins_in_standby_and_says_so_first() -> None:
 
 
 async def test_the_state_is_reported_when_it_changes_and_only_then() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         await bench.daemon.execute(SetSetpoint(3.0))
         await bench.daemon.execute(SetSetpoint(3.0))
         await bench.daemon.execute(SetPole(0.8))
@@ -226,8 +233,7 @@ async def test_the_state_is_reported_when_it_changes_and_only_then() -> None:
 
 
 async def test_only_the_operators_reset_lets_the_drive_leave_its_fault() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         bench.port.complaint = "drive fault"
         bench.frames(2)
         assert bench.states[-1].trip == "drive fault"
@@ -253,8 +259,7 @@ async def test_a_drive_that_keeps_its_fault_refuses_the_reset() -> None:
 
 
 async def test_a_running_drive_is_not_told_to_leave_a_fault() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         await bench.daemon.execute(Reset())
         assert bench.port.fault_resets == 0
 
@@ -270,8 +275,7 @@ async def test_a_refusal_reaches_the_operator_and_changes_nothing() -> None:
 
 
 async def test_disabling_makes_the_drive_safe_at_once() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         assert bench.sent[-1].bridge
         assert await bench.daemon.execute(Disable()) is State.STOPPING
         assert bench.sent[-1] == SAFE_COMMAND
@@ -299,8 +303,7 @@ async def test_a_flood_of_stops_does_not_fill_the_bus() -> None:
 
 
 async def test_a_daemon_that_shuts_down_only_stops() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         bench.stop.set()
         await until(lambda: bench.states[-1].shutting_down)
         bench.frames(3)
@@ -312,8 +315,7 @@ async def test_a_daemon_that_shuts_down_only_stops() -> None:
 
 
 async def test_a_trip_is_an_alarm_and_stays_until_reset() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         bench.frame(fault=2)
         assert bench.sent[-1] == SAFE_COMMAND
         tripped = bench.states[-1]
@@ -347,8 +349,7 @@ async def test_the_confirmation_of_a_stop_is_reported_when_the_drive_gives_it() 
 
 
 async def test_each_slow_period_is_reported_with_its_decision() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         await bench.run_until_decided(3)
         loads = [report for report in bench.told if isinstance(report, LoadReport)]
         assert len(loads) == 3
@@ -392,8 +393,7 @@ async def test_taking_over_and_falling_back_are_events() -> None:
 
 
 async def test_a_load_that_has_what_it_needs_ends_safe_without_a_trip() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         bench.controller.revise = lambda made: replace(made, complete=True)
         await bench.run_until_decided()
         assert bench.sent[-1] == SAFE_COMMAND
@@ -460,8 +460,7 @@ async def test_a_rehearsal_that_fails_is_a_warning_and_the_drive_goes_on(
 
 
 async def test_an_orderly_stop_says_goodbye_more_than_once() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         running = len(bench.sent)
         await bench.end()
         farewell = bench.sent[running:]
@@ -471,8 +470,7 @@ async def test_an_orderly_stop_says_goodbye_more_than_once() -> None:
 
 
 async def test_when_the_slow_loop_dies_the_drive_is_left_safe() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
 
         def fail(made: Decision) -> Decision:
             raise ArithmeticError(f"no decision for k = {made.k}")
@@ -489,8 +487,7 @@ async def test_when_the_slow_loop_dies_the_drive_is_left_safe() -> None:
 async def test_when_the_reports_die_the_drive_is_left_safe(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         monkeypatch.setattr("adaptdrive.runtime.daemon.drive_report", lambda *_: 1 / 0)
         (cause,) = await ending(bench)
         assert isinstance(cause, ZeroDivisionError)
@@ -500,8 +497,7 @@ async def test_when_the_reports_die_the_drive_is_left_safe(
 async def test_when_a_stand_in_tick_fails_the_daemon_ends_and_the_drive_is_left_safe(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
 
         def fail() -> None:
             raise ArithmeticError("no frame can be read")
@@ -514,8 +510,7 @@ async def test_when_a_stand_in_tick_fails_the_daemon_ends_and_the_drive_is_left_
 
 
 async def test_when_a_tick_fails_the_daemon_ends_and_the_drive_is_left_safe() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
 
         def fail(measurement: Measurement, _order: Order) -> Command:
             raise ZeroDivisionError(f"no command at tick {measurement.tick}")
@@ -533,8 +528,7 @@ async def test_when_a_tick_fails_the_daemon_ends_and_the_drive_is_left_safe() ->
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 @pytest.mark.parametrize("where", ["callback", "thread"])
 async def test_an_error_that_nobody_catches_ends_the_daemon(where: str) -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         with uncaught_errors_end(bench.daemon.fail):
             if where == "callback":
                 asyncio.get_running_loop().call_soon(lambda: 1 / 0)
@@ -546,8 +540,7 @@ async def test_an_error_that_nobody_catches_ends_the_daemon(where: str) -> None:
 
 
 async def test_when_it_is_cancelled_the_drive_is_left_safe() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         assert bench.sent[-1].bridge
         bench.task.cancel()
         await asyncio.wait([bench.task])
@@ -556,8 +549,7 @@ async def test_when_it_is_cancelled_the_drive_is_left_safe() -> None:
 
 
 async def test_when_the_port_dies_the_daemon_ends() -> None:
-    async with daemon_bench() as bench:
-        await bench.start()
+    async with running_daemon() as bench:
         bench.port.problem.set_exception(OSError("no such device"))
         (cause,) = await ending(bench)
         assert isinstance(cause, OSError)

@@ -13,7 +13,15 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
-from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
+from tests.runtime.bench import (
+    FAST,
+    RATE_FRAMES,
+    TICK_S,
+    FastBench,
+    fast_bench,
+    running_bench,
+    timed,
+)
 
 TIMERLESS = replace(FAST, timer_standin=False)
 STALE_S = FAST.timing.stale_s
@@ -69,8 +77,7 @@ async def test_a_late_frame_replaces_the_stand_in_and_makes_no_second_tick() -> 
 
 
 async def test_a_fault_that_one_late_frame_alone_shows_trips() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.frame(after_s=1.7 * TICK_S, fault=8)
         bench.frame(after_s=0.3 * TICK_S)
         assert bench.state() is State.TRIPPED
@@ -79,25 +86,21 @@ async def test_a_fault_that_one_late_frame_alone_shows_trips() -> None:
 
 
 async def test_a_voltage_beyond_its_limit_that_one_late_frame_alone_shows_trips() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         usual, bench.measured = bench.measured, replace(bench.measured, boost_voltage_V=440.0)
         bench.frame(after_s=1.7 * TICK_S)
         bench.measured = usual
         bench.frame(after_s=0.3 * TICK_S)
         assert bench.state() is State.TRIPPED
-        assert bench.machine.trip is not None
-        assert "over-voltage" in bench.machine.trip
+        assert "over-voltage" in bench.trip
         assert bench.sent[-1] == SAFE_COMMAND
 
 
 async def test_a_stop_of_the_drive_that_one_late_frame_alone_shows_trips() -> None:
     """The stand-in before it has switched the drive on again."""
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(40)
+    async with running_bench(frames=40) as bench:
         bench.frame(after_s=1.7 * TICK_S, bridge=False)
-        assert (bench.machine.trip or "").startswith("drive stopped: ")
+        assert bench.trip.startswith("drive stopped: ")
         assert bench.sent[-1] == SAFE_COMMAND
 
 
@@ -106,13 +109,12 @@ async def test_a_bridge_that_one_late_frame_alone_shows_on_has_been_on() -> None
     async with fast_bench() as bench:
         bench.frames(RATE_FRAMES)
         bench.ask(Enable())
-        for _ in range(4):
-            bench.frame(bridge=False)
+        bench.frames(4, bridge=False)
         bench.frame(after_s=1.7 * TICK_S, bridge=True)
         bench.frame(after_s=0.3 * TICK_S, bridge=False)
         assert bench.state() is State.RUNNING  # it may be a contact that bounces
         bench.frame(bridge=False)
-        assert (bench.machine.trip or "").startswith("drive stopped: ")
+        assert bench.trip.startswith("drive stopped: ")
 
 
 async def test_the_timer_stands_in_on_the_drives_grid() -> None:
@@ -176,8 +178,7 @@ async def test_enabled_it_precharges_with_the_bridge_off_and_then_runs() -> None
 
 
 async def test_enabling_again_after_one_tick_begins_anew() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         runs_ended = bench.around.runs_ended
         bench.ask(Disable())
         with pytest.raises(RefusedError, match="has not confirmed its stop"):
@@ -191,32 +192,28 @@ async def test_enabling_again_after_one_tick_begins_anew() -> None:
 
 
 async def test_silence_trips_within_the_limit_and_one_half_cycle() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         last_s = bench.around.now
         while bench.state() is State.RUNNING:
             bench.wait(0.1 * TICK_S)
         assert STALE_S < bench.around.now - last_s <= STALE_S + 1.1 * TICK_S
-        assert (bench.machine.trip or "").startswith("stale: ")
+        assert bench.trip.startswith("stale: ")
         assert bench.sent[-1] == SAFE_COMMAND
         assert bench.reports[-1].command == SAFE_COMMAND
 
 
 async def test_silence_trips_without_the_timer_too() -> None:
-    async with fast_bench(TIMERLESS) as bench:
-        bench.start()
+    async with running_bench(TIMERLESS) as bench:
         bench.wait(STALE_S + 1.1 * TICK_S)
         assert bench.state() is State.TRIPPED
         assert bench.sent[-1] == SAFE_COMMAND
 
 
 async def test_one_value_that_grows_old_trips_though_frames_come() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         oldest_s = bench.around.now
-        for _ in range(8):
-            bench.frame(oldest_s=oldest_s)
-        assert (bench.machine.trip or "").startswith("stale: ")
+        bench.frames(8, oldest_s=oldest_s)
+        assert bench.trip.startswith("stale: ")
 
 
 @pytest.mark.parametrize(
@@ -235,10 +232,9 @@ async def test_one_value_that_grows_old_trips_though_frames_come() -> None:
 async def test_an_interlock_trips_in_the_tick_that_sees_it(
     changes: dict[str, Any], cause: str
 ) -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.frame(**changes)
-        assert (bench.machine.trip or "").startswith(cause)
+        assert bench.trip.startswith(cause)
         assert bench.sent[-1] == SAFE_COMMAND
         bench.frames(300)
         assert bench.state() is State.TRIPPED
@@ -258,25 +254,20 @@ def start_off(bench: FastBench) -> None:
     """Enable a drive whose bridge does not come on."""
     bench.frames(RATE_FRAMES)
     bench.ask(Enable())
-    for _ in range(4):
-        bench.frame(bridge=False)
+    bench.frames(4, bridge=False)
     assert bench.state() is State.RUNNING
     assert bench.sent[-1].bridge
 
 
 async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(40)
+    async with running_bench(frames=40) as bench:
         bench.frame(bridge=False)
-        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert bench.trip.startswith("drive stopped")
         assert bench.sent[-1] == SAFE_COMMAND
 
 
 async def test_a_bridge_that_bounces_while_it_switches_on_gets_no_command_until_it_is_on() -> None:
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(2)
+    async with running_bench(frames=2) as bench:
         before = len(bench.sent)
         bench.frame(bridge=False)
         assert len(bench.sent) == before
@@ -292,15 +283,14 @@ async def test_a_bridge_that_does_not_come_on_trips() -> None:
         while bench.state() is State.RUNNING and ticks < 100:
             bench.frame(bridge=False)
             ticks += 1
-        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert bench.trip.startswith("drive stopped")
         assert 10 < ticks < 60
 
 
 @pytest.mark.parametrize("silent_s", [TICK_S, 0.03, 0.15])
 async def test_a_drive_that_starts_anew_in_a_run_is_not_driven_on(silent_s: float) -> None:
     """Its counter begins at 0, so that its frames belong to no tick that time allows."""
-    timing = replace(FAST.timing, stale_s=0.3)
-    async with fast_bench(replace(FAST, timing=timing)) as bench:
+    async with fast_bench(timed(stale_s=0.3)) as bench:
         bench.counter = 60_000
         bench.start()
         bench.frames(10)
@@ -308,7 +298,7 @@ async def test_a_drive_that_starts_anew_in_a_run_is_not_driven_on(silent_s: floa
         known, bench.counter = len(bench.sent), -1
         for number in range(30):
             bench.frame(TICK_S if number else 0.0, bridge=False)
-        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert bench.trip.startswith("drive stopped")
         assert set(bench.sent[known:]) == {SAFE_COMMAND}
 
 
@@ -317,15 +307,12 @@ async def test_a_drive_that_started_anew_and_came_on_before_its_first_report_is_
     silent_s: float,
 ) -> None:
     """The commands of a silence too short to be one have switched it on again."""
-    timing = replace(FAST.timing, stale_s=0.3)
-    async with fast_bench(replace(FAST, timing=timing), modulus=256) as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(timed(stale_s=0.3), modulus=256, frames=10) as bench:
         bench.wait(silent_s)
         known, bench.counter = len(bench.sent), -1
         for number in range(30):
             bench.frame(TICK_S if number else 0.0, bridge=number < 10)
-        assert (bench.machine.trip or "").startswith("drive restarted: its half-cycle counter ")
+        assert bench.trip.startswith("drive restarted: its half-cycle counter ")
         assert set(bench.sent[known:]) == {SAFE_COMMAND}
         bench.ask(Reset())
         bench.ask(Enable())
@@ -359,9 +346,8 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
         assert books.bus["withheld_commands"] == withheld
         assert earliest_s < last_s - began_s < latest_s
         known = len(bench.sent)
-        for _ in range(10):
-            bench.frame(0.0, steps=round(silent_s / TICK_S), bridge=False)
-        assert "nothing had been heard of it for" in (bench.machine.trip or "")
+        bench.frames(10, 0.0, steps=round(silent_s / TICK_S), bridge=False)
+        assert "nothing had been heard of it for" in bench.trip
         assert set(bench.sent[known:]) == {SAFE_COMMAND}
 
 
@@ -370,10 +356,7 @@ async def test_a_command_that_waits_is_sent_when_the_drive_reports_that_it_is_st
     bridge: bool,
 ) -> None:
     """The report comes in the tick that the command waits in, and no other tick may follow soon."""
-    timing = replace(FAST.timing, stale_s=0.5)
-    async with fast_bench(replace(FAST, timing=timing)) as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(timed(stale_s=0.5), frames=10) as bench:
         bench.wait(0.3)
         tick, known = bench.loop.tick, len(bench.sent)
         bench.frame(0.0, steps=34, bridge=bridge)
@@ -384,10 +367,7 @@ async def test_a_command_that_waits_is_sent_when_the_drive_reports_that_it_is_st
 
 async def test_a_command_that_waits_is_forgotten_with_the_run_it_was_decided_in() -> None:
     """The process stood still in a stand-in tick, and the reading that it stands for is next."""
-    timing = replace(FAST.timing, stale_s=0.5)
-    async with fast_bench(replace(FAST, timing=timing)) as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(timed(stale_s=0.5), frames=10) as bench:
         decide = bench.controller.replace_tick
 
         def decide_late(measurement: Measurement, order: Order) -> Command:
@@ -411,10 +391,7 @@ async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_t
     frozen_s: float, *, trips: bool
 ) -> None:
     """The drive may have stopped by its own time-out before the command, and be on again by it."""
-    timing = replace(FAST.timing, stale_s=0.5)
-    async with fast_bench(replace(FAST, timing=timing)) as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(timed(stale_s=0.5), frames=10) as bench:
         known = len(bench.sent)
 
         def freeze(_: Command) -> bool:
@@ -426,7 +403,7 @@ async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_t
         assert [command.bridge for command in bench.sent[known:]] == [True, False][: 1 + trips]
         assert bench.machine.energised is not trips
         if trips:
-            assert (bench.machine.trip or "").startswith(
+            assert bench.trip.startswith(
                 "overslept: the daemon did not run for 200 ms while it sent a command: "
             )
 
@@ -445,10 +422,8 @@ async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_t
 async def test_reports_that_waited_show_whether_a_drive_stopped_before_a_late_command(
     timeout_s: float | None, frozen_s: float, *, polled: bool, trips: bool, stopped: bool
 ) -> None:
-    timing = replace(FAST.timing, stale_s=0.5, command_timeout_s=timeout_s)
-    async with fast_bench(replace(FAST, timing=timing, drive_clocks=not polled)) as bench:
-        bench.start()
-        bench.frames(10)
+    settings = replace(timed(stale_s=0.5, command_timeout_s=timeout_s), drive_clocks=not polled)
+    async with running_bench(settings, frames=10) as bench:
         known = len(bench.sent)
 
         def freeze(_: Command) -> bool:
@@ -466,10 +441,7 @@ async def test_reports_that_waited_show_whether_a_drive_stopped_before_a_late_co
 
 async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
     """Its own cable was out for longer than its time-out; what clocks the readings still came."""
-    timing = replace(FAST.timing, stale_s=0.5)
-    async with fast_bench(replace(FAST, timing=timing)) as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(timed(stale_s=0.5), frames=10) as bench:
         heard_s, last_s = bench.around.now, bench.around.now
         for _ in range(36):
             known = len(bench.sent)
@@ -478,15 +450,12 @@ async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_d
         assert 0.05 < last_s - heard_s < 0.1
         known = len(bench.sent)
         bench.frame(bridge=False)
-        assert "nothing had been heard of it for" in (bench.machine.trip or "")
+        assert "nothing had been heard of it for" in bench.trip
         assert set(bench.sent[known:]) == {SAFE_COMMAND}
 
 
 async def test_a_drive_that_went_on_while_it_was_silent_is_driven_on() -> None:
-    timing = replace(FAST.timing, stale_s=0.5)
-    async with fast_bench(replace(FAST, timing=timing)) as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(timed(stale_s=0.5), frames=10) as bench:
         bench.wait(0.3)
         known = len(bench.sent)
         bench.frame(0.0, steps=36, bridge=True)
@@ -497,10 +466,7 @@ async def test_a_drive_that_went_on_while_it_was_silent_is_driven_on() -> None:
 
 async def test_a_drive_that_never_reports_its_bridge_is_driven_on_through_a_silence() -> None:
     """No report could show that it has not stopped."""
-    timing = replace(FAST.timing, stale_s=0.5)
-    async with fast_bench(replace(FAST, timing=timing), slack_s=None) as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(timed(stale_s=0.5), slack_s=None, frames=10) as bench:
         known = len(bench.sent)
         bench.wait(0.3)
         assert len(bench.sent) - known > 30
@@ -508,27 +474,24 @@ async def test_a_drive_that_never_reports_its_bridge_is_driven_on_through_a_sile
 
 async def test_a_drive_whose_bridge_still_goes_off_for_the_command_before_is_driven_on() -> None:
     """It coasts for three half cycles, in which its bridge has not opened yet."""
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.ask(SetSetpoint(0.0))
-        for _ in range(3):
-            bench.frame(bridge=True)
+        bench.frames(3, bridge=True)
         bench.ask(SetSetpoint(3.0))
         for number in range(30):
             bench.frame(bridge=number < 6 or number > 12)
         assert bench.state() is State.RUNNING
         bench.frames(40)
         bench.frame(bridge=False)
-        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert bench.trip.startswith("drive stopped")
 
 
 async def test_a_drive_that_falls_silent_before_its_bridge_is_on_is_stale_and_not_stopped() -> None:
     """Its last frame reports the bridge off: the drive may have switched it on since."""
-    timing = replace(FAST.timing, stale_s=0.5)
-    async with fast_bench(replace(FAST, timing=timing)) as bench:
+    async with fast_bench(timed(stale_s=0.5)) as bench:
         start_off(bench)
         bench.wait(0.5 + 1.1 * TICK_S)
-        assert (bench.machine.trip or "").startswith("stale: ")
+        assert bench.trip.startswith("stale: ")
 
 
 def thaw(bench: FastBench, frozen_s: float, *, bridge: bool) -> None:
@@ -544,47 +507,39 @@ def thaw(bench: FastBench, frozen_s: float, *, bridge: bool) -> None:
 @pytest.mark.parametrize("frozen_s", [1.1 * STALE_S, 0.09, 0.5, 10.0])
 async def test_a_daemon_frozen_beyond_the_limit_trips(frozen_s: float, bridge: bool) -> None:
     """However fresh the frame, and whatever the drive says of its bridge, if it says anything."""
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(frames=10) as bench:
         known = len(bench.sent)
         thaw(bench, frozen_s, bridge=bridge)
-        assert (bench.machine.trip or "").startswith("overslept: the daemon did not run for ")
+        assert bench.trip.startswith("overslept: the daemon did not run for ")
         assert bench.sent[known:] == [SAFE_COMMAND]
 
 
 async def test_a_timer_that_overslept_trips_too() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         deadline_s, known = bench.around.deadline_s, len(bench.sent)
         bench.around.now = deadline_s + STALE_S
         bench.loop.on_deadline(deadline_s)
-        assert (bench.machine.trip or "").startswith("overslept: ")
+        assert bench.trip.startswith("overslept: ")
         assert bench.sent[known:] == [SAFE_COMMAND]
 
 
 async def test_a_short_pause_with_the_drive_on_goes_on() -> None:
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(frames=10) as bench:
         thaw(bench, 0.9 * STALE_S, bridge=True)
         assert bench.state() is State.RUNNING
 
 
 async def test_a_drive_that_stopped_in_a_short_pause_trips() -> None:
     """Within `stale_s`, and within the grace of a drive that takes its time to switch on."""
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(frames=10) as bench:
         known = len(bench.sent)
         thaw(bench, 0.9 * STALE_S, bridge=False)
-        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert bench.trip.startswith("drive stopped")
         assert bench.sent[known:] == [SAFE_COMMAND]
 
 
 async def test_a_tick_frozen_before_its_command_sends_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         tick, known = bench.controller.inner.tick, len(bench.sent)
 
         def freeze(measurement: Measurement, order: Order) -> Command:
@@ -593,13 +548,12 @@ async def test_a_tick_frozen_before_its_command_sends_none(monkeypatch: pytest.M
 
         bench.controller.replace_tick = freeze
         bench.frame()
-        assert (bench.machine.trip or "").startswith("overslept: ")
+        assert bench.trip.startswith("overslept: ")
         assert bench.sent[known:] == [SAFE_COMMAND]
 
 
 async def test_a_tick_frozen_in_its_command_ends_safe(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         send = bench.port.send
 
         def freeze(command: Command) -> bool:
@@ -608,7 +562,7 @@ async def test_a_tick_frozen_in_its_command_ends_safe(monkeypatch: pytest.Monkey
 
         monkeypatch.setattr(bench.port, "send", freeze)
         bench.frame()
-        assert (bench.machine.trip or "").startswith("overslept: ")
+        assert bench.trip.startswith("overslept: ")
         assert bench.sent[-1] == SAFE_COMMAND
 
 
@@ -616,20 +570,18 @@ async def test_a_tick_frozen_in_its_command_ends_safe(monkeypatch: pytest.Monkey
 async def test_a_command_that_is_not_finite_trips(
     monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         broken = replace(bench.sent[-1], **{name: math.nan})  # type: ignore[arg-type]
         bench.controller.replace_tick = lambda *_: broken
         bench.frame()
         assert bench.state() is State.TRIPPED
-        assert (bench.machine.trip or "").startswith("command cannot be sent: the controller gave")
-        assert "nan" in (bench.machine.trip or "")
+        assert bench.trip.startswith("command cannot be sent: the controller gave")
+        assert "nan" in bench.trip
         assert bench.sent[-1] == SAFE_COMMAND
 
 
 async def test_what_the_drives_protocol_complains_of_trips_in_the_next_tick() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.port.complaint = "node 5 has been restarted"
         bench.frame()
         assert bench.state() is State.TRIPPED
@@ -644,8 +596,7 @@ async def test_what_the_drives_protocol_complains_of_trips_in_the_next_tick() ->
 
 
 async def test_a_silent_drive_that_complained_trips_with_its_own_words() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.port.complaint = "emergency 0x3210"
         bench.wait(2 * TICK_S)
         assert bench.machine.trip == "emergency 0x3210"
@@ -654,29 +605,26 @@ async def test_a_silent_drive_that_complained_trips_with_its_own_words() -> None
 async def test_a_bridge_that_takes_its_time_does_not_trip() -> None:
     async with fast_bench() as bench:
         start_off(bench)
-        for _ in range(25):
-            bench.frame(bridge=False)
+        bench.frames(25, bridge=False)
         bench.frames(100)
         assert bench.state() is State.RUNNING
 
 
 async def test_a_command_that_the_wire_cannot_carry_trips_the_drive_not_the_daemon() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.unsendable = lambda command: command.bridge
         bench.frame()
-        assert (bench.machine.trip or "").startswith("command cannot be sent: k = ")
+        assert bench.trip.startswith("command cannot be sent: k = ")
         assert bench.sent[-1] == SAFE_COMMAND
         bench.frames(10)
         assert set(bench.sent[-10:]) == {SAFE_COMMAND}
 
 
 async def test_a_bus_that_takes_nothing_does_no_harm() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.port.lose()
         bench.wait(1.0)
-        assert (bench.machine.trip or "").startswith("stale: ")
+        assert bench.trip.startswith("stale: ")
         bench.port.restore()
         bench.frames(3)
         assert bench.sent[-1] == SAFE_COMMAND
@@ -723,16 +671,14 @@ async def test_a_restarted_drive_is_followed_again() -> None:
 
 async def test_a_drive_without_a_counter_is_followed_too() -> None:
     async with fast_bench(modulus=None) as bench:
-        for _ in range(50):
-            bench.frame(counter=None)
+        bench.frames(50, counter=None)
         bench.frame(after_s=1.7 * TICK_S, counter=None)
         bench.frame(after_s=0.3 * TICK_S, counter=None)
         assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 52))
 
 
 async def test_the_order_tells_what_the_operator_asked_for() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.ask(SetSetpoint(3.25))
         bench.frame()
         assert bench.reports[-1].order.reference == 3.25

@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order
 from adaptdrive.runtime.requests import SetSetpoint
-from tests.runtime.bench import FAST, TICK_S, FastBench, decision, fast_bench
+from tests.runtime.bench import FAST, TICK_S, FastBench, decision, fast_bench, running_bench
 
 STRIDE = 12
 POLLED = replace(FAST, timing=replace(FAST.timing, ticks_per_reading=STRIDE), drive_clocks=False)
@@ -54,8 +54,7 @@ async def test_a_frame_lost_right_after_the_first_is_missed() -> None:
 
 async def test_polls_that_the_machine_overslept_are_missed() -> None:
     async with fast_bench(POLLED, modulus=None) as bench:
-        for _ in range(3):
-            bench.frame(after_s=STRIDE * TICK_S, counter=None)
+        bench.frames(3, after_s=STRIDE * TICK_S, counter=None)
         deadline_s = bench.around.deadline_s
         bench.around.now = deadline_s + 4.5 * STRIDE * TICK_S
         bench.loop.on_deadline(deadline_s)
@@ -108,8 +107,7 @@ async def test_a_tick_half_a_period_late_feeds_no_watchdog() -> None:
 
 
 async def test_a_command_that_is_held_to_a_limit_is_counted() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         assert bench.loop.limited == 0
         bench.controller.replace_tick = lambda *_: Command(0.1, 1e6, bridge=True)
         bench.frames(3)
@@ -120,14 +118,12 @@ async def test_a_command_that_is_held_to_a_limit_is_counted() -> None:
 async def test_the_reading_period_is_that_of_the_drive() -> None:
     async with fast_bench() as bench:
         assert bench.loop.reading_period_s == TICK_S
-        for _ in range(600):
-            bench.frame(after_s=1.01 * TICK_S)
+        bench.frames(600, after_s=1.01 * TICK_S)
         assert bench.loop.reading_period_s == pytest.approx(1.01 * TICK_S, rel=1e-6)
 
 
 async def test_a_decision_that_is_taken_is_announced() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         taken = bench.run_to_snapshot()
         made = decision(taken.k, 333.0)
         bench.loop.deliver(taken, made)
@@ -167,8 +163,7 @@ async def test_a_drive_frozen_while_it_is_off_is_told_to_be_safe_and_does_not_tr
 
 
 async def test_a_set_point_that_changes_ends_no_run() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         ended = bench.around.runs_ended
         bench.ask(SetSetpoint(3.25))
         bench.frames(2)

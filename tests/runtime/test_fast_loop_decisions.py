@@ -7,7 +7,7 @@ import pytest
 from adaptdrive.control.signals import SAFE_COMMAND, Mode, Stage
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, SetMode, SetPole, SetSetpoint
-from tests.runtime.bench import LATENCY, FastBench, Q, decision, fast_bench
+from tests.runtime.bench import LATENCY, FastBench, Q, decision, fast_bench, running_bench
 
 
 def applied(bench: FastBench) -> dict[int, int]:
@@ -34,8 +34,7 @@ async def test_snapshots_are_taken_at_multiples_of_the_slow_period() -> None:
 
 
 async def test_a_snapshot_carries_the_order_of_its_tick() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         for request in (SetSetpoint(3.5), SetMode(Mode.ADAPTIVE), SetPole(0.8)):
             bench.ask(request)
         order = bench.run_to_snapshot().order
@@ -45,8 +44,7 @@ async def test_a_snapshot_carries_the_order_of_its_tick() -> None:
 
 @pytest.mark.parametrize("delivered_after", [0, 1])
 async def test_a_decision_takes_effect_at_its_fixed_tick(delivered_after: int) -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         taken = bench.run_to_snapshot()
         bench.frames(delivered_after)
         bench.loop.deliver(taken, decision(taken.k, 333.0))
@@ -60,8 +58,7 @@ async def test_a_decision_takes_effect_at_its_fixed_tick(delivered_after: int) -
 
 
 async def test_a_late_decision_takes_effect_at_the_next_tick_and_is_flagged() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         taken = bench.run_to_snapshot()
         bench.frames(7)
         bench.loop.deliver(taken, decision(taken.k, 333.0))
@@ -71,8 +68,7 @@ async def test_a_late_decision_takes_effect_at_the_next_tick_and_is_flagged() ->
 
 
 async def test_a_decision_is_applied_on_a_stand_in_tick_too() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         taken = bench.run_to_snapshot()
         bench.loop.deliver(taken, decision(taken.k, 333.0))
         bench.wait(0.04)
@@ -80,8 +76,7 @@ async def test_a_decision_is_applied_on_a_stand_in_tick_too() -> None:
 
 
 async def test_a_decision_in_flight_across_a_restart_is_dropped() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         taken = bench.run_to_snapshot()
         bench.ask(Disable())
         bench.frame()
@@ -93,8 +88,7 @@ async def test_a_decision_in_flight_across_a_restart_is_dropped() -> None:
 
 
 async def test_a_decision_that_waits_for_its_tick_is_dropped_by_a_restart() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         taken = bench.run_to_snapshot()
         bench.loop.deliver(taken, decision(taken.k, 333.0))
         bench.ask(Disable())
@@ -107,8 +101,7 @@ async def test_a_decision_that_waits_for_its_tick_is_dropped_by_a_restart() -> N
 
 @pytest.mark.parametrize("ending", ["disable", "trip"])
 async def test_a_decision_after_the_end_of_a_run_is_dropped(ending: str) -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         taken = bench.run_to_snapshot()
         if ending == "disable":
             bench.ask(Disable())
@@ -121,10 +114,9 @@ async def test_a_decision_after_the_end_of_a_run_is_dropped(ending: str) -> None
 
 
 async def test_a_slow_loop_that_has_fallen_hopelessly_behind_trips() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.around.room = False
         bench.run_to_snapshot()
         bench.frame()
-        assert (bench.machine.trip or "").startswith("slow loop: ")
+        assert bench.trip.startswith("slow loop: ")
         assert bench.sent[-1] == SAFE_COMMAND

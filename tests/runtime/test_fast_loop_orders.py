@@ -18,7 +18,7 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
-from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, fast_bench
+from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, fast_bench, running_bench
 
 TIMERLESS = replace(FAST, timer_standin=False)
 CHANGES: dict[str, tuple[Request, dict[str, object]]] = {
@@ -35,8 +35,7 @@ CHANGES: dict[str, tuple[Request, dict[str, object]]] = {
 @pytest.mark.parametrize("name", CHANGES)
 async def test_one_change_reaches_the_next_tick_and_nothing_else_does(name: str) -> None:
     request, expected = CHANGES[name]
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.ask(SetSetpoint(3.0))  # where the waveform begins
         bench.frames(2)
         before = bench.reports[-1].order
@@ -47,8 +46,7 @@ async def test_one_change_reaches_the_next_tick_and_nothing_else_does(name: str)
 
 
 async def test_a_voltage_set_by_hand_reaches_the_next_tick() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.ask(SetMode(Mode.MANUAL))
         bench.frames(2)
         before = bench.reports[-1].order
@@ -70,8 +68,7 @@ async def test_a_drive_whose_rate_is_unknown_is_not_energised() -> None:
 
 async def test_a_drive_at_a_wrong_rate_is_refused() -> None:
     async with fast_bench() as bench:
-        for _ in range(3 * RATE_FRAMES):
-            bench.frame(after_s=1.2 * TICK_S)
+        bench.frames(3 * RATE_FRAMES, after_s=1.2 * TICK_S)
         assert (bench.loop.cause or "").startswith("frame rate: ")
 
 
@@ -80,14 +77,12 @@ async def test_a_drive_that_is_polled_has_no_rate_of_its_own() -> None:
     timing = replace(FAST.timing, stale_s=1.0, ticks_per_reading=stride)
     polled = replace(FAST, timing=timing, drive_clocks=False)
     async with fast_bench(polled, modulus=None) as bench:
-        for _ in range(100):
-            bench.frame(after_s=1.3 * stride * TICK_S, counter=None)
+        bench.frames(100, after_s=1.3 * stride * TICK_S, counter=None)
         assert bench.loop.cause is None
 
 
 async def test_silence_without_the_timer_sends_nothing_until_it_trips() -> None:
-    async with fast_bench(TIMERLESS) as bench:
-        bench.start()
+    async with running_bench(TIMERLESS) as bench:
         known = len(bench.sent)
         bench.wait(0.8 * FAST.timing.stale_s)
         assert len(bench.sent) == known

@@ -17,7 +17,7 @@ from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, Reset, SetMode, SetSetpoint, SetVoltage
-from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
+from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench, running_bench
 
 Frame = tuple[int | None, float]
 """Counter and arrival."""
@@ -146,8 +146,7 @@ def test_a_daemon_that_takes_only_the_newest_frame_believes_it(
 @pytest.mark.parametrize("rate_Hz", [50.0, 60.0, 100.0, 400.0, 1000.0])
 async def test_a_wrong_rate_refuses_enable(rate_Hz: float) -> None:
     async with fast_bench(modulus=None) as bench:
-        for _ in range(round(150 + rate_Hz)):
-            bench.frame(1.0 / rate_Hz)
+        bench.frames(round(150 + rate_Hz), 1.0 / rate_Hz)
         expected = (
             rf"sends {rate_Hz:g}\S* readings/s, expected 120/s: look at drive\.line_frequency_Hz"
         )
@@ -161,14 +160,11 @@ async def test_a_drive_enabled_early_is_never_energised_wrongly(
     rate_Hz: float, earlier: int
 ) -> None:
     async with fast_bench(modulus=None) as bench:
-        for _ in range(earlier):
-            bench.frame(1.0 / rate_Hz)
+        bench.frames(earlier, 1.0 / rate_Hz)
         bench.ask(Enable())
-        for _ in range(round(150 + rate_Hz)):
-            bench.frame(1.0 / rate_Hz)
+        bench.frames(round(150 + rate_Hz), 1.0 / rate_Hz)
         assert bench.state() is State.TRIPPED
-        assert bench.machine.trip is not None
-        assert bench.machine.trip.startswith("frame rate: the drive ")
+        assert bench.trip.startswith("frame rate: the drive ")
         assert set(bench.sent) == {SAFE_COMMAND}
 
 
@@ -184,21 +180,16 @@ async def test_enabled_at_the_first_frame_it_runs_by_itself() -> None:
 
 
 async def test_a_rate_that_goes_wrong_later_trips() -> None:
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(300)
+    async with running_bench(frames=300) as bench:
         assert bench.state() is State.RUNNING
-        for _ in range(300):
-            bench.frame(0.01)
+        bench.frames(300, 0.01)
         assert bench.state() is State.TRIPPED
-        assert bench.machine.trip is not None
-        assert bench.machine.trip.startswith("frame rate: the drive sends ")
+        assert bench.trip.startswith("frame rate: the drive sends ")
 
 
 async def test_a_drive_that_is_polled_sets_no_rate() -> None:
     async with fast_bench(replace(FAST, drive_clocks=False), modulus=None) as bench:
-        for _ in range(150):
-            bench.frame(0.01)
+        bench.frames(150, 0.01)
         assert bench.loop.cause is None
 
 
@@ -228,7 +219,7 @@ async def test_a_last_frame_that_is_repeated_for_ever_trips_in_the_time_of_a_sta
         for _ in range(2):  # 58 ms
             bench.frame(steps=0)
         assert bench.state() is State.TRIPPED
-        assert (bench.machine.trip or "").startswith("half-cycle counter: the drive's count has ")
+        assert bench.trip.startswith("half-cycle counter: the drive's count has ")
         assert bench.sent[-1] == SAFE_COMMAND
         with pytest.raises(RefusedError, match="half-cycle counter: "):
             bench.ask(Reset())
@@ -246,7 +237,7 @@ async def test_last_frames_that_are_repeated_in_turn_trip_as_one_does(held: int)
             assert bench.state() is State.RUNNING
             bench.frame(steps=1 if number % held else 1 - held)
         assert bench.state() is State.TRIPPED
-        assert (bench.machine.trip or "").startswith("half-cycle counter: the drive's count has ")
+        assert bench.trip.startswith("half-cycle counter: the drive's count has ")
 
 
 @pytest.mark.parametrize("stale_s", [0.1, 0.45])
@@ -260,14 +251,12 @@ async def test_many_frames_that_are_repeated_in_turn_trip_at_the_longest_age(
         bench.frames(held)
         for number in range(math.ceil(1.1 * stale_s / TICK_S)):
             bench.frame(steps=1 if number % held else 1 - held)
-        assert (bench.machine.trip or "").startswith("half-cycle counter: the drive's count has ")
+        assert bench.trip.startswith("half-cycle counter: the drive's count has ")
 
 
 @pytest.mark.parametrize("leap", [-3, -20_000, 5000])
 async def test_a_count_that_is_wrong_once_is_no_repeated_frame(leap: int) -> None:
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(5)
+    async with running_bench(frames=5) as bench:
         bench.frame(steps=leap)
         bench.frame(steps=2 - leap)
         bench.frames(60)
@@ -275,8 +264,7 @@ async def test_a_count_that_is_wrong_once_is_no_repeated_frame(leap: int) -> Non
 
 
 async def test_a_frame_repeated_in_place_of_a_lost_one_trips_nothing() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         stutter(bench, frames=1000, every=3)
         assert bench.state() is State.RUNNING
 
@@ -288,7 +276,7 @@ async def test_the_operator_is_watched_though_the_rate_is_not_known(every: int) 
         stutter(bench, frames=150, every=every)
         assert bench.state() is State.RUNNING
         stutter(bench, frames=100, every=every)
-        assert (bench.machine.trip or "").startswith("manual: no new voltage within the 2 s")
+        assert bench.trip.startswith("manual: no new voltage within the 2 s")
 
 
 async def test_a_voltage_holds_for_its_time_though_frames_come_in_pairs() -> None:
@@ -299,7 +287,7 @@ async def test_a_voltage_holds_for_its_time_though_frames_come_in_pairs() -> Non
             bench.frame(2 * TICK_S)
             bench.frame(0.0)
         assert bench.around.now - began_s == pytest.approx(2.0, abs=10 * TICK_S)
-        assert (bench.machine.trip or "").startswith("manual: no new voltage within the 2 s")
+        assert bench.trip.startswith("manual: no new voltage within the 2 s")
 
 
 async def test_the_precharge_is_watched_though_the_rate_is_not_known_any_more() -> None:
@@ -309,7 +297,7 @@ async def test_the_precharge_is_watched_though_the_rate_is_not_known_any_more() 
         bench.ask(Enable())
         bench.frames(3)
         stutter(bench, frames=660, every=5)
-        assert (bench.machine.trip or "").startswith("precharge: v_bst = 150.0 V after 5 s")
+        assert bench.trip.startswith("precharge: v_bst = 150.0 V after 5 s")
 
 
 def start_at_an_unknown_rate(bench: FastBench, hold_s: float | None) -> None:
@@ -331,7 +319,7 @@ async def test_a_start_waits_for_its_rate_no_longer_than_a_precharge_or_its_oper
         stutter(bench, frames=round(0.9 * limit_s / TICK_S), every=20)
         assert bench.state() is State.STARTING
         stutter(bench, frames=round(0.2 * limit_s / TICK_S), every=20)
-        assert (bench.machine.trip or "").startswith(f"frame rate: not known {limit_s:g}")
+        assert bench.trip.startswith(f"frame rate: not known {limit_s:g}")
         bench.frames(200)
         assert bench.state() is State.TRIPPED
         assert set(bench.sent) == {SAFE_COMMAND}
@@ -341,7 +329,7 @@ async def test_a_bridge_that_comes_on_before_the_rate_is_known_trips() -> None:
     async with fast_bench() as bench:
         start_at_an_unknown_rate(bench, None)
         stutter(bench, frames=3, every=20, bridge=True)
-        assert "although this daemon did not command it" in (bench.machine.trip or "")
+        assert "although this daemon did not command it" in bench.trip
 
 
 async def test_a_bridge_that_has_not_gone_off_before_the_rate_is_known_trips() -> None:
@@ -356,7 +344,7 @@ async def test_a_bridge_that_has_not_gone_off_before_the_rate_is_known_trips() -
         stutter(bench, frames=round(FAST.timing.stop_s / TICK_S), every=20, bridge=True)
         assert bench.state() is State.STARTING
         stutter(bench, frames=5, every=20, bridge=True)
-        assert (bench.machine.trip or "").startswith("the drive does not stop: its bridge is still")
+        assert bench.trip.startswith("the drive does not stop: its bridge is still")
 
 
 async def test_a_start_before_the_bus_has_taken_a_command_waits_for_the_rate(
@@ -386,8 +374,7 @@ def test_the_rate_of_a_steady_drive_is_known_in_time(stride: int, jump_at: int) 
 async def test_a_count_that_stands_in_standby_trips_nothing_and_refuses_enable() -> None:
     async with fast_bench() as bench:
         bench.frames(70)
-        for _ in range(200):
-            bench.frame(steps=0)
+        bench.frames(200, steps=0)
         assert bench.state() is State.STANDBY
         with pytest.raises(RefusedError, match=r"half-cycle counter: .* stood for 1667 ms"):
             bench.ask(Enable())

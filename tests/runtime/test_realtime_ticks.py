@@ -22,7 +22,16 @@ from adaptdrive.config import load_configuration
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.reports import State
 from tests.loopback_port import LoopbackPort
-from tests.runtime.bench import CALM, FAST, MOTOR, TICK_S, FastBench, fast_bench, until
+from tests.runtime.bench import (
+    CALM,
+    FAST,
+    MOTOR,
+    TICK_S,
+    FastBench,
+    fast_bench,
+    running_bench,
+    until,
+)
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "deploy" / "examples" / "motor.toml"
@@ -30,8 +39,7 @@ EXAMPLE = ROOT / "deploy" / "examples" / "motor.toml"
 
 async def test_missed_half_cycles_are_counted_and_not_made_up() -> None:
     """A loop that slept for three half cycles runs one tick, on the grid, and no burst."""
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         ticks, sent = bench.loop.counts.ticks, len(bench.sent)
         bench.around.now += 3.0 * TICK_S
         bench.loop.on_deadline(bench.around.deadline_s - 3.0 * TICK_S)
@@ -41,8 +49,7 @@ async def test_missed_half_cycles_are_counted_and_not_made_up() -> None:
 
 
 async def test_a_drive_that_skips_half_cycles_costs_one_tick_each_time() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         ticks, missed = bench.loop.counts.ticks, bench.loop.counts.missed
         bench.around.deadline_s = float("inf")
         bench.frame(after_s=3.0 * TICK_S, steps=3)
@@ -83,8 +90,7 @@ async def overslept(bench: FastBench, half_cycles: int) -> None:
 
 
 async def test_a_loop_that_overslept_ticks_once_on_the_newest_frame_and_does_not_trip() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         ticks, tick, sent = bench.loop.counts.ticks, bench.loop.tick, len(bench.sent)
         half_cycles = int(FAST.timing.stale_s / TICK_S) - 1
         await overslept(bench, half_cycles)
@@ -112,8 +118,7 @@ async def test_what_was_overslept_reaches_the_filters_as_a_drive_that_skipped_it
 
 
 async def test_each_tick_tells_how_long_it_took() -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         assert all(report.tick_us >= 0.0 for report in bench.reports)
         assert bench.loop.tick_time.take().max >= 0.0
 

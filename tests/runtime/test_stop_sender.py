@@ -8,15 +8,14 @@ import pytest
 
 from adaptdrive.runtime.requests import Disable
 from adaptdrive.runtime.stop_sender import StopSender
-from tests.runtime.bench import fast_bench
+from tests.runtime.bench import running_bench
 
 
 @pytest.mark.parametrize("overslept_s", [0.0, 0.02, 0.5])
 async def test_a_stop_that_is_not_confirmed_is_an_alarm_however_long_the_last_sleep_is(
     overslept_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         around = bench.around
         sender = StopSender(bench.machine, bench.loop, around.now_s)
         bench.ask(Disable())
@@ -29,4 +28,4 @@ async def test_a_stop_that_is_not_confirmed_is_an_alarm_however_long_the_last_sl
         monkeypatch.setattr(asyncio, "sleep", sleep)
         await sender.await_stop()
         monkeypatch.undo()
-        assert (bench.machine.trip or "").startswith("the drive does not stop")
+        assert bench.trip.startswith("the drive does not stop")

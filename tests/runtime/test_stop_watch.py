@@ -13,16 +13,22 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from adaptdrive.runtime.stop_watch import Stop, StopWatch
-from tests.runtime.bench import CALM, FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
+from tests.runtime.bench import (
+    CALM,
+    FAST,
+    RATE_FRAMES,
+    TICK_S,
+    FastBench,
+    fast_bench,
+    running_bench,
+)
 
 STOP_TICKS = round(FAST.timing.stop_s / TICK_S)
 
 
 @pytest.fixture
 async def running() -> AsyncIterator[FastBench]:
-    async with fast_bench() as bench:
-        bench.start()
-        bench.frames(5)
+    async with running_bench(frames=5) as bench:
         yield bench
 
 
@@ -66,8 +72,7 @@ async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(
         bench.ask(Enable())
         while not bench.sent[-1].bridge:
             bench.frame(bridge=False)
-        for _ in range(ticks_on):
-            bench.frame(bridge=False)
+        bench.frames(ticks_on, bridge=False)
         disable(bench)
         for on in [*[0] * 5, *comes, *[0] * (STOP_TICKS // 2 - 5 - len(comes))]:
             bench.frame(bridge=bool(on))
@@ -78,8 +83,7 @@ async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(
 
 async def test_a_late_bridge_that_comes_on_after_a_further_start_is_that_of_the_first() -> None:
     """It coasts in the half cycle of its start, and starts again before it has obeyed."""
-    async with fast_bench() as bench:
-        bench.start()
+    async with running_bench() as bench:
         bench.ask(SetSetpoint(0.0))
         bench.frames(STOP_TICKS)
         bench.ask(SetSetpoint(2.5))
@@ -151,17 +155,13 @@ async def test_a_word_from_before_the_stop_confirms_nothing(running: FastBench) 
 async def test_a_bridge_that_stays_on_is_an_alarm(running: FastBench) -> None:
     disable(running)
     known = len(running.sent)
-    for _ in range(STOP_TICKS - 1):
-        running.frame(bridge=True)
+    running.frames(STOP_TICKS - 1, bridge=True)
     assert running.state() is State.STOPPING
     with pytest.raises(RefusedError, match="has not confirmed its stop"):
         running.ask(Enable())
-    for _ in range(3):
-        running.frame(bridge=True)
+    running.frames(3, bridge=True)
     assert (running.state(), running.loop.stop) == (State.TRIPPED, StopWord.MISSING)
-    assert (running.machine.trip or "").startswith(
-        "the drive does not stop: its bridge is still on 5"
-    )
+    assert running.trip.startswith("the drive does not stop: its bridge is still on 5")
     with pytest.raises(RefusedError, match="bridge is on although it is commanded off"):
         running.ask(Reset())
     assert running.sent[known:] == [SAFE_COMMAND] * (STOP_TICKS + 2)
@@ -173,9 +173,7 @@ async def test_a_bridge_that_stays_on_is_an_alarm(running: FastBench) -> None:
 async def test_a_drive_that_falls_silent_in_its_stop_is_an_alarm(running: FastBench) -> None:
     disable(running)
     running.wait(FAST.timing.stop_s + 3 * TICK_S)
-    assert (running.machine.trip or "").startswith(
-        "the drive does not stop: it has not reported its bridge off"
-    )
+    assert running.trip.startswith("the drive does not stop: it has not reported its bridge off")
 
 
 async def test_a_drive_that_falls_silent_after_its_stop_confirms_it_no_longer(
@@ -197,16 +195,12 @@ async def test_a_stop_that_no_bus_takes_is_an_alarm(
 ) -> None:
     monkeypatch.setattr(running.port, "send", lambda _: False)
     disable(running)
-    for _ in range(STOP_TICKS + 2):
-        running.frame(bridge=False)
-    assert (running.machine.trip or "").startswith(
-        "the drive does not stop: it has not taken the safe command 5"
-    )
+    running.frames(STOP_TICKS + 2, bridge=False)
+    assert running.trip.startswith("the drive does not stop: it has not taken the safe command 5")
 
 
 async def test_a_trip_that_does_not_stop_the_drive_keeps_its_cause(running: FastBench) -> None:
-    for _ in range(STOP_TICKS + 4):
-        running.frame(bridge=True, fault=4)
+    running.frames(STOP_TICKS + 4, bridge=True, fault=4)
     assert running.machine.trip == "drive fault: word 0x4"
     (alarm,) = running.around.not_stops
     assert alarm.startswith("the drive does not stop: its bridge is still on")
@@ -233,7 +227,7 @@ async def test_a_bridge_switched_on_by_others_is_an_alarm() -> None:
         assert bench.state() is State.STANDBY
         bench.frame(bridge=True)
         assert bench.state() is State.TRIPPED
-        assert (bench.machine.trip or "").startswith(
+        assert bench.trip.startswith(
             "the drive's bridge is on although this daemon did not command it"
         )
 
@@ -243,8 +237,7 @@ def precharge(bench: FastBench, *, bridge: bool = False) -> None:
     bench.measured = replace(bench.measured, boost_voltage_V=170.0)
     bench.frames(RATE_FRAMES)
     bench.ask(Enable())
-    for _ in range(4):
-        bench.frame(bridge=bridge)
+    bench.frames(4, bridge=bridge)
 
 
 def precharge_after_coasting(bench: FastBench) -> None:
@@ -265,7 +258,7 @@ async def test_a_bridge_switched_on_by_others_in_the_precharge_is_an_alarm() -> 
         assert bench.state() is State.STARTING
         assert not bench.sent[-1].bridge
         bench.frame(bridge=True)
-        assert (bench.machine.trip or "").startswith(
+        assert bench.trip.startswith(
             "the drive's bridge is on although this daemon did not command it"
         )
         assert bench.sent[-1] == SAFE_COMMAND
@@ -287,9 +280,7 @@ async def test_a_bridge_that_is_still_on_in_the_precharge_is_a_missing_stop() ->
         began_s = bench.around.now
         while bench.state() is not State.TRIPPED and bench.around.now < began_s + 2.0:
             bench.frame(bridge=True)
-        assert (bench.machine.trip or "").startswith(
-            "the drive does not stop: its bridge is still on "
-        )
+        assert bench.trip.startswith("the drive does not stop: its bridge is still on ")
         assert bench.around.now - began_s < FAST.timing.stop_s + 3.0 * TICK_S
 
 
@@ -299,8 +290,7 @@ async def test_a_bridge_that_opens_late_in_the_precharge_has_to_stay_off_from_th
         for number in range(100):
             bench.frame(bridge=number < 20)
         assert bench.state() is State.STARTING
-        for _ in range(2):
-            bench.frame(bridge=True)
+        bench.frames(2, bridge=True)
         assert bench.state() is State.TRIPPED
 
 
@@ -314,8 +304,7 @@ async def test_a_drive_whose_enable_bit_is_on_in_the_precharge_may_report_it() -
 
         bench.controller.replace_tick = with_bit
         precharge(bench)
-        for _ in range(100):
-            bench.frame(bridge=True)
+        bench.frames(100, bridge=True)
         assert bench.state() is State.STARTING
 
 
@@ -333,8 +322,7 @@ async def test_after_another_source_switched_it_on_a_reset_awaits_the_drives_wor
     async with fast_bench() as bench:
         bench.frames(20)
         said_s = bench.around.now
-        for _ in range(2):
-            bench.frame(bridge=True)
+        bench.frames(2, bridge=True)
         assert bench.state() is State.TRIPPED
         bench.frame(bridge=False, bridge_s=said_s)
         bench.ask(Reset())
@@ -391,14 +379,12 @@ async def test_a_reset_before_a_denied_stop_is_confirmed_awaits_it_for_the_time_
         bench.frames(20)
         said_s = bench.around.now
         chatter(bench, 3)
-        for _ in range(2):
-            bench.frame(bridge=False, bridge_s=said_s)
+        bench.frames(2, bridge=False, bridge_s=said_s)
         bench.frame(bridge=True)
         bench.frame(bridge=False, bridge_s=said_s)
         bench.ask(Reset())
-        for _ in range(STOP_TICKS + 2):
-            bench.frame(bridge=True)
-        assert (bench.machine.trip or "").startswith("the drive does not stop: its bridge is still")
+        bench.frames(STOP_TICKS + 2, bridge=True)
+        assert bench.trip.startswith("the drive does not stop: its bridge is still")
 
 
 async def test_one_reading_that_is_looked_at_again_and_again_is_one_flicker() -> None:
@@ -433,14 +419,12 @@ async def test_a_drive_found_on_at_start_must_stop() -> None:
 
 async def test_a_drive_found_on_at_start_that_stays_on_trips() -> None:
     async with fast_bench() as bench:
-        for _ in range(STOP_TICKS + 3):
-            bench.frame(bridge=True)
-        assert (bench.machine.trip or "").startswith("the drive does not stop: its bridge is still")
+        bench.frames(STOP_TICKS + 3, bridge=True)
+        assert bench.trip.startswith("the drive does not stop: its bridge is still")
 
 
 async def test_a_drive_that_never_speaks_of_its_bridge_stops_at_once() -> None:
-    async with fast_bench(slack_s=None) as bench:
-        bench.start()
+    async with running_bench(slack_s=None) as bench:
         disable(bench)
         assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.IMPOSSIBLE)
         bench.frames(2 * STOP_TICKS)

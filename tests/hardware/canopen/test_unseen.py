@@ -21,7 +21,7 @@ from tests.hardware.bench import until
 from tests.hardware.canopen.bench import CHARGE, RUN, running
 from tests.hardware.canopen.documents import bus_of, flaws, parse
 from tests.hardware.canopen.peer import ENABLED, READY, REST, SWITCHED_ON, Peer
-from tests.runtime.bench import FAST, fast_bench
+from tests.runtime.bench import FAST, running_bench
 
 HALF_CYCLE_S = 1.0 / 120.0
 TIMEOUT_S = 0.1
@@ -133,9 +133,7 @@ async def test_a_daemon_that_slept_for_longer_than_the_drive_misses_its_heartbea
     """A single command ends a quick stop, into which the drive may have gone meanwhile."""
     watched = {"bus/heartbeat_s": 0.01, "bus/heartbeat_timeout_s": 0.04}
     timing = daemon_settings(parse({**watched, "interlocks/stale_s": 0.1})).fast.timing
-    async with fast_bench(replace(FAST, timing=timing)) as bench:
-        bench.start()
-        bench.frames(10)
+    async with running_bench(replace(FAST, timing=timing), frames=10) as bench:
         deadline_s, known = bench.around.deadline_s, len(bench.sent)
         bench.around.now = deadline_s + 0.04
         bench.loop.on_deadline(deadline_s)
