@@ -25,7 +25,12 @@ from tests.support import (
 )
 
 # A busy machine is no failure, and the change gate is the same twice.
-settings.register_profile("adaptdrive", deadline=None, derandomize="CI" in os.environ)
+settings.register_profile(
+    "adaptdrive",
+    deadline=None,
+    derandomize="CI" in os.environ,
+    max_examples=int(os.environ.get("EXAMPLES", "25")),
+)
 settings.load_profile("adaptdrive")
 
 
@@ -61,17 +66,28 @@ workers find the compiled code on disk. They count as slow: `make quick` compile
 COMPILATION_S = 3600.0
 """Time limit of such a test: it compiles for minutes, and on a busy machine for half an hour."""
 
-KINDS = {"calculating", "waiting", "alone"}
+KINDS = {"calculating", "waiting", "alone", "proof"}
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files without a test of the kind that was asked for: reading all takes time."""
+    kind, _, _ = config.getoption("markexpr").partition(" ")
+    if kind not in ("calculating", "waiting", "alone") or collection_path.suffix != ".py":
+        return None
+    of_folder = "calculating" if _folder(collection_path) in CALCULATING else "waiting"
+    if kind == of_folder or f"mark.{kind}" in collection_path.read_text(encoding="utf-8"):
+        return None
+    return True
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give every test one of three marks, so that each kind can run beside its like."""
+    """Give every test one of four marks, so that each kind can run beside its like."""
     for item in items:
         if not any(item.get_closest_marker(kind) for kind in KINDS):
-            calculating = _folder(item) in CALCULATING
+            calculating = _folder(item.path) in CALCULATING
             item.add_marker(pytest.mark.calculating if calculating else pytest.mark.waiting)
-        if _folder(item) in COMPILING:
+        if _folder(item.path) in COMPILING:
             item.add_marker(pytest.mark.timeout(COMPILATION_S))
             item.add_marker(pytest.mark.slow)
     items.sort(key=_turn)
@@ -79,15 +95,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def _turn(item: pytest.Item) -> tuple[bool, bool, bool, bool]:
     """Return when a test has its turn: the smallest first."""
-    folder = _folder(item)
+    folder = _folder(item.path)
     longest = item.get_closest_marker("timeout") is not None
     slow = item.get_closest_marker("slow") is not None
     return folder not in COMPILING, not slow, not longest, folder != LONG
 
 
-def _folder(item: pytest.Item) -> str:
+def _folder(path: Path) -> str:
     here = Path(__file__).parent
-    return item.path.relative_to(here).parts[0] if item.path.is_relative_to(here) else ""
+    return path.relative_to(here).parts[0] if path.is_relative_to(here) else ""
 
 
 @pytest.fixture(autouse=True)

@@ -30,6 +30,13 @@ class Spawn(Protocol):
     def __call__(self, *command: str | Path) -> Process: ...
 
 
+def sample(values: Sequence[Any], count: int) -> list[Any]:
+    """Parameters of which `make test` runs the first ones, and `make proof` the others."""
+    sets = [value if isinstance(value, tuple) else (value,) for value in values]
+    others = [pytest.param(*one, marks=pytest.mark.proof) for one in sets[count:]]
+    return [*values[:count], *others]
+
+
 def _own_ports() -> Iterator[int]:
     """Ports of this test process alone, below those that the kernel gives to clients."""
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))

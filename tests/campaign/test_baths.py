@@ -82,7 +82,7 @@ def test_the_truth_of_the_reference_bath_is_its_configured_model() -> None:
     assert stand.truth_at(0) == pytest.approx([0.02104, 200.0], rel=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_a_campaign_of_baths_leaves_a_row_for_each_seed_and_pictures(tmp_path: Path) -> None:
     path = tmp_path / "short.toml"
     path.write_text(BATHS.replace("duration_s = 10800.0", "duration_s = 4800.0"), encoding="utf-8")
@@ -96,7 +96,7 @@ def test_a_campaign_of_baths_leaves_a_row_for_each_seed_and_pictures(tmp_path: P
     assert again["cost_adaptive"] == rows[1]["cost_adaptive"]
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_compiled_and_deployed_controllers_hold_a_bath_alike() -> None:
     stand = BathStand(draw_bath(campaign(duration_s=2400.0), 510_007))
     compiled, deployed = stand.run(Mode.ADAPTIVE), stand.run_deployed(Mode.ADAPTIVE)

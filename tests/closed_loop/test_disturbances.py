@@ -14,6 +14,7 @@ from tests.closed_loop.life import (
     sinusoidal_torque,
     torque_steps,
 )
+from tests.support import sample
 
 LEARNT_s = 240.0
 QUIET = 0.002 * STEP
@@ -27,14 +28,14 @@ def test_steps_of_torque_leave_the_adaptive_controller_in_force() -> None:
     assert rows.in_force(LEARNT_s) >= 0.95
 
 
-@pytest.mark.parametrize("seed", [52, 53, 60103, 60209])
+@pytest.mark.parametrize("seed", sample([52, 53, 60103, 60209], 1))
 def test_so_do_they_with_noise_of_two_percent(seed: int) -> None:
     rows = Motion(noise=0.02 * STEP, seed=seed).run(Mode.ADAPTIVE, torque_steps)
     assert rows.model_error(3, LEARNT_s) <= 0.04
     assert rows.in_force(LEARNT_s) >= 0.90
 
 
-@pytest.mark.parametrize("pattern", [61, 62])
+@pytest.mark.parametrize("pattern", sample([61, 62], 1))
 def test_torque_at_random_is_no_worse_than_one_and_a_half_times_a_known_load(pattern: int) -> None:
     motion, event = Motion(noise=QUIET, seed=51), random_torque(pattern)
     known = {"load.model": {"tau_motor_s": 35.1}}
@@ -42,7 +43,7 @@ def test_torque_at_random_is_no_worse_than_one_and_a_half_times_a_known_load(pat
     assert motion.run(Mode.ADAPTIVE, event).model_error(3, LEARNT_s) <= 1.5 * best
 
 
-@pytest.mark.parametrize("late_s", [0.0, 5.0, 10.0, 15.0, 20.0, 25.0])
+@pytest.mark.parametrize("late_s", sample([0.0, 5.0, 10.0, 15.0, 20.0, 25.0], 1))
 def test_a_torque_that_swings_is_no_load(late_s: float) -> None:
     def torque(motor: Motor, time_s: float) -> None:
         sinusoidal_torque(motor, time_s + late_s)

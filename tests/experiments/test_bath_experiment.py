@@ -4,25 +4,42 @@ import pytest
 
 from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome
 from adaptdrive_sim.experiments.published import BATH
-from tests.experiments.cases import make_case, outcomes, run_all, run_all_compiled
+from tests.experiments.cases import make_case, outcomes, run_all_compiled
 
 AFTER = slice(2, None)
 """The cycle within which the volume changes, and those after it."""
 
 
+@pytest.fixture(scope="module")
+def published() -> ExperimentOutcome:
+    return outcomes(BATH, ("fixed", "adaptive"), seeds=[0])[0]
+
+
+def judge(found: ExperimentOutcome) -> None:
+    fixed, adaptive = found.cycles["fixed"], found.cycles["adaptive"]
+    assert max(one.overshoot for one in fixed[:2]) < 0.035, found.seed
+    assert min(one.overshoot for one in fixed[AFTER]) > 0.07, found.seed
+    assert max(one.overshoot for one in adaptive) < 0.035, found.seed
+    assert [one.load for one in fixed] == [1.0, 1.0, 2.5, 2.5, 2.5]
+    assert found.records["adaptive"]["adaptive"].tolist().index(True) == 30
+
+
 @pytest.mark.slow
-def test_the_fixed_controller_overshoots_after_the_change_and_the_adaptive_one_does_not() -> None:
+def test_the_fixed_controller_overshoots_after_the_change_and_the_adaptive_one_does_not(
+    published: ExperimentOutcome,
+) -> None:
+    judge(published)
+
+
+@pytest.mark.proof
+def test_that_is_so_for_every_seed() -> None:
     for found in outcomes(BATH, ("fixed", "adaptive"), run=run_all_compiled):
-        fixed, adaptive = found.cycles["fixed"], found.cycles["adaptive"]
-        assert max(one.overshoot for one in fixed[:2]) < 0.035, found.seed
-        assert min(one.overshoot for one in fixed[AFTER]) > 0.07, found.seed
-        assert max(one.overshoot for one in adaptive) < 0.035, found.seed
-        assert [one.load for one in fixed] == [1.0, 1.0, 2.5, 2.5, 2.5]
-        assert found.records["adaptive"]["adaptive"].tolist().index(True) == 30
+        judge(found)
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_without_noise_direct_least_squares_finds_the_bath() -> None:
     record = run_case(make_case(BATH, "adaptive", disturbance=Disturbance(0.0)), compiled=True)
     before = round(5400.0 / BATH.period_s) - 1
@@ -34,8 +51,10 @@ def test_without_noise_direct_least_squares_finds_the_bath() -> None:
 
 
 @pytest.mark.slow
-def test_under_noise_lm_rls_finds_what_direct_least_squares_misses() -> None:
-    direct, filtered = run_all(make_case(BATH, name) for name in ("adaptive", "lm_rls"))
+def test_under_noise_lm_rls_finds_what_direct_least_squares_misses(
+    published: ExperimentOutcome,
+) -> None:
+    direct, filtered = published.records["adaptive"], run_case(make_case(BATH, "lm_rls"))
     (change,) = BATH.changes
     assert convergence_cycles(BATH, direct, change) is None
     found = convergence_cycles(BATH, filtered, change)

@@ -73,7 +73,7 @@ def test_the_reference_starts_with_its_high_half_and_the_plant_at_rest(
 @pytest.fixture(scope="module")
 def daemon() -> dict[str, Run]:
     cases = [make_case(MOTOR, name, "exact") for name in ("fixed", "adaptive")]
-    return dict(zip(("fixed", "adaptive"), run_all(cases), strict=True))
+    return dict(zip(("fixed", "adaptive"), run_all_compiled(cases), strict=True))
 
 
 def test_the_exact_design_comes_closer_to_its_ideal_than_the_papers(
@@ -115,14 +115,14 @@ def test_without_noise_the_estimates_end_on_the_truth() -> None:
         assert found == pytest.approx(truth, rel=2e-3), i
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_under_spikes_lm_rls_is_worth_a_factor_of_1_8() -> None:
     found = outcomes(MOTOR, ("adaptive", "direct_rls"), NOISY, run=run_all_compiled)
     ratios = [one.model_error("direct_rls") / one.model_error("adaptive") for one in found]
     assert statistics.median(ratios) >= 1.8
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_the_papers_claims_hold_for_every_seed() -> None:
     for outcome in outcomes(MOTOR, ("fixed", "adaptive"), run=run_all_compiled):
         one, two, three = overshoots(outcome, "fixed")

@@ -1,8 +1,8 @@
 """The long forms of the tests, each as a command of the interpreter.
 
-SEEDS, STORIES, CONFIGURATIONS, INPUTS, MUTANTS, KILLS, DAYS and MINUTES of the environment make
-some of them shorter or longer; AT_MOST is the real time in minutes after which the virtual days
-end.
+SEEDS, STORIES, CONFIGURATIONS, EXAMPLES, INPUTS, MUTANTS, KILLS, DAYS and MINUTES of the
+environment make some of them shorter or longer; AT_MOST is the real time in minutes after which
+the virtual days end.
 """
 
 from __future__ import annotations
@@ -52,6 +52,9 @@ def forms() -> tuple[Form, ...]:
     at_most = ("--at-most", os.environ["AT_MOST"]) if "AT_MOST" in os.environ else ()
     drawn = ("-m", "pytest", "-q", "tests/faults/test_configurations.py", "--timeout", "86400")
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
+    examples = os.environ.get("EXAMPLES", "1000")
+    long = ("-m", "pytest", "-q", "-m", "proof", "--timeout", "86400")
+    properties = ("-m", "pytest", "-q", "-m", "hypothesis", "--timeout", "86400")
     return (
         *(Form(group, f"Faults: {group}", ("-m", "tests.faults.table", seeds, group),
                as_table=True, is_shown=False) for group in GROUPS),
@@ -59,6 +62,9 @@ def forms() -> tuple[Form, ...]:
              is_shown=False),
         Form("configurations", "Configurations of any valid values", drawn,
              {"CONFIGURATIONS": os.environ.get("CONFIGURATIONS", "500")}, is_shown=False),
+        Form("long", "More seeds, patterns and loads of the tests", long, is_shown=False),
+        Form("properties", "Properties of drawn values", properties, {"EXAMPLES": examples},
+             is_shown=False),
         Form("inputs", "Damaged inputs of each decoder", ("-m", "tests.fuzz", inputs)),
         Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/peers"),
              is_shown=False),
