@@ -146,13 +146,8 @@ class CanDrive:
             if number == self._numbers.get(codec.name):
                 continue
             self._numbers[codec.name] = number
-            out = can.Message(
-                arbitration_id=codec.frame_id,
-                is_extended_id=codec.is_extended,
-                is_fd=codec.is_fd,
-                bitrate_switch=codec.is_fd and self._config.bitrate_switch,
-                data=message.encode(number, quantities),
-            )
+            data, fast = message.encode(number, quantities), self._config.bitrate_switch
+            out = codec.frame(data, bitrate_switch=fast)
             self.counts["sent" if self._put(out) else "dropped"] += 1
 
     def _put(self, frame: can.Message) -> bool:

@@ -70,15 +70,8 @@ class CanSensors:
     def _send(
         self, bus: can.BusABC, message: SensorMessage, shown: Mapping[str, float | None]
     ) -> None:
-        codec = message.codec
-        out = can.Message(
-            arbitration_id=codec.frame_id,
-            is_extended_id=codec.is_extended,
-            is_fd=codec.is_fd,
-            data=codec.encode(shown),
-        )
         try:
-            bus.send(out)
+            bus.send(message.codec.frame(message.codec.encode(shown)))
         except (can.CanError, OSError):
             self.counts["dropped"] += 1
         else:

@@ -215,7 +215,18 @@ class Catalogue(ABC, Generic[Item]):
         self, given: Mapping[str, float | str], place: str, use: Use = "constant"
     ) -> list[Sink[Item]]:
         """Find the destinations of values that stay the same; what does not fit is collected."""
-        return list(self._constants(given, place, use))
+        found = []
+        for reference, constant in given.items():
+            at = f"{place}.{reference}"
+            item = self.find(reference, at)
+            if item is None:
+                continue
+            self.note(at, self.refusal(item, use))
+            field = self.field(item, use)
+            value = self.resolve(field, constant, at)
+            if value is not None and self._is_sent(field, (value,), at):
+                found.append(Sink(reference, item, field, value, 0.0))
+        return found
 
     def resolve(self, field: Field, given: float | str, place: str) -> float | None:
         """Return a value, or the one that a name of the field's value table stands for.
@@ -293,20 +304,6 @@ class Catalogue(ABC, Generic[Item]):
             problem = f"is left out: {word} alone means on, and {off}; name the state of on"
             self.cautions.append(Flaw(place, problem))
         return on
-
-    def _constants(
-        self, constants: Mapping[str, float | str], section: str, use: Use
-    ) -> Iterator[Sink[Item]]:
-        for reference, given in constants.items():
-            place = f"{section}.{reference}"
-            item = self.find(reference, place)
-            if item is None:
-                continue
-            self.note(place, self.refusal(item, use))
-            field = self.field(item, use)
-            value = self.resolve(field, given, place)
-            if value is not None and self._is_sent(field, (value,), place):
-                yield Sink(reference, item, field, value, 0.0)
 
     def _switches(self, switch: CommandSwitch | None) -> Iterator[Sink[Item]]:
         place = f"{_COMMAND}.{BRIDGE}"

@@ -20,7 +20,7 @@ def frame(code: int, register: int = 0x01) -> bytes:
 def test_code_register_and_detail_are_read(code: int, register: int) -> None:
     emergency = parse_emergency(frame(code, register))
     assert emergency is not None
-    assert (emergency.code, emergency.register, emergency.detail) == (code, register, b"maker")
+    assert (emergency.code, emergency.register, emergency.data) == (code, register, b"maker")
     assert emergency.over == (EmcyError(code, 0, b"", 0.0).get_desc() == "Error Reset / No Error")
 
 

@@ -5,8 +5,6 @@ Emergency (EMCY) frames in words: classes of CiA 301 by the library, single code
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import can
 from canopen.emcy import EmcyError
 
@@ -39,19 +37,8 @@ _SDO_WRITES = frozenset({0, 1, 6})
 """Client command specifiers of SDO frames that write: segment, initiate and block download."""
 
 
-@dataclass(frozen=True, slots=True)
-class Emergency:
-    """One emergency.
-
-    Attributes:
-        code: Error code.
-        register: Error register 0x1001.
-        detail: What the manufacturer adds.
-    """
-
-    code: int
-    register: int
-    detail: bytes
+class Emergency(EmcyError):  # noqa: N818 - never raised
+    """One emergency: the library's `code`, `register` 0x1001 and `data`, which the maker adds."""
 
     @property
     def over(self) -> bool:
@@ -59,8 +46,7 @@ class Emergency:
         return self.code >> 8 == 0
 
     def __str__(self) -> str:
-        kind = EmcyError(self.code, self.register, self.detail, 0.0).get_desc().lower()
-        words = _SINGLE.get(self.code) or kind or "unknown"
+        words = _SINGLE.get(self.code) or self.get_desc().lower() or "unknown"
         return f"emergency 0x{self.code:04X}, {words} (error register 0x{self.register:02X})"
 
 
@@ -75,7 +61,7 @@ def parse_emergency(data: bytes) -> Emergency | None:
     """
     if len(data) != LENGTH:
         return None
-    return Emergency(int.from_bytes(data[:2], "little"), data[2], data[3:])
+    return Emergency(int.from_bytes(data[:2], "little"), data[2], data[3:], 0.0)
 
 
 class Health:

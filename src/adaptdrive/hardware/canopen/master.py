@@ -14,6 +14,8 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Protocol
 
+import can
+
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
@@ -140,10 +142,10 @@ class Master:
         self._lose(problem)
         self.mapped = False
 
-    def take_reply(self, can_id: int, data: bytes) -> None:
+    def take_reply(self, frame: can.Message) -> None:
         """Take a frame of the node's SDO server."""
         if self._link is not None:
-            self._link.notify(can_id, bytearray(data), 0.0)
+            self._link.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
 
     def _lose(self, problem: str) -> None:
         self.ready, self.problem = False, problem

@@ -75,7 +75,7 @@ class CanOpenPort(CountingPort):
         self._control = DriveControl()
         self._unseen = UnseenStop(self._control, timing)
         self._reports = Reports(mapping, self._control, self._unseen, self._counts)
-        self._master = Master(config, mapping, timing.half_cycle_s, self._put, clock)
+        self._master = Master(config, mapping, timing.half_cycle_s, self._connection.put, clock)
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(timing.half_cycle_s, clock, self._send_sync)
         self._half_cycle_s = timing.half_cycle_s
@@ -141,7 +141,7 @@ class CanOpenPort(CountingPort):
             if command == SAFE_COMMAND:
                 self._disable_lost()
             return False
-        taken = [self._put(*frame) for frame in frames]
+        taken = [self._connection.put(*frame) for frame in frames]
         self._connection.uptake.note(taken=all(taken))
         if not all(taken):
             return False
@@ -196,7 +196,7 @@ class CanOpenPort(CountingPort):
         node = self._config.node_id
         takers: dict[int, Callable[[can.Message], None]] = {
             0x080 + node: self._take_emergency,
-            0x580 + node: self._take_reply,
+            0x580 + node: self._master.take_reply,
             0x700 + node: self._take_heartbeat,
         }
         if self._config.sync == "drive":
@@ -221,9 +221,6 @@ class CanOpenPort(CountingPort):
         if not self._health.take_emergency(bytes(frame.data)):
             self._counts["wrong_length"] += 1
 
-    def _take_reply(self, frame: can.Message) -> None:
-        self._master.take_reply(frame.arbitration_id, bytes(frame.data))
-
     def _take_pdo(self, status: StatusPdo, frame: can.Message) -> None:
         if not self._master.ready:
             return  # whatever it carries, it is not what the drive has been set up for
@@ -245,24 +242,20 @@ class CanOpenPort(CountingPort):
         self.catch_up()  # what waits belongs to the SYNC before
         if self._master.ready:
             self._reports.begin(self._clock())
-            self._put(SYNC_COB_ID, b"")
+            self._connection.put(SYNC_COB_ID, b"")
 
     def _disable_lost(self) -> None:
         """Send the safe command, and no heartbeat, to a lost node that may still take it."""
         if self._master.mapped:
             for order in self._mapping.orders:
-                self._put(*order.encode(SAFE_COMMAND, DISABLE_VOLTAGE))
+                self._connection.put(*order.encode(SAFE_COMMAND, DISABLE_VOLTAGE))
 
     def _beat(self) -> None:
         """Send the daemon's heartbeat where the next command would be too late for it."""
         now_s = self._clock()
         if now_s - self._beat_s > self._config.heartbeat_s - self._half_cycle_s:
             self._beat_s = now_s
-            self._put(0x700 + self._config.own_node_id, bytes((NodeState.OPERATIONAL,)))
-
-    def _put(self, can_id: int, data: bytes) -> bool:
-        frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
-        return self._connection.send(frame)
+            self._connection.put(0x700 + self._config.own_node_id, bytes((NodeState.OPERATIONAL,)))
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""
@@ -270,7 +263,8 @@ class CanOpenPort(CountingPort):
             self._sync.start()
         try:
             announce()
-            return await self._read_and_watch()
+            bringing_up = self._master.run(self._report_node, lambda: self._rival.complaint is None)
+            return await self._connection.read_beside(bringing_up, "node")
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
             raise
@@ -278,15 +272,6 @@ class CanOpenPort(CountingPort):
             self._sync.stop()
             self._master.leave("bus lost")
             self._on_node(up=False, detail="bus lost")
-
-    async def _read_and_watch(self) -> str:
-        """Read the bus and keep the node set up; return the reason of a lost bus."""
-        async with asyncio.TaskGroup() as tasks:
-            bringing_up = self._master.run(self._report_node, lambda: self._rival.complaint is None)
-            watch = tasks.create_task(bringing_up, name="node")
-            problem = await self._connection.read()
-            watch.cancel()
-        return problem
 
     def _report_node(self, *, up: bool, detail: str) -> None:
         """Report that the node is ready, or is lost."""

@@ -82,11 +82,7 @@ class CanOpenWatch(CountingPort):
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Read the drive until the bus is lost; return the reason."""
         announce()
-        async with asyncio.TaskGroup() as tasks:
-            look = tasks.create_task(self._look(), name="look")
-            problem = await self._connection.read()
-            look.cancel()
-        return problem
+        return await self._connection.read_beside(self._look(), "look")
 
     async def _look(self) -> None:
         """Read all objects at intervals; report when the drive stops or resumes its replies."""
@@ -94,7 +90,7 @@ class CanOpenWatch(CountingPort):
         assert listener is not None  # noqa: S101 - of the connection in use
         while True:
             start_s = self._clock()
-            self._link = link = SdoLink(self._put)
+            self._link = link = SdoLink(self._connection.put)
             try:
                 values, state = await in_thread(self._config, link, self._read)
             except BusError as problem:
@@ -129,7 +125,3 @@ class CanOpenWatch(CountingPort):
             oldest_s=start_s,
             bridge=state in POWERED,
         )
-
-    def _put(self, can_id: int, data: bytes) -> bool:
-        frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
-        return self._connection.send(frame)

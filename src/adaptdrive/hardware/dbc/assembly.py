@@ -16,6 +16,10 @@ class StatusAssembly:
 
     Attributes:
         faults: Faults since the last reading that was handed out.
+        bridge_slack_s: Additional age of the report of the bridge, None for a drive that never
+            reports it.
+        bridge_cycle_s: Time from one report of the bridge to the next, 0 for a drive that never
+            reports it, infinite where nothing says how often the message comes.
         stop_seen: Whether the drive has reported its bridge off after it had it on, and no reading
             has carried that yet.
     """
@@ -24,6 +28,11 @@ class StatusAssembly:
         self._statuses = mapping.statuses
         self._bridge_on = mapping.bridge_on
         self._sources = [source for status in mapping.statuses for source in status.sources]
+        bridge = next((one for one in self._sources if one.quantity == "bridge"), None)
+        self.bridge_slack_s = None if bridge is None else bridge.slack_s
+        self.bridge_cycle_s = 0.0
+        if bridge is not None:
+            self.bridge_cycle_s = bridge.cycle_s if bridge.cycle_stated else math.inf
         self._others = mapping.others
         self._faults = tuple(mapping.faults)
         self._values: dict[str, float] = {}
@@ -32,21 +41,6 @@ class StatusAssembly:
         self._carried_on = self._come_on = False
         self.stop_seen = False
         self.faults = FaultLatch(mapping.faults)
-
-    @property
-    def bridge_slack_s(self) -> float | None:
-        """Additional age of the report of the bridge, None for a drive that never reports it."""
-        words = (source.slack_s for source in self._sources if source.quantity == "bridge")
-        return next(words, None)
-
-    @property
-    def bridge_cycle_s(self) -> float:
-        """Time from one report of the bridge to the next, 0 for a drive that never reports it.
-
-        It is infinite where nothing says how often the message comes.
-        """
-        bridges = (source for source in self._sources if source.quantity == "bridge")
-        return max((one.cycle_s if one.cycle_stated else math.inf for one in bridges), default=0.0)
 
     @property
     def powered(self) -> bool:

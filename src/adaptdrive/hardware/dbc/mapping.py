@@ -93,8 +93,8 @@ class CanMapping:
     cautions: tuple[Flaw, ...]
 
 
-_Sources = dict[str, list[CanSource]]
-"""Sources by message."""
+_Cycle = tuple[float, str, Message]
+"""Time from one frame of a signal to the next, the key or attribute of it, and its message."""
 
 
 def map_drive(
@@ -122,7 +122,7 @@ def map_drive(
     catalogue.flaws.extend(channel_flaws(bus))
     clock = catalogue.message(bus.clock, "bus.clock")
     bound = {one.quantity: one for one in catalogue.sources(signals.entries(), demands)}
-    sources: _Sources = {}
+    sources: dict[str, list[CanSource]] = {}
     for one in bound.values():
         sources.setdefault(one.item.message.name, []).append(
             _source(catalogue, bus, timing, clock, one)
@@ -167,35 +167,32 @@ def _source(
     clock: Message | None,
     source: Source[Located],
 ) -> CanSource:
-    (message, signal), place = source.item, source.place
+    message, signal = source.item
     cycle = _cycle(message, bus, timing, pages=_pages(message, signal))
     if clock is not None:  # a value is taken with the clock: it waits for that
-        cycle = max(cycle, _cycle(clock, bus, timing), key=lambda one: one.cycle_s)
-    slack_s = max(0.0, bus.stale_cycles * cycle.cycle_s - timing.stale_s)
-    seldom = slack_s > 0.0 or cycle.cycle_s > VOLTAGE_TICKS * timing.half_cycle_s
+        cycle = max(cycle, _cycle(clock, bus, timing), key=lambda one: one[0])
+    cycle_s, by, slowest = cycle
+    slack_s = max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
+    unstated = "no GenMsgCycleTime: that of the clock"
+    stated = f"GenMsgCycleTime {slowest.cycle_time} ms" if slowest.cycle_time else unstated
+    named = f"message {slowest.name!r} ({stated})"
+    seldom = slack_s > 0.0 or cycle_s > VOLTAGE_TICKS * timing.half_cycle_s
     if seldom and timing.feeds_voltage_loop(source.quantity):
-        _note_slow(catalogue, cycle.message, place)
+        problem = f"{named} comes too seldom for voltage_loop.where = 'daemon'"
+        catalogue.note(source.place, problem)
     if timing.stale_s + slack_s > LONGEST_STALE_S:
-        _note_old(catalogue, cycle.message, place, timing.stale_s + slack_s)
+        age = f"age for {timing.stale_s + slack_s:.4g} s, limit {LONGEST_STALE_S:g} s"
+        catalogue.note(source.place, f"bus.stale_cycles lets a value of {named} {age}")
     return CanSource(
         quantity=source.quantity,
         signal=signal.name,
         scale=source.scale,
         offset=source.offset,
         slack_s=slack_s,
-        cycle_by=cycle.by,
-        cycle_s=cycle.cycle_s,
+        cycle_by=by,
+        cycle_s=cycle_s,
         cycle_stated=message.name == bus.clock or cycle_time_s(message) > 0.0,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Cycle:
-    """Time from one frame of a signal to the next: its message, and what says so."""
-
-    message: Message
-    cycle_s: float
-    by: str
 
 
 def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cycle:
@@ -203,8 +200,8 @@ def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cy
     cycle_s = cycle_time_s(message)
     clock_s = bus.clock_ticks * timing.half_cycle_s
     if not cycle_s or (message.name == bus.clock and cycle_s <= clock_s):
-        return _Cycle(message, pages * clock_s, "bus.clock_ticks")
-    return _Cycle(message, pages * cycle_s, "GenMsgCycleTime")
+        return pages * clock_s, "bus.clock_ticks", message
+    return pages * cycle_s, "GenMsgCycleTime", message
 
 
 def _pages(message: Message, signal: Signal) -> int:
@@ -215,22 +212,6 @@ def _pages(message: Message, signal: Signal) -> int:
     siblings = [one for one in message.signals if one.multiplexer_signal == selector]
     pages = {page for one in siblings for page in one.multiplexer_ids or ()}
     return len(pages) * _pages(message, message.get_signal_by_name(selector or ""))
-
-
-def _stated_cycle(message: Message) -> str:
-    cycle_ms = message.cycle_time
-    return f"GenMsgCycleTime {cycle_ms} ms" if cycle_ms else "no GenMsgCycleTime: that of the clock"
-
-
-def _note_old(catalogue: SignalCatalogue, message: Message, place: str, limit_s: float) -> None:
-    problem = f"bus.stale_cycles lets a value of message {message.name!r}"
-    comes = f"({_stated_cycle(message)}) age for {limit_s:.4g} s"
-    catalogue.note(place, f"{problem} {comes}, limit {LONGEST_STALE_S:g} s")
-
-
-def _note_slow(catalogue: SignalCatalogue, message: Message, place: str) -> None:
-    problem = f"message {message.name!r} ({_stated_cycle(message)}) comes too seldom"
-    catalogue.note(place, f"{problem} for voltage_loop.where = 'daemon'")
 
 
 def _status(

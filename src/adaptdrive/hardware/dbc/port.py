@@ -30,7 +30,7 @@ from adaptdrive.hardware.dbc.orders import CommandFrame, bridge_first
 from adaptdrive.hardware.dbc.refusals import Refusals
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import as_received, describe_bus
-from adaptdrive.hardware.link.codec import MessageCodec, frame_key
+from adaptdrive.hardware.link.codec import frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.obedience import Obedience
@@ -76,8 +76,8 @@ class CanPort:
         self._counts: Counter[str] = Counter()
         self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._assembly = StatusAssembly(mapping)
-        self._statuses = {_key(status.codec): status for status in mapping.statuses}
-        self._commands = {_key(order.codec): _label(order.codec) for order in mapping.orders}
+        self._statuses = {status.codec.key: status for status in mapping.statuses}
+        self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
         self._rival = Rival(clock)
         self._refusals = Refusals()
         self._hears_all = hears_all
@@ -185,7 +185,7 @@ class CanPort:
         """Return the oldest value, its source, its age, and the likeliest cause of that."""
         now_s = self._clock()
         status, source, oldest_s, newest_s = self._assembly.oldest()
-        value = f"{source.quantity} ({_label(status.codec)}, {source.signal})"
+        value = f"{source.quantity} ({status.codec.label}, {source.signal})"
         age_s, came = now_s - oldest_s, oldest_s > -math.inf
         # not the age of the reading, which may be that of a value that has come since
         found = f"is the oldest value, {age_s * 1e3:.0f} ms old" if came else "has never come"
@@ -196,7 +196,7 @@ class CanPort:
     def _explain_silence(self, status: StatusFrame, *, came: bool, others_come: bool) -> str:
         if self._connection.bus is None:
             return "the bus is lost"
-        refused = self._refusals.explain(_label(status.codec))
+        refused = self._refusals.explain(status.codec.label)
         if refused is not None:
             return refused
         if others_come and came:
@@ -247,7 +247,7 @@ class CanPort:
             self._counts["counter_lost"] += decoded.lost
         if decoded.verdict is _GOOD:
             if self._refusals.any:
-                self._refusals.accept(_label(status.codec))
+                self._refusals.accept(status.codec.label)
             self._assembly.keep(status, decoded.values, arrival_s)
         else:
             self._refuse(status, decoded.verdict, frame)
@@ -285,7 +285,7 @@ class CanPort:
         # a counter that leapt is in `counter_lost` already, with the length of its leap
         if verdict is not FrameVerdict.COUNTER_LOST:
             self._counts[verdict] += 1
-        self._refusals.note(_label(status.codec), verdict, bytes(frame.data))
+        self._refusals.note(status.codec.label, verdict, bytes(frame.data))
 
     @property
     def _awaits_bridge(self) -> bool:
@@ -313,14 +313,8 @@ class CanPort:
         return seconds >= 0.0 and int(seconds) % 2 == 0
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
-        codec = order.codec
-        return can.Message(
-            arbitration_id=codec.frame_id,
-            is_extended_id=codec.is_extended,
-            is_fd=codec.is_fd,
-            bitrate_switch=codec.is_fd and self._config.bitrate_switch,
-            data=order.encode(command),
-        )
+        data, fast = order.encode(command), self._config.bitrate_switch
+        return order.codec.frame(data, bitrate_switch=fast)
 
     def _set_up(self) -> bool:
         """Send what the drive needs before it is commanded; whether the bus took all of it."""
@@ -348,20 +342,4 @@ def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.M
         faults = [one.signal for one in status.sources if one.quantity in mapping.faults]
         data = codec.example(dict.fromkeys(faults, 0.0))
         if data is not None:
-            yield as_received(
-                config,
-                can.Message(
-                    arbitration_id=codec.frame_id,
-                    is_extended_id=codec.is_extended,
-                    is_fd=codec.is_fd,
-                    data=data,
-                ),
-            )
-
-
-def _key(codec: MessageCodec) -> int:
-    return frame_key(codec.frame_id, extended=codec.is_extended)
-
-
-def _label(codec: MessageCodec) -> str:
-    return f"0x{codec.frame_id:03X} ({codec.name})"
+            yield as_received(config, codec.frame(data))

@@ -104,9 +104,7 @@ class CanSensorPort(SensingPort):
     ) -> None:
         super().__init__(describe_bus(config))
         self._config = config
-        self._messages = {
-            frame_key(one.codec.frame_id, extended=one.codec.is_extended): one for one in messages
-        }
+        self._messages = {one.codec.key: one for one in messages}
         self._clock = clock
         self._arrivals = ArrivalClock(clock)
         self._listener: SensorListener | None = None

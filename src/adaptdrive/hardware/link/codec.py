@@ -7,6 +7,7 @@ from socket import CAN_EFF_FLAG
 from types import MappingProxyType
 from typing import Final
 
+import can
 from cantools.database import DecodeError, EncodeError
 from cantools.database.can.message import Message
 
@@ -60,7 +61,7 @@ class Decoded:
 
 
 class MessageCodec:
-    """Encodes and decodes the frames of one message.
+    """Encodes and decodes the frames of one message, which `key` and `label` tell from others.
 
     Each direction keeps its own alive counter. Build it from a message whose integrity has
     been checked, as `SignalCatalogue.check_integrity` does.
@@ -91,6 +92,8 @@ class MessageCodec:
         self.frame_id = message.frame_id
         self.is_extended = message.is_extended_frame
         self.is_fd = needs_fd(message)
+        self.key = frame_key(message.frame_id, extended=message.is_extended_frame)
+        self.label = f"0x{message.frame_id:03X} ({message.name})"
         self._length = message.length
         self._fields = {
             signal.name: compile_field(
@@ -151,6 +154,21 @@ class MessageCodec:
         data = self._with_checksum(self._pack(raw), counter)
         self._next = (counter + 1) % self._modulus
         return data
+
+    def frame(self, data: bytes, *, bitrate_switch: bool = False) -> can.Message:
+        """The frame with some bytes.
+
+        Args:
+            data: The bytes.
+            bitrate_switch: Whether a frame of CAN FD carries them at the higher bit rate.
+        """
+        return can.Message(
+            arbitration_id=self.frame_id,
+            is_extended_id=self.is_extended,
+            is_fd=self.is_fd,
+            bitrate_switch=self.is_fd and bitrate_switch,
+            data=data,
+        )
 
     def example(self, values: Mapping[str, float | None] = _NOTHING) -> bytes | None:
         """A frame with every other signal at its initial value, None where that is impossible.

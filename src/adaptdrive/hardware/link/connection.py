@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterable
-from typing import NoReturn, Protocol
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
+from typing import Any, NoReturn, Protocol
 
 import can
 
@@ -111,6 +111,23 @@ class CanConnection:
         """Process the frames that have arrived, but were not read yet."""
         if self._reader is not None:
             self._reader.drain()
+
+    async def read_beside(self, work: Coroutine[Any, Any, None], name: str) -> str:
+        """Read the bus, and work on it until it is lost; return the reason.
+
+        Args:
+            work: Cancelled when the bus is lost.
+            name: Name of its task.
+        """
+        async with asyncio.TaskGroup() as tasks:
+            task = tasks.create_task(work, name=name)
+            problem = await self.read()
+            task.cancel()
+        return problem
+
+    def put(self, can_id: int, data: bytes) -> bool:
+        """Send a frame with an id of 11 bits at once; return whether the bus took it."""
+        return self.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
 
     def send(self, frame: can.Message) -> bool:
         """Send a frame at once; return whether the bus took it."""
