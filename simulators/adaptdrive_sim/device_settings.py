@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from adaptdrive.cli.integers import Integer
+from adaptdrive.cli.options import Integer
 
 InterfaceChoice = Literal["socketcan", "udp_multicast"]
 

@@ -7,7 +7,10 @@ import errno
 import os
 import secrets
 import stat
+import tempfile
 from pathlib import Path
+
+from adaptdrive.errors import reason_of
 
 _LARGEST_BYTES = 1 << 20
 """Four times a bundle of all public certificate authorities, the largest of these files."""
@@ -115,3 +118,13 @@ def _require_regular(mode: int, path: Path) -> None:
     if not stat.S_ISREG(mode):
         kind = _KINDS.get(stat.S_IFMT(mode), "something else")
         raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))
+
+
+def directory_flaw(directory: Path) -> str | None:
+    """Return why a directory cannot be created or written, None when it can be used."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=directory).close()
+    except OSError as problem:
+        return reason_of(problem)
+    return None

@@ -10,9 +10,9 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet as pq
 
-from adaptdrive.app.replay import replay
 from adaptdrive.cli import analysis
 from adaptdrive.cli.analysis import SessionView
+from adaptdrive.cli.replay import replay
 from adaptdrive.cli.sessions import events, show, verify
 from adaptdrive.errors import RecordingError
 from adaptdrive.lab import load_session

@@ -10,7 +10,7 @@ import pytest
 from adaptdrive.app.advice import advice
 from adaptdrive.app.interlocks import trip_limits
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.sensors import build_whole_port
+from adaptdrive.app.ports import build_whole_port
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.drive import DriveLimits
 from adaptdrive.config.root import consistency_flaws

@@ -183,6 +183,9 @@ class Learner:
         self.trusted: cp.Values | None = None
         self.resolution = 0.0
 
+    def __call__(self) -> cp.Learnt | None:
+        return None if self.trusted is None else cp.Learnt(self.trusted, self.resolution)
+
 
 class Clock:
     def __init__(self) -> None:

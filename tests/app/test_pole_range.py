@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptdrive.app.check_report import sound_report
+from adaptdrive.app.check_report import pole_line, sound_report
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.plausible import implausible
 from adaptdrive.app.profile import operator_profile
-from adaptdrive.app.reach_table import pole_line
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.design import compensator_gains, discrete_model

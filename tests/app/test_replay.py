@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.replay import controller_at_start, replay
 from adaptdrive.app.settings import controller_settings
+from adaptdrive.cli.replay import controller_at_start, replay
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Stage
@@ -115,7 +115,7 @@ def test_a_setting_without_effect_on_a_replay_is_named(
     directory = create_session(tmp_path, INFO, text)
     ticks, slow = lived(None, seconds=3)
     record_messages(directory, Header(INFO, text), make_batch(ticks, slow, last=True))
-    replay(str(directory), [setting])
+    replay(str(directory), settings=(setting,))
     said = capsys.readouterr().err
     assert (setting in said) is warned
     assert ("has no effect on a replay" in said) is warned

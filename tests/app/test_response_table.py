@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from adaptdrive.app.check_report import response_table
 from adaptdrive.app.interlocks import response_limits
-from adaptdrive.app.reach_table import response_table
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.hardware.port import Reading

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.app.check_report import limits_table, time_limits
 from adaptdrive.app.settings import tick_s
-from adaptdrive.app.time_limits import limits_table, time_limits
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.errors import ConfigurationError

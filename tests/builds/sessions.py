@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.app.replay import replay
+from adaptdrive.cli.replay import replay
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.signals import Command, Measurement, Mode, Order
 from adaptdrive.control.waveform import Shape, Waveform

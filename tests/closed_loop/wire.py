@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.sensors import build_whole_port, sensor_reports
+from adaptdrive.app.ports import build_whole_port, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller

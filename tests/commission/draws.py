@@ -228,5 +228,5 @@ def finish(found: LoadExperiment, rig: Rig) -> None:
     while not found.done:
         voltage_V = found.take(*rig.sample(voltage_V))
         assert limits.boost_reference_min_V <= voltage_V <= limits.boost_reference_max_V
-        if math.isnan(rig.rest) and found.phase is Phase.CLIMB:
+        if math.isnan(rig.rest) and found.course.phase is Phase.CLIMB:
             rig.begin()

@@ -89,7 +89,7 @@ def test_the_output_moves_as_far_as_was_asked_for(gain: float, tau_s: float) -> 
     assert outcome is not None
     assert outcome.gain == pytest.approx(gain, rel=0.1)
     assert outcome.high_V - outcome.low_V == pytest.approx(min(0.2 / outcome.gain, 200.0), rel=1e-9)
-    outputs = np.array(experiment.record.outputs) - gain * 200.0
+    outputs = np.array(experiment.course.record.outputs) - gain * 200.0
     assert outputs.min() > BAND[0] * target.move
     assert outputs.max() < BAND[1] * target.move
     assert min(voltages) >= target.low_V
@@ -121,7 +121,7 @@ def test_the_levels_are_those_of_a_maximum_length_sequence() -> None:
     assert outcome is not None
     levels = [voltage_V == outcome.high_V for voltage_V in voltages[-400:]]
     assert 0.3 < np.mean(levels) < 0.7
-    assert experiment.phase is Phase.DONE
+    assert experiment.course.phase is Phase.DONE
 
 
 def refused(load: Callable[[float], float], target: Target = TARGET) -> str:
@@ -191,8 +191,8 @@ def test_a_drive_that_follows_late_moves_a_battery_no_further(seed: int) -> None
     rig = Rig(draw, random, noise_share=0.001)
     asked = deque([draw.target.low_V] * 5)
     while not experiment.done:
-        asked.append(experiment.voltage_V)
+        asked.append(experiment.course.voltage_V)
         experiment.take(*rig.sample(asked.popleft()))
-        if math.isnan(rig.rest) and experiment.phase is Phase.CLIMB:
+        if math.isnan(rig.rest) and experiment.course.phase is Phase.CLIMB:
             rig.begin()
     assert rig.movement[1] < 1.05

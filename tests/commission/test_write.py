@@ -14,7 +14,8 @@ import pytest
 
 from adaptdrive.app.examine import examine_text
 from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
-from adaptdrive.commission.run import Commissioned, CommissionRequest, announcement, write
+from adaptdrive.commission.report import Commissioned
+from adaptdrive.commission.run import CommissionRequest, announcement, write
 from adaptdrive.errors import ConfigurationError
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"

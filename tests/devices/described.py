@@ -10,8 +10,7 @@ from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from adaptdrive.app.ports import build_port
-from adaptdrive.app.sensors import build_sensor_port
+from adaptdrive.app.ports import build_port, build_sensor_port
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Command

@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from adaptdrive.app.sensors import derivations
+from adaptdrive.app.ports import derivations
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from tests.devices.can_node import CanNode
 from tests.devices.described import DEVICES, described, running

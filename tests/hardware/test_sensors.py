@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.app.sensors import _RULES, publish_samples
+from adaptdrive.app.ports import _RULES, publish_samples
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import PortStatistics, Reading, SensorListener

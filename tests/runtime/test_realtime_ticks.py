@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app.ports import build_port
-from adaptdrive.app.warm_up import Rehearsal
+from adaptdrive.app.realtime import Rehearsal
 from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.config import load_configuration
 from adaptdrive.hardware.port import Reading

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import build_port
+from adaptdrive.app.realtime import Rehearsal
 from adaptdrive.app.settings import controller_settings, daemon_settings
-from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import RefusedError

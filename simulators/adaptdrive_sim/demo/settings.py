@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from adaptdrive.cli.integers import Integer
+from adaptdrive.cli.options import Integer
 from adaptdrive.errors import AdaptdriveError, RefusedError
 
 SPEED_MAX = 1e6

@@ -22,34 +22,39 @@ class IdentifiedPlant:
         disturbance: What is added to the output of each step, 0 after its end.
     """
 
-    def __init__(self, load: IdentifiedLoad, structure: Load, stretch: Stretch) -> None:
-        """Put a load at rest at the first output of a record.
+    def __init__(
+        self,
+        load: IdentifiedLoad,
+        structure: Load,
+        period_s: float,
+        rest: tuple[float, float],
+        power: Array,
+    ) -> None:
+        """Put a load at rest.
 
         Args:
             load: The load.
             structure: Its input map.
-            stretch: The record.
+            period_s: Length of each step.
+            rest: Boost voltage and output at rest.
+            power: Factors of v², v and v·y in the power that it draws.
         """
         self.disturbance = np.zeros(0)
         self._steps = 0
-        self._structure, self._power = structure, _power_law(stretch)
+        self._structure, self._power = structure, power
         self._denominator, self._numerator = np.array(load.denominator), np.array(load.numerator)
         self._offset = load.input_offset.value
-        self._period_s = stretch.period_s
-        self._transition, self._entry = held_step(self._denominator, stretch.period_s)
-        columns = stretch.columns
-        first_V = float(columns["boost_voltage_V"][0])
-        self._late = deque([self._input(first_V)] * (1 + round(load.delay_s / stretch.period_s)))
+        self._transition, self._entry = held_step(self._denominator, period_s)
+        rest_V, self._output = rest
+        self._late = deque([self._input(rest_V)] * round(load.delay_s / period_s))
         self._state = np.zeros(len(self._denominator) - 1)
-        self._state[0] = columns["output"][0] / self._numerator[-1]
-        self._output = float(columns["output"][0])
+        self._state[0] = self._output / self._numerator[-1]
 
     def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
-        """Advance by one sample of the record, which is as long as a reading of the drive."""
+        """Advance by one step, whatever its duration."""
         del duration_s
         self._late.append(self._input(boost_voltage_V))
-        load_input = self._late[1]
-        self._late.popleft()
+        load_input = self._late.popleft()
         power_W = max(0.0, float(_power_terms(boost_voltage_V, self._output) @ self._power))
         self._state = self._transition @ self._state + self._entry * load_input
         direct, slope = self._numerator[0], self._numerator[:0:-1]
@@ -86,12 +91,14 @@ def disturbed_plant(load: IdentifiedLoad, structure: Load, stretch: Stretch) -> 
 
     Noise, torques, and the error of the model: fed with the recorded voltage it gives the record.
     """
-    plant = IdentifiedPlant(load, structure, stretch)
-    volts = stretch.columns["boost_voltage_V"]
+    volts, output = stretch.columns["boost_voltage_V"], stretch.columns["output"]
+    rest, power = (float(volts[0]), float(output[0])), _power_law(stretch)
+    plant, made = (
+        IdentifiedPlant(load, structure, stretch.period_s, rest, power) for _ in range(2)
+    )
     means = np.concatenate((volts[:1], 0.5 * (volts[:-1] + volts[1:])))
     simulated = [plant.step(volt, stretch.period_s)[0] for volt in means.tolist()]
-    made = IdentifiedPlant(load, structure, stretch)
-    made.disturbance = stretch.columns["output"] - np.array(simulated)
+    made.disturbance = output - np.array(simulated)
     return made
 
 

@@ -1,15 +1,155 @@
-"""Report of `adaptdrive check --json` on a configuration."""
+"""The limits of a configuration as `adaptdrive check` shows them: tables, or JSON for programs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from adaptdrive.app.advice import advice
-from adaptdrive.app.settings import daemon_settings
-from adaptdrive.app.time_limits import time_limits
+from adaptdrive.app.interlocks import response_limits
+from adaptdrive.app.ports import bus_kind
+from adaptdrive.app.settings import daemon_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.errors import ConfigurationError, escaped
+from adaptdrive.hardware.bus_kind import Row
+from adaptdrive.runtime.refused_share import WINDOW_S
+from adaptdrive.runtime.response import ResponseLimits
+
+_WHOLE_TICKS = 1e4
+"""Number of half cycles from which on all digits are printed."""
+
+
+def tables(configuration: Configuration, source: Path) -> str:
+    """Return the limits of a configuration that can be used as lines of text.
+
+    Args:
+        configuration: The configuration.
+        source: Its file.
+    """
+    limits = limits_table(time_limits(configuration, source), tick_s(configuration))
+    response = response_table(response_limits(configuration))
+    return "\n".join((limits, reach_table(configuration), pole_line(configuration), response))
+
+
+def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
+    """Return the limits of time that are in force, 0 for none.
+
+    Args:
+        configuration: The drive.
+        source: The configuration's file.
+    """
+    interlocks, supervisor = configuration.interlocks, configuration.supervisor
+    return [
+        *bus_kind(configuration.bus.type, source).time_limits(configuration, source),
+        *_sensor_rows(configuration),
+        ("daemon not running", interlocks.stale_s, "interlocks.stale_s"),
+        ("starting", interlocks.precharge_timeout_s, "interlocks.precharge_timeout_s"),
+        (
+            "share of refused frames",
+            WINDOW_S if interlocks.refused_share else 0.0,
+            "interlocks.refused_share",
+        ),
+        ("output standing still", interlocks.stuck_s, "interlocks.stuck_s"),
+        ("input at its limit, no response", supervisor.response_s, "supervisor.response_s"),
+    ]
+
+
+def limits_table(rows: list[Row], tick_s: float) -> str:
+    """Return the limits as lines of text, in milliseconds and half cycles.
+
+    Args:
+        rows: The limits.
+        tick_s: Half a line cycle.
+    """
+    head = f"{'trips after':36} {'ms':>9} {'ticks':>8}  by"
+    return "\n".join([head, *(_limit(*row, tick_s) for row in rows)])
+
+
+def _limit(what: str, limit_s: float, keys: str, tick_s: float) -> str:
+    if not limit_s:
+        return f"{what:36} {'never':>9} {'':>8}  {keys} = 0"
+    ticks = limit_s / tick_s
+    number = f"{ticks:.4g}" if ticks < _WHOLE_TICKS else f"{ticks:.0f}"
+    return f"{what:36} {limit_s * 1e3:9.9g} {number:>8}  {keys}"
+
+
+def _sensor_rows(configuration: Configuration) -> Iterator[Row]:
+    for bus in configuration.sensor_bus:
+        keys = "sensor_bus.cycle_s" if bus.stale_s is None else "sensor_bus.stale_s"
+        for name in bus.signals:
+            yield f"stale {bus.name}.{name}", bus.oldest_s, keys
+
+
+_FACTOR = "interlocks.response_factor"
+
+
+def reach_table(configuration: Configuration) -> str:
+    """Return the reachable set-points as lines of text.
+
+    Args:
+        configuration: A valid configuration.
+    """
+    load, limits = configuration.load, daemon_settings(configuration).machine
+    reach, unit = limits.reach, load.output_unit
+    if not reach.is_known:
+        return _fact("set-points held by V_c", "found while running", "the EMF is not configured")
+    low, high = max(reach.low, load.reference_min), min(reach.high, load.reference_max)
+    lines = [_fact("set-points held by V_c", f"{low:g}…{high:g} {unit}".rstrip(), "load.model")]
+    if load.reference_min < reach.low:
+        lines.append(
+            _fact("set-points below this range", "refused", "load.reference_min; 0 coasts")
+        )
+    if load.reference_max > reach.high:
+        lines.append(_fact("set-points above this range", "refused", "load.reference_max"))
+    return "\n".join(lines)
+
+
+def pole_line(configuration: Configuration) -> str:
+    """Return the poles that an operator may ask for as a line of text.
+
+    Args:
+        configuration: A valid configuration.
+    """
+    limits = daemon_settings(configuration).machine
+    poles = f"{limits.pole_min:g}…{limits.pole_max:g}"
+    return _fact("poles an operator may ask for", poles, "load.pole_min, load.pole_max, load.model")
+
+
+def response_table(limits: ResponseLimits | None) -> str:
+    """Return the limits of an output that is too low as lines of text.
+
+    Args:
+        limits: The limits in force, None for none.
+    """
+    if limits is None:
+        return _fact("trips on a low output", "never", f"{_FACTOR} = 0")
+    key = f"{_FACTOR}, in force: {limits.factor:g}"
+    lines = [
+        _fact("trips at rest, largest input, below", _level(limits, 1.0), key),
+        _fact("trips at rest, half of it, below", _level(limits, 0.5), key),
+    ]
+    if not limits.by_power:
+        slowest_s = limits.factor * sum(limits.lags_s)
+        lines += [
+            _fact("this level rises with a lag of", f"{slowest_s:.4g} s", key),
+            _fact(
+                "trips on a fall faster than a lag of",
+                f"{limits.fastest_s:.4g} s",
+                f"{_FACTOR} > 0",
+            ),
+        ]
+    return "\n".join(lines)
+
+
+def _level(limits: ResponseLimits, share: float) -> str:
+    level = limits.at_rest(share * limits.input_max) - limits.margin
+    return f"{level:.4g} {limits.unit}".rstrip()
+
+
+def _fact(what: str, value: str, key: str) -> str:
+    return f"{what:36} {value:>18}  {key}"
+
 
 Report = dict[str, Any]
 

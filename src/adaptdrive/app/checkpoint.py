@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
@@ -43,18 +43,6 @@ _PLACES: Any = {"bus": set(_DESCRIPTIONS), "sensor_bus": {"__all__": set(_DESCRI
 """The same file means the same in another folder: its contents count."""
 
 Values = tuple[float, ...]
-
-
-class EstimateSource(Protocol):
-    """Source of trusted estimates: a controller."""
-
-    @property
-    def trusted(self) -> Values | None:
-        """The last trusted estimates, None before there are any."""
-
-    @property
-    def resolution(self) -> float:
-        """The step of the output that was found in its samples, 0 for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +198,12 @@ def controller_from(settings: ControllerSettings, load: Load, learnt: Learnt | N
     return Controller(settings, load, learnt.values, learnt.resolution)
 
 
+def learnt_by(controller: Controller) -> Learnt | None:
+    """Return the last trusted estimates and the resolution, None before there are any."""
+    values = controller.trusted
+    return None if values is None else Learnt(values, controller.resolution)
+
+
 def _event(severity: Severity, detail: str) -> Event:
     return Event("checkpoint", severity, detail, 0)
 
@@ -220,7 +214,7 @@ class Keeper:
     def __init__(
         self,
         note: Callable[[Learnt], None],
-        source: EstimateSource,
+        learnt: Callable[[], Learnt | None],
         hub: Hub,
         clock: Callable[[], float],
     ) -> None:
@@ -228,12 +222,12 @@ class Keeper:
 
         Args:
             note: Hands a checkpoint over to the log, at once.
-            source: The controller.
+            learnt: Gives what the controller has learnt, None for nothing yet.
             hub: Where slow periods are reported.
             clock: Monotonic clock in seconds.
         """
         self._note = note
-        self._source = source
+        self._learnt = learnt
         self._clock = clock
         self._reports = hub.subscribe(LoadReport, size=_REPORTS_HELD)
         self._noted: Learnt | None = None
@@ -248,11 +242,8 @@ class Keeper:
 
     def save(self) -> None:
         """Note the trusted estimates and the resolution now, if they are new."""
-        values = self._source.trusted
-        if values is None:
-            return
-        learnt = Learnt(values, self._source.resolution)
-        if learnt != self._noted:
+        learnt = self._learnt()
+        if learnt is not None and learnt != self._noted:
             self._next_s = self._clock() + _EVERY_S
             self._note(learnt)
             self._noted = learnt

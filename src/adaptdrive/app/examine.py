@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.app.plausible import implausible
-from adaptdrive.app.ports import build_port
-from adaptdrive.app.sensors import build_sensor_port
+from adaptdrive.app.ports import build_port, build_sensor_port
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import Findings, find_flaws, read_text

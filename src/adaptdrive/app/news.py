@@ -6,9 +6,9 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from adaptdrive.app.directory import directory_flaw
 from adaptdrive.app.recording import state_directory
 from adaptdrive.app.reload import Given
+from adaptdrive.files import directory_flaw
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.runtime.reports import Event, Severity
 

@@ -1,15 +1,32 @@
-"""The kind of bus that a configuration names, and the port that it builds."""
+"""The port of a drive with its separate sensors, as its configuration asks for."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from adaptdrive.config import Configuration
+from adaptdrive.config.derived import Rule, in_order
+from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.bus_kind import BusKind
-from adaptdrive.hardware.port import Port
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
+from adaptdrive.hardware.port import Port, SensorPort
+from adaptdrive.hardware.sensored_port import SensoredPort
+from adaptdrive.hardware.sensors import (
+    Derivation,
+    SensorBus,
+    difference,
+    largest,
+    mean,
+    ratio,
+    smallest,
+)
+from adaptdrive.runtime.accounts import sensor_report, sensor_sample
+from adaptdrive.runtime.reports import SensorReport, SensorSample
 
 
 def build_port(
@@ -74,3 +91,117 @@ def _canopen_installed(source: Path | str) -> Iterator[None]:
             raise
         advice = "'canopen' needs the package canopen: pip install 'adaptdrive[canopen]'"
         raise ConfigurationError(source, [Flaw("bus.type", advice)]) from problem
+
+
+_RULES: dict[Rule, Callable[[Sequence[float]], float]] = {
+    "sum": sum,
+    "mean": mean,
+    "difference": difference,
+    "product": math.prod,
+    "ratio": ratio,
+    "smallest": smallest,
+    "largest": largest,
+}
+
+
+def build_whole_port(
+    configuration: Configuration,
+    clock: Callable[[], float],
+    source: Path | str,
+    *,
+    passive: bool = False,
+) -> Port:
+    """Build the port of a drive and of its sensor buses; nothing is opened yet.
+
+    Args:
+        configuration: The drive.
+        clock: Monotonic clock in seconds.
+        source: The configuration's file, for error messages.
+        passive: Whether the drive must only be looked at.
+
+    Raises:
+        ConfigurationError: A bus and its signals do not fit; every flaw of every bus is listed.
+    """
+    flaws: list[Flaw] = []
+    ports: list[Port] = []
+    buses: list[SensorBus] = []
+    try:
+        ports.append(build_port(configuration, clock, source, passive=passive))
+    except ConfigurationError as error:
+        flaws += error.flaws
+    needed, demands = needed_names(configuration.derived), demands_of(configuration)
+    for number, bus in enumerate(configuration.sensor_bus):
+        try:
+            port = build_sensor_port(bus, f"sensor_bus.{number}", clock, source, demands)
+        except ConfigurationError as error:
+            flaws += error.flaws
+        else:
+            names = tuple(name for name in bus.signals if name in needed)
+            buses.append(SensorBus(bus.name, port, bus.oldest_s, names))
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    stated = configuration.signals.stated
+    if not (buses or configuration.derived or stated):
+        return ports[0]
+    return SensoredPort(ports[0], buses, derivations(configuration), clock, stated)
+
+
+def build_sensor_port(
+    bus: AnySensorBus,
+    place: str,
+    clock: Callable[[], float],
+    source: Path | str,
+    demands: Demands = NO_DEMANDS,
+) -> SensorPort:
+    """Build the port of one sensor bus; nothing is opened yet.
+
+    Args:
+        bus: One entry of `[[sensor_bus]]`.
+        place: Where it stands in the configuration.
+        clock: Monotonic clock in seconds.
+        source: The configuration's file, for error messages.
+        demands: What the signals must be able to carry.
+
+    Raises:
+        ConfigurationError: Bus and signals do not fit; every flaw is listed.
+    """
+    build = bus_kind(bus.type, source).build_sensors
+    assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
+    return build(bus, place, clock, source, demands)
+
+
+def derivations(configuration: Configuration) -> list[Derivation]:
+    """Return the rules of `[derived]`, each after those that it depends on."""
+    given = configuration.derived
+    return [
+        Derivation(name, _RULES[one.rule], tuple(one.of), one.scale, one.offset)
+        for name, one in ((name, given[name]) for name in in_order(given))
+    ]
+
+
+def sensor_reports(
+    port: Port, clock: Callable[[], float]
+) -> Callable[[], tuple[SensorReport, ...]]:
+    """Return a function that reports the sensor buses of a port as they are now.
+
+    Args:
+        port: The drive's port, with or without sensors.
+        clock: Monotonic clock in seconds.
+    """
+    if not isinstance(port, SensoredPort):
+        return tuple
+    return lambda: tuple(sensor_report(bus, clock()) for bus in port.buses)
+
+
+def publish_samples(
+    port: Port, publish: Callable[[SensorSample], None], clock: Callable[[], float]
+) -> None:
+    """Publish the values of the sensor buses at each fast tick that has a new one.
+
+    Args:
+        port: The drive's port, with or without sensors.
+        publish: Takes the samples.
+        clock: Monotonic clock in seconds.
+    """
+    if isinstance(port, SensoredPort):
+        port.sampled = lambda: publish(sensor_sample(port.buses, clock()))

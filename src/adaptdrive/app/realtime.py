@@ -1,25 +1,161 @@
-"""`[realtime]` at start: rehearse, request the settings, and report the kernel's answers."""
+"""`[realtime]` at start: rehearse, request the settings, and report the kernel's answers.
+
+A rehearsal has ticks and slow steps on synthetic readings. Before the first real one it makes
+imports and memory ready, so that the first real ticks take no longer than later ones. Shortly
+before each real one it fills the caches of the CPU.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
-from adaptdrive.app.ports import build_port
-from adaptdrive.app.settings import realtime_settings
-from adaptdrive.app.warm_up import Rehearsal
-from adaptdrive.clock.now import now_s
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, daemon_settings, realtime_settings
 from adaptdrive.config import Configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.reach import Reach
+from adaptdrive.control.signals import Decision, Mode, Snapshot
+from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.realtime import Grant, real_time
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import Event, Severity, TickReport
+from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
+
+_PERIODS = 4
+_READINGS_AT_MOST = 2400
+_READINGS_TO_RUN = 4
 
 
-def build_rehearsal(configuration: Configuration, path: Path) -> Rehearsal:
-    """Return a rehearsal of a drive's ticks, on a separate port."""
-    return Rehearsal(configuration, build_port(configuration, now_s, path))
+class _Nobody:
+    """Surroundings with a simulated clock and no other function."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+        self.snapshots: list[Snapshot] = []
+
+    def now_s(self) -> float:
+        return self.time_s
+
+    def arm(self, deadline_s: float) -> None:
+        """No timer stands in."""
+
+    def met_deadline(self, now_s: float) -> None:
+        """Do nothing."""
+
+    def ticked(self, report: TickReport) -> None:
+        """Do nothing."""
+
+    def snapshot_taken(self, snapshot: Snapshot) -> bool:
+        self.snapshots.append(snapshot)
+        return True
+
+    def decided(self, snapshot: Snapshot, decision: Decision) -> None:
+        """Do nothing."""
+
+    def not_stopped(self, detail: str) -> None:
+        """Do nothing."""
+
+    def run_ended(self) -> None:
+        self.snapshots.clear()
+
+
+class Rehearsal:
+    """A scratch controller and a scratch fast loop, in which everything goes well."""
+
+    def __init__(self, configuration: Configuration, port: Port) -> None:
+        """Rehearse nothing yet.
+
+        Args:
+            configuration: The drive.
+            port: A separate port, which is not open: it encodes, and nothing reaches a wire.
+        """
+        self._configuration = configuration
+        self._settings, self._nobody = daemon_settings(configuration), _Nobody()
+        settings, load = controller_settings(configuration), build_load(configuration)
+        self._port, self._controller = port, Controller(settings, load)
+        self._machine = Machine(self._settings.machine, self._settings.pole)
+        self._loop = FastLoop(
+            port, self._controller, self._machine, self._settings.fast, self._nobody
+        )
+        self._readings = 0
+        self._output = _reachable_output(configuration, self._settings.machine.reach)
+
+    def run(self) -> int:
+        """Go through start, run and stop.
+
+        Returns:
+            Ticks run.
+        """
+        readings = min(_READINGS_AT_MOST, _PERIODS * self._configuration.ticks_per_period)
+        self._start(readings)
+        self._loop.on_deadline(self._nobody.time_s)
+        self._machine.carry_out(Disable(), self._loop.tick, math.nan, None)
+        self._loop.send_safe()
+        self._machine.confirm_stop()  # no drive is there to do it
+        return self._loop.counts.ticks
+
+    def tick(self) -> None:
+        """One tick of a drive that runs, from its frames to a command; the first one starts it."""
+        if not self._machine.energised:
+            self._start(_READINGS_TO_RUN)
+        self._port.rehearse()
+        self._read()
+        self._nobody.snapshots.clear()
+
+    def _start(self, readings: int) -> None:
+        """Start the drive, and keep it running for the rest of so many readings."""
+        for number in range(readings):
+            self._read()
+            if number == _READINGS_TO_RUN // 2:
+                self._carry_out(SetMode(Mode.ADAPTIVE))
+                self._carry_out(Enable())
+                self._carry_out(SetSetpoint(self._output))
+            for snapshot in tuple(self._nobody.snapshots):
+                self._nobody.snapshots.clear()
+                self._loop.deliver(snapshot, self._controller.decide(snapshot))
+
+    def _carry_out(self, request: Request) -> None:
+        loop = self._loop
+        self._machine.carry_out(request, loop.tick, self._output, loop.cause)
+
+    def _read(self) -> None:
+        configuration, nobody = self._configuration, self._nobody
+        nobody.time_s += configuration.timing.reading_s
+        bridge = self._loop.command.bridge
+        output = self._output * (1.0 + 0.001 * math.sin(0.1 * self._readings))
+        reading = _reading(configuration, output, nobody.time_s, bridge=bridge)
+        self._loop.on_reading(reading)
+        self._readings += 1
+
+
+def _reachable_output(configuration: Configuration, reach: Reach) -> float:
+    """Return the middle of the set-points that V_c can hold by the nominal model."""
+    low, high = configuration.load.reference_min, configuration.load.reference_max
+    if reach.is_known:
+        low, high = max(low, reach.low), min(high, reach.high)
+    return 0.5 * (low + high)
+
+
+def _reading(
+    configuration: Configuration, output: float, time_s: float, *, bridge: bool
+) -> Reading:
+    limits = configuration.drive.limits
+    return Reading(
+        arrival_s=time_s,
+        oldest_s=time_s,
+        counter=None,
+        boost_voltage_V=0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V),
+        line_voltage_V=configuration.drive.line_voltage_V,
+        load_power_W=0.1 * limits.load_power_max_W,
+        output=output,
+        fault=0,
+        bridge=bridge,
+    )
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from adaptdrive.app.checkpoint import (
     configuration_key,
     controller_from,
     is_kept,
+    learnt_by,
     measured,
     recall,
 )
@@ -33,13 +34,12 @@ from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events
 from adaptdrive.app.news import news_of
 from adaptdrive.app.output import unblocked_output
+from adaptdrive.app.ports import build_port, build_whole_port, publish_samples, sensor_reports
 from adaptdrive.app.profile import operator_profile
-from adaptdrive.app.realtime import build_rehearsal, prepared
+from adaptdrive.app.realtime import Rehearsal, prepared
 from adaptdrive.app.recording import build_recorder, ledger_of, place_of
 from adaptdrive.app.reload import Given, RunCourse
-from adaptdrive.app.sensors import build_whole_port, publish_samples, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
-from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
@@ -201,14 +201,14 @@ def _build(
     if given.measured and is_kept(settings):
         learnt, known = measured(load, learnt)
     controller = controller_from(settings, load, learnt)
-    rehearsal = build_rehearsal(configuration, path)
+    rehearsal = Rehearsal(configuration, build_port(configuration, now_s, path))
     recorder = build_recorder(configuration, given.text, hub, recalled, learnt, start_thread)
     hub.keep_with(recorder.kept)
     publish_samples(port, hub.publish, now_s)
     keeper = None
     if is_kept(settings):
         note = _note(configuration, recorder)
-        keeper = Keeper(note, controller, hub, now_s)
+        keeper = Keeper(note, functools.partial(learnt_by, controller), hub, now_s)
         if given.measured and learnt is not None:
             note(learnt)
     daemon = Daemon(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
 import sys
 import webbrowser
 from dataclasses import asdict, dataclass
@@ -13,17 +11,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from adaptdrive.cli.extra import Extra
-from adaptdrive.cli.folders import refuse_unwritable
+from adaptdrive.cli.options import Flag, Json, Second, Settings, extra, refuse_unwritable
+from adaptdrive.cli.sessions import find
 from adaptdrive.files import replace_result
-
-
-def _check_second(_type: object, second: float | None) -> None:
-    if second is not None and not math.isfinite(second):
-        raise ValueError("A second of a session is a finite number.")
-
-
-Second = Annotated[float | None, Parameter(validator=_check_second)]
 
 
 @Parameter(name="*")
@@ -43,8 +33,8 @@ class SessionView:
     begin: Annotated[Second, Parameter(name="--from")] = None
     end: Annotated[Second, Parameter(name="--to")] = None
     into: Path | None = None
-    show: Annotated[bool, Parameter(name="--open", negative=())] = False
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False
+    show: Annotated[Flag, Parameter(name="--open")] = False
+    as_json: Json = False
 
     def folder(self, session: Path) -> Path:
         """Return the folder for the files; refuse one that cannot be written."""
@@ -71,7 +61,7 @@ def plot(session: str | None = None, /, *, view: SessionView = _WHOLE) -> int:
             when left out.
         view: Part of the session, and the form of the result.
     """
-    with Extra("analysis"):
+    with extra("analysis"):
         from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
     path = _find(session)
     figure, report = plot_session(path, view.begin, view.end, view.folder(path))
@@ -125,7 +115,7 @@ def identify(
         columns: How a CSV file is read.
         view: Part of the record, and the form of the result.
     """
-    with Extra("analysis"):
+    with extra("analysis"):
         from adaptdrive.analysis import load_report  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.load_figure import draw_load  # noqa: PLC0415
         from adaptdrive.analysis.record import RecordView  # noqa: PLC0415
@@ -143,7 +133,7 @@ def whatif(
     session: str | None = None,
     /,
     *,
-    settings: Annotated[tuple[str, ...], Parameter(name="--set", negative=())] = (),
+    settings: Settings = (),
     view: SessionView = _WHOLE,
 ) -> int:
     """Run a session again in closed loop, against the load identified from it.
@@ -158,7 +148,7 @@ def whatif(
         settings: KEY=VALUE, such as load.pole=0.8; may be repeated.
         view: Part of the session, and the form of the result.
     """
-    with Extra("analysis"):
+    with extra("analysis"):
         from adaptdrive.analysis import whatif_report  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
         from adaptdrive.analysis.whatif_figure import draw_comparison  # noqa: PLC0415
@@ -178,7 +168,7 @@ def export(
     *,
     to: Literal["csv", "parquet", "mat", "mdf4", "mcap"],
     into: Path | None = None,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    as_json: Json = False,
 ) -> int:
     """Write a session for another program: CSV, Parquet, MATLAB, MDF 4 or MCAP.
 
@@ -186,23 +176,22 @@ def export(
         session: Folder of the session, or its name below the sessions of this machine.
         to: Format of the files.
         into: Folder for the files; the present one when left out.
-        json: Print JSON: the paths of the files.
+        as_json: Print JSON: the paths of the files.
     """
-    with Extra("export"):
+    with extra("export"):
         from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
 
         files = export_session(_find(session), to, Path() if into is None else into)
         paths = [str(path) for path in files]
-    print(dumps(paths) if json else "\n".join(paths))
+    print(dumps(paths) if as_json else "\n".join(paths))
     return 0
 
 
 def _find(name: str | None) -> Path:
     """Return the folder of a session, by default the last one; report damaged events."""
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - `--help` reads none
-    from adaptdrive.recording.session import find_session, sessions_directory  # noqa: PLC0415
 
-    path = find_session(name, sessions_directory(None, os.environ))
+    path = find(name)
     if damage := read_session(path).damage:
         print(f"adaptdrive: {damage}", file=sys.stderr)
     return path

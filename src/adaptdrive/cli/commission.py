@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from adaptdrive.cli.contact import Contact, DriveName
-from adaptdrive.cli.extra import Extra
-from adaptdrive.cli.folders import refuse_unwritable
+from adaptdrive.cli.options import Flag, extra, refuse_unwritable
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.files import replace_result
 
@@ -43,9 +42,9 @@ def commission(  # noqa: PLR0913 - the words of the command line
     move: Annotated[float, Parameter(validator=_check_move)] = 5.0,
     patience: Annotated[float | None, Parameter(validator=_check_patience)] = None,
     into: Path = Path(),
-    write: Annotated[bool, Parameter(negative=())] = False,
-    apply: Annotated[bool, Parameter(negative=())] = False,
-    yes: Annotated[bool, Parameter(negative=())] = False,
+    write: Flag = False,
+    apply: Flag = False,
+    yes: Flag = False,
     contact: Contact = _HERE,
 ) -> int:
     """Measure an unknown load on its drive, propose the settings, and put them to use.
@@ -65,8 +64,8 @@ def commission(  # noqa: PLR0913 - the words of the command line
         contact: Broker.
     """
     path = _configuration(drive, config)
-    with Extra("analysis"):
-        from adaptdrive.commission import run  # noqa: PLC0415 - it is large
+    with extra("analysis"):
+        from adaptdrive.commission import file, report, run  # noqa: PLC0415 - it is large
     wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
     if not yes and not _agreed(run.announcement(wanted, drive)):
         return 1
@@ -74,12 +73,12 @@ def commission(  # noqa: PLR0913 - the words of the command line
     contact = replace(contact, config=path)
     with run.alone(drive, contact.settings):
         if write or apply:
-            run.refuse_unwritable(path)
+            file.refuse_unwritable(path)
         commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
-        print(run.as_text(commissioned))
+        print(report.as_text(commissioned))
         digest = _write(path, commissioned) if write or apply else ""
         figure = into / "commission.png"
-        replace_result(figure, run.draw(commissioned))
+        replace_result(figure, report.draw(commissioned))
         print(f"\n{figure}")
         if apply or (not write and _agreed_to("\napply and go on in adaptive? [y/N] ")):
             digest = digest or _write(path, commissioned)
@@ -99,7 +98,8 @@ def _write(path: Path, commissioned: Commissioned) -> str:
 
 
 def _put_to_use(drive: str, commissioned: Commissioned, digest: str, contact: Contact) -> None:
-    from adaptdrive.commission.run import put_to_use, reached  # noqa: PLC0415 - it is large
+    from adaptdrive.commission.apply import put_to_use  # noqa: PLC0415 - it is large
+    from adaptdrive.commission.run import reached  # noqa: PLC0415
 
     setpoint, unit = reached(commissioned), commissioned.before.load.output_unit
     waited_s = asyncio.run(put_to_use(contact.settings, drive, digest, setpoint, contact.timeout))

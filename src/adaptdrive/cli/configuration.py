@@ -5,18 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
 
-import msgspec
-from cyclopts import Parameter
-
+from adaptdrive.cli.options import Json, print_json
+from adaptdrive.cli.standard_files import UNUSABLE
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanLink
 from adaptdrive.config.file import read_text
 from adaptdrive.errors import ConfigurationError
-
-Json = Annotated[bool, Parameter(name="--json", negative=())]
-FLAWED = 2
 
 
 def check(config: Path, /, *, as_json: Json = False) -> int:
@@ -35,12 +30,9 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     if as_json:
         return _check_for_programs(config)
     from adaptdrive.app.advice import advice  # noqa: PLC0415 - `schema` needs no bus
+    from adaptdrive.app.check_report import tables  # noqa: PLC0415
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415
     from adaptdrive.app.example_values import examples  # noqa: PLC0415
-    from adaptdrive.app.interlocks import response_limits  # noqa: PLC0415
-    from adaptdrive.app.reach_table import pole_line, reach_table, response_table  # noqa: PLC0415
-    from adaptdrive.app.settings import tick_s  # noqa: PLC0415
-    from adaptdrive.app.time_limits import limits_table, time_limits  # noqa: PLC0415
     from adaptdrive.hardware.link.bus import missing_here  # noqa: PLC0415
 
     configuration = load_examined(config)
@@ -56,10 +48,7 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
         print(f"adaptdrive: {config}: not on this machine: {problem}", file=sys.stderr)
     if configuration.signals.bridge is None and not configuration.bus.has_bridge_words:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
-    print(limits_table(time_limits(configuration, config), tick_s(configuration)))
-    print(reach_table(configuration))
-    print(pole_line(configuration))
-    print(response_table(response_limits(configuration)))
+    print(tables(configuration, config))
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0
 
@@ -72,8 +61,8 @@ def _check_for_programs(config: Path) -> int:
         report = sound_report(load_examined(config), config)
     except ConfigurationError as problem:
         report = flawed_report(problem)
-    print(msgspec.json.format(msgspec.json.encode(report)).decode())
-    return 0 if report["valid"] else FLAWED
+    print_json(report)
+    return 0 if report["valid"] else UNUSABLE
 
 
 def schema() -> int:

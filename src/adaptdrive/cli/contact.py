@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from adaptdrive.cli.options import Json
 from adaptdrive.config.services import Mqtt, check_host
 
 _ADDRESS = re.compile(r"(?P<host>\[[^\]]+\]|[^:\[\]/\s]+)(:(?P<port>\d{1,5}))?")
@@ -53,11 +53,6 @@ def _check_timeout(_: object, timeout: float) -> None:
         raise ValueError(f"A timeout is above 0 and at most {_LONGEST_WAIT_S:g} seconds.")
 
 
-def _check_finite(_: object, number: float | None) -> None:
-    if number is not None and not math.isfinite(number):
-        raise ValueError("A finite number is needed.")
-
-
 def _check_user(_: object, name: str | None) -> None:
     if name is not None and (len(name) > _LONGEST_USER or not name.isprintable()):
         raise ValueError(f"A user name has at most {_LONGEST_USER} letters, all printable.")
@@ -78,7 +73,6 @@ def _configured(path: Path) -> Mqtt:
 
 
 DriveName = Annotated[str, Parameter(validator=_check_drive)]
-Number = Annotated[float, Parameter(validator=_check_finite)]
 
 
 @Parameter(name="*", validator=_check_authority)
@@ -111,7 +105,7 @@ class Contact:
     password_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_PASSWORD_FILE")] = None
     tls: Annotated[bool, Parameter(env_var="ADAPTDRIVE_TLS")] = False
     ca_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_CA_FILE")] = None
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False
+    as_json: Json = False
 
     @property
     def settings(self) -> Mqtt:

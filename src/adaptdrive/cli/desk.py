@@ -15,11 +15,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from adaptdrive.cli.contact import Contact
+from adaptdrive.cli.options import Flag
 from adaptdrive.config import Configuration
 from adaptdrive.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
 from adaptdrive.household.ports import HOST, Ports, is_listening
@@ -38,7 +36,7 @@ def start(
     /,
     *,
     simulate: Path | None = None,
-    commission: Annotated[bool, Parameter(negative=())] = False,
+    commission: Flag = False,
     contact: Contact | None = None,
 ) -> int:
     """Run a drive on a desk: its daemon, the panel, the live view, and a broker where none answers.

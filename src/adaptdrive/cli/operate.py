@@ -14,8 +14,9 @@ from typing import Literal
 
 from msgspec.structs import asdict as asdict_of
 
-from adaptdrive.cli.contact import Contact, DriveName, Number
+from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.display import describe, refusal_advice
+from adaptdrive.cli.options import Number
 from adaptdrive.cli.standard_files import UNUSABLE, discard_output
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import read_status

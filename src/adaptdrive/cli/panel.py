@@ -16,7 +16,7 @@ from urllib.parse import parse_qs, quote, urlsplit
 from cyclopts import Parameter, validators
 
 from adaptdrive.aside import in_thread
-from adaptdrive.cli.integers import Integer
+from adaptdrive.cli.options import Integer
 from adaptdrive.cli.session_report import last_report
 from adaptdrive.errors import AdaptdriveError
 

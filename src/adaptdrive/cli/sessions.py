@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
+from adaptdrive.cli.options import Json, print_json
+from adaptdrive.errors import ConfigurationError, Flaw, RecordingError, escaped
+
 if TYPE_CHECKING:  # `--help` reads no recordings
     from adaptdrive.recording.records import EventRow
     from adaptdrive.recording.verify import Verification
@@ -27,7 +30,6 @@ def _check_limit(_type: object, limit: float | None) -> None:
 
 def _refuse_unknown(kinds: tuple[str, ...]) -> None:
     from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - `--help` needs none of these
-    from adaptdrive.errors import ConfigurationError, Flaw  # noqa: PLC0415
     from adaptdrive.runtime.reports import EVENT_KINDS  # noqa: PLC0415
 
     known = ", ".join(EVENT_KINDS)
@@ -42,7 +44,6 @@ def _refuse_unknown(kinds: tuple[str, ...]) -> None:
 
 Limit = Annotated[float | None, Parameter(validator=_check_limit)]
 Folder = Annotated[Path | None, Parameter(name="--directory")]
-Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 
 @app.command(name="list")
@@ -53,7 +54,6 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         directory: Folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out.
         as_json: Print JSON.
     """
-    from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - `--help` reads none
     from adaptdrive.recording.retention import size_of  # noqa: PLC0415
     from adaptdrive.recording.session import (  # noqa: PLC0415
         NO_SESSION,
@@ -79,7 +79,7 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         tripped = f", {trips} trips" if trips else ""
         print(f"{path.name}  {info.ended:<8} {size_of(path) / 1e6:9.1f} MB{tripped}{lost}")
     if as_json:
-        _print_json(found)
+        print_json(found)
     elif not found:
         print(f"adaptdrive: {_folder(directory)}: {NO_SESSION}", file=sys.stderr)
     return 0
@@ -102,7 +102,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         segments,
     )
 
-    found = read_session(_find(session, directory))
+    found = read_session(find(session, directory))
     info, last = found.info, last_tick_time(found.path, found.info)
     unread = "damaged" if found.damage else ""
     rows = [
@@ -122,7 +122,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
     if found.damage:
         print(f"adaptdrive: {found.damage}", file=sys.stderr)
     if as_json:
-        _print_json(_facts(found.path, info))
+        print_json(_facts(found.path, info))
         return 0
     for name, text in rows:
         print(f"{name:<14}{text}")
@@ -142,7 +142,6 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     Returns:
         0 when nothing is damaged, nothing is missing and nothing waits to be written, else 1.
     """
-    from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - see above
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415
     from adaptdrive.recording.session import recorded_directories  # noqa: PLC0415
     from adaptdrive.recording.verify import Verification  # noqa: PLC0415
@@ -150,7 +149,7 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
 
     status = 0
     verdicts: dict[str, object] = {}
-    named = [(name, _find(name, directory)) for name in sessions]
+    named = [(name, find(name, directory)) for name in sessions]
     found = named or [(path.name, path) for path in recorded_directories(_folder(directory))]
     for left in () if sessions else filter(_is_left, (path for _, path in found)):
         status = 1
@@ -170,7 +169,7 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
         for problem in verdict.problems:
             print(f"adaptdrive: {name}: {problem}", file=sys.stderr)
     if as_json:
-        _print_json(verdicts)
+        print_json(verdicts)
     return status
 
 
@@ -200,7 +199,7 @@ def prune(
         if not as_json:
             print(sentence)
     if as_json:
-        _print_json(removals)
+        print_json(removals)
     return 0
 
 
@@ -224,10 +223,10 @@ def events(
     from adaptdrive.runtime.trips import remedy  # noqa: PLC0415
 
     _refuse_unknown(kind)
-    noted, _ = session_notes(_find(session, directory))
+    noted, _ = session_notes(find(session, directory))
     found = [one for one in noted if not kind or one.kind in kind]
     if as_json:
-        _print_json(found)
+        print_json(found)
         return 0
     for one in found if kind else _shown(found):
         print(f"{one.time.isoformat()}  {one.severity:<8} {one.kind:<12} {one.detail}")
@@ -244,7 +243,6 @@ def _shown(events: list[EventRow]) -> list[EventRow]:
 
 def _is_left(path: Path) -> bool:
     """Return whether a daemon that was killed has left a part of a session in its log."""
-    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
     from adaptdrive.recording.log_files import in_progress, unarchived  # noqa: PLC0415
     from adaptdrive.recording.session import read_info  # noqa: PLC0415
 
@@ -262,7 +260,6 @@ def _condition(verdict: Verification) -> str:
 
 
 def _facts(path: Path, info: object) -> dict[str, object]:
-    from adaptdrive.errors import escaped  # noqa: PLC0415 - see above
     from adaptdrive.recording.retention import size_of  # noqa: PLC0415
 
     return {
@@ -277,19 +274,12 @@ def _trips(path: Path) -> list[str]:
     return sorted(one.name for one in path.glob("trip-*"))
 
 
-def _print_json(content: object) -> None:
-    import msgspec  # noqa: PLC0415 - see above
-
-    print(msgspec.json.format(msgspec.json.encode(content), indent=2).decode())
-
-
 def _folder(directory: Path | None) -> Path:
     """Return the folder of sessions.
 
     Raises:
         RecordingError: The folder that was named is none.
     """
-    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
     from adaptdrive.recording.session import sessions_directory  # noqa: PLC0415
 
     if directory is not None and not directory.is_dir():
@@ -297,7 +287,13 @@ def _folder(directory: Path | None) -> Path:
     return sessions_directory(directory, os.environ)
 
 
-def _find(name: str | None, directory: Path | None) -> Path:
+def find(name: str | None, directory: Path | None = None) -> Path:
+    """Return the folder of a session.
+
+    Args:
+        name: Its folder, or its name in the folder of sessions; None for the last one.
+        directory: Folder of the sessions, that of this machine when None.
+    """
     from adaptdrive.recording.session import find_session  # noqa: PLC0415 - see above
 
     return find_session(name, _folder(directory))

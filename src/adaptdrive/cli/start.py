@@ -10,14 +10,13 @@ import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
 from pydantic import ValidationError
 
 from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
 from adaptdrive.app.example_values import QUESTIONS, answered, asked
 from adaptdrive.app.starter import BusName, Starter, compose, device_names, of_device
+from adaptdrive.cli.options import Flag
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -46,7 +45,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
     directory: Path = Path(),
     dbc: Path | None = None,
     eds: Path | None = None,
-    yes: Annotated[bool, Parameter(negative=())] = False,
+    yes: Flag = False,
 ) -> int:
     """Write a commented configuration that passes `check`, and name the next commands.
 

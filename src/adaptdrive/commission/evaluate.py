@@ -45,7 +45,7 @@ def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> IdentifiedLoa
     outcome = experiment.outcome
     if outcome is None:
         raise CommissionError("the experiment is not complete")
-    excerpt = resampled(experiment.record, outcome.began_s)
+    excerpt = resampled(experiment.course.record, outcome.began_s)
     block = _block(outcome, excerpt)
     if len(loads) > 1:
         found = identify_any([excerpt], loads, block=block)

@@ -17,7 +17,6 @@ from adaptdrive.commission.course import ExperimentCourse
 from adaptdrive.commission.onset import find_onset
 from adaptdrive.commission.phases import Outcome, Phase, Steps
 from adaptdrive.commission.rest import Rest, until_rest
-from adaptdrive.commission.samples import Samples
 from adaptdrive.commission.switching import Switching
 from adaptdrive.commission.target import Target
 
@@ -30,11 +29,12 @@ class LoadExperiment:
 
     Attributes:
         outcome: The result, None before the end of the climb.
+        course: Its samples, limits and phase, and the V_c that is asked for.
     """
 
     def __init__(self, target: Target) -> None:
         self.outcome: Outcome | None = None
-        self._course = ExperimentCourse(target)
+        self.course = ExperimentCourse(target)
         self._steps = self._run()
 
     def take(self, time_s: float, boost_voltage_V: float, output: float) -> float:
@@ -48,49 +48,19 @@ class LoadExperiment:
         Raises:
             CommissionError: The experiment cannot continue; V_c must go to the safe state.
         """
-        self._course.append(time_s, boost_voltage_V, output)
+        self.course.append(time_s, boost_voltage_V, output)
         if not self.done and next(self._steps, None) is None:
-            self._course.phase = Phase.DONE
-        return self._course.voltage_V
-
-    @property
-    def record(self) -> Samples:
-        """All samples."""
-        return self._course.record
-
-    @property
-    def target(self) -> Target:
-        """Its limits."""
-        return self._course.target
-
-    @property
-    def phase(self) -> Phase:
-        """Phase of the experiment."""
-        return self._course.phase
-
-    @property
-    def progress(self) -> float:
-        """Share of the present phase, 0 to 1, where it is known."""
-        return self._course.progress
-
-    @property
-    def remaining_s(self) -> float:
-        """Time to the end of the experiment, NaN before it is known."""
-        return self._course.remaining_s
-
-    @property
-    def voltage_V(self) -> float:
-        """V_c that is asked for now."""
-        return self._course.voltage_V
+            self.course.phase = Phase.DONE
+        return self.course.voltage_V
 
     @property
     def done(self) -> bool:
         """True when the test is complete."""
-        return self._course.phase is Phase.DONE
+        return self.course.phase is Phase.DONE
 
     def _run(self) -> Steps[None]:
         """Run all phases, one step for each sample."""
-        course = self._course
+        course = self.course
         base_V, rest = course.target.low_V, Rest()
         if course.target.onset is not None:
             course.phase = Phase.ONSET

@@ -92,7 +92,7 @@ class Guide:
             await self._ask("enable")
             await self._await_running(coasting=True)
             # a load at rest coasts until it is asked for a voltage
-            await self._ask("voltage", experiment.voltage_V, hold_s=HOLD_S)
+            await self._ask("voltage", experiment.course.voltage_V, hold_s=HOLD_S)
             await self._await_running(coasting=False)
             await self._follow(experiment, show)
         finally:
@@ -103,7 +103,7 @@ class Guide:
         self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
     ) -> None:
         """Run the experiment; the voltage is asked for meanwhile, so that no reading waits."""
-        wanted = WantedVoltage(experiment.voltage_V)
+        wanted = WantedVoltage(experiment.course.voltage_V)
         try:
             async with asyncio.TaskGroup() as group:
                 asking = group.create_task(self._keep_asking(wanted))

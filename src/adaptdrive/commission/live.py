@@ -89,10 +89,10 @@ class PhaseLines:
 
     def __call__(self, reading: FastReading, voltage_V: float) -> None:
         """Take a reading and the voltage that follows from it."""
-        phase = self._experiment.phase
+        phase = self._experiment.course.phase
         if phase is not self._phase:
             self._phase = phase
             output = f"output {reading.output:.4g}"
-            left_s = self._experiment.remaining_s
+            left_s = self._experiment.course.remaining_s
             left = "" if math.isnan(left_s) else f" for {left_s:.0f} s"
             tell(f"V_c {voltage_V:.4g} V  {output}  {phase}{left}")

@@ -58,10 +58,10 @@ class Picture:
 
     def take(self, experiment: LoadExperiment, reading: FastReading, voltage_V: float) -> None:
         """Take a reading and the voltage that follows from it."""
-        if experiment.phase is not self.phase:
-            self.marks.append(Mark(reading.time_s, _SHORT[experiment.phase]))
-        self.phase, self.progress = experiment.phase, experiment.progress
-        self.voltage_V, self.remaining_s = voltage_V, experiment.remaining_s
+        if experiment.course.phase is not self.phase:
+            self.marks.append(Mark(reading.time_s, _SHORT[experiment.course.phase]))
+        self.phase, self.progress = experiment.course.phase, experiment.course.progress
+        self.voltage_V, self.remaining_s = voltage_V, experiment.course.remaining_s
         outcome = experiment.outcome
         rest = reading.output if outcome is None else outcome.rest
         self.points.append(PlotPoint(reading.time_s, rest, reading.output, "manual"))

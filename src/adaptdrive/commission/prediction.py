@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.closed_loop import LoopStart, run_loop
+from adaptdrive.analysis.identified_plant import IdentifiedPlant
 from adaptdrive.analysis.steps import Quality, period_means, quality_of
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import tick_s
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.signals import Mode, Order, Stage
-from adaptdrive.identification.response import held_step
 from adaptdrive.identification.result import IdentifiedLoad
 
 Array = NDArray[np.float64]
@@ -42,42 +41,6 @@ class Prediction:
     quality: Quality
 
 
-class _Plant:
-    """The identified load, at rest at a boost voltage."""
-
-    def __init__(
-        self, identified: IdentifiedLoad, load: Load, configuration: Configuration, rest_V: float
-    ) -> None:
-        self._load = load
-        self._offset = identified.input_offset.value
-        self._numerator = np.array(identified.numerator)
-        self._denominator = np.array(identified.denominator)
-        period_s = tick_s(configuration) * configuration.bus.ticks_per_reading
-        self._transition, self._entry = held_step(self._denominator, period_s)
-        limits = configuration.drive.limits
-        self._power_W_per_V2 = (
-            _POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2
-        )
-        late = round(identified.delay_s / period_s)
-        self._late = deque([self._input(rest_V)] * late)
-        self._state = np.zeros(len(self._denominator) - 1)
-        self._state[0] = self._input(rest_V) / self._denominator[-1]
-
-    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
-        """Advance by one reading of the drive."""
-        del duration_s
-        self._late.append(self._input(boost_voltage_V))
-        fed = self._late.popleft()
-        self._state = self._transition @ self._state + self._entry * fed
-        direct = fed - self._denominator[:0:-1] @ self._state
-        output = self._numerator[:0:-1] @ self._state + self._numerator[0] * direct
-        return float(output), self._power_W_per_V2 * boost_voltage_V**2
-
-    def _input(self, voltage_V: float) -> float:
-        own = self._load
-        return to_input(voltage_V, own.input_gain, own.input_exponent) + self._offset
-
-
 def predict(
     identified: IdentifiedLoad, configuration: Configuration, rest_V: float, move: float
 ) -> Prediction:
@@ -101,7 +64,8 @@ def predict(
         return Order(Stage.RUN, reference, Mode.FIXED, section.pole)
 
     count = (_PERIODS_BEFORE + _PERIODS_AFTER) * samples
-    plant = _Plant(identified, load, configuration, rest_V)
+    period_s = tick_s(configuration) * configuration.bus.ticks_per_reading
+    plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), _power(configuration))
     record = run_loop(configuration, plant, order, count, LoopStart(boost_voltage_V=rest_V))
     output = period_means(np.array(record.output), samples)
     volts = period_means(np.array(record.boost_voltage_V), samples)
@@ -114,6 +78,14 @@ def predict(
         output=output,
         boost_voltage_V=volts,
         quality=quality_of(reference, output, volts, section.period_s, span),
+    )
+
+
+def _power(configuration: Configuration) -> Array:
+    """Return the factors of v², v and v·y in the power of the load."""
+    limits = configuration.drive.limits
+    return np.array(
+        [_POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2, 0.0, 0.0]
     )
 
 

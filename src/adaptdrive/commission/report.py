@@ -1,9 +1,10 @@
-"""The result of commissioning as text and as a figure."""
+"""The results of commissioning: load, settings and predicted response, as text and as a figure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,11 +12,15 @@ from matplotlib.figure import Figure
 from adaptdrive.analysis import style
 from adaptdrive.analysis.figure import as_png
 from adaptdrive.analysis.load_report import checks, warnings
+from adaptdrive.app.loads import build_load, candidate_loads
+from adaptdrive.commission.evaluate import evaluate
+from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.phases import Outcome
-from adaptdrive.commission.prediction import Prediction
-from adaptdrive.commission.proposal import Proposal
+from adaptdrive.commission.prediction import Prediction, predict, rest_voltage
+from adaptdrive.commission.proposal import Proposal, propose
 from adaptdrive.commission.sensor import SensorState
 from adaptdrive.config.root import Configuration
+from adaptdrive.errors import CommissionError
 from adaptdrive.identification.result import IdentifiedLoad
 
 
@@ -110,3 +115,29 @@ def draw(found: Commissioned) -> bytes:
         volts.set_ylabel(r"$v_{bst}$ (V)")
         volts.set_xlabel("time since the step (s)")
         return as_png(figure)
+
+
+def judged(
+    sensor: SensorState, experiment: LoadExperiment, present: Configuration, text: str, path: Path
+) -> Commissioned:
+    """Return all results of an experiment.
+
+    Args:
+        sensor: The sensor at rest.
+        experiment: One that is complete.
+        present: The configuration with which it was done.
+        text: The same as text.
+        path: Its file, for messages.
+
+    Raises:
+        AdaptdriveError: The samples do not determine the load, or no settings suit it.
+    """
+    outcome = experiment.outcome
+    if outcome is None:
+        raise CommissionError("the experiment is not complete")
+    load = build_load(present)
+    identified = evaluate(experiment, candidate_loads(present))
+    proposal = propose(identified, text, path, experiment.course.record.coarseness())
+    rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
+    prediction = predict(identified, proposal.configuration, rest_V, experiment.course.target.move)
+    return Commissioned(sensor, outcome, identified, proposal, prediction, present)

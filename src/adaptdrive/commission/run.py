@@ -10,34 +10,18 @@ from pathlib import Path
 
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.lock import LockedError, locked
-from adaptdrive.commission.apply import put_to_use
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
+from adaptdrive.commission.file import with_values, write_values
 from adaptdrive.commission.guide import HOLD_S, Guide
 from adaptdrive.commission.live import carry_out
 from adaptdrive.commission.picture import Picture
-from adaptdrive.commission.report import Commissioned, as_text, draw
+from adaptdrive.commission.report import Commissioned, judged
 from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target
-from adaptdrive.commission.verdict import judged
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError, ConfigurationError, Flaw
-
-__all__ = [
-    "CommissionRequest",
-    "Commissioned",
-    "alone",
-    "announcement",
-    "as_text",
-    "commission",
-    "draw",
-    "put_to_use",
-    "reached",
-    "refuse_unwritable",
-    "write",
-]
 
 
 @dataclass(frozen=True, slots=True)

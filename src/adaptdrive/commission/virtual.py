@@ -10,11 +10,10 @@ from adaptdrive.analysis.own_step import at_own_step
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.settings import tick_s
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.report import Commissioned
+from adaptdrive.commission.report import Commissioned, judged
 from adaptdrive.commission.samples import Samples
 from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target
-from adaptdrive.commission.verdict import judged
 from adaptdrive.config.file import read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import CommissionError
@@ -77,7 +76,7 @@ def commission_plant(
     sensor = judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
     while not experiment.done:
-        experiment.take(*rig.sample(experiment.voltage_V))
+        experiment.take(*rig.sample(experiment.course.voltage_V))
         if rig.time_s > _LONGEST_S:
             raise CommissionError("the experiment does not end within 30 days")
     return judged(sensor, experiment, configuration, text, path)

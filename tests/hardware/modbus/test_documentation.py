@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.sensors import build_whole_port
+from adaptdrive.app.ports import build_whole_port
 from adaptdrive.config import load_configuration
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.file import validate_configuration

@@ -18,7 +18,8 @@ import msgspec
 
 from adaptdrive.app.examine import load_examined
 from adaptdrive.app.lock import lock_names, locked
-from adaptdrive.app.sensors import build_whole_port, sensor_reports
+from adaptdrive.app.ports import build_whole_port, sensor_reports
+from adaptdrive.cli.options import Json
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import SAFE_COMMAND
@@ -63,26 +64,29 @@ class _Probe:
         sys.stderr.write(f"bus {'up' if up else 'lost'}: {detail}\n")
 
 
-def probe(path: Path, *, safe_command: bool, as_json: bool = False) -> int:
-    """Print the decoded measurements twice a second until interrupted.
+def probe(config: Path, /, *, safe_command: bool = False, as_json: Json = False) -> int:
+    """Show decoded measurements and refused frames as they come from the bus; command nothing.
 
     Args:
-        path: Configuration file.
-        safe_command: Whether to send the safe command, and print the status of the drive.
-        as_json: Whether to print one JSON object a line.
+        config: Configuration file.
+        safe_command: Send the safe command, k = 0 and bridge off, and show the status of the drive.
+        as_json: Print one JSON object a line, for programs.
+
+    Returns:
+        Exit status.
 
     Raises:
         AdaptdriveError: The configuration or the bus cannot be used, or another sender commands the
             drive that the safe command is for.
         OSError: Standard output cannot be written.
     """
-    configuration = load_examined(path)
+    configuration = load_examined(config)
     locks = lock_names(configuration) if safe_command else ()
     show = _show_json if as_json else _show_text
     remark = _say_aside if as_json else _say
     try:
         with locked(locks, os.environ):
-            asyncio.run(_listen(configuration, path, (show, remark), safe_command=safe_command))
+            asyncio.run(_listen(configuration, config, (show, remark), safe_command=safe_command))
     except* (AdaptdriveError, OSError) as group:  # standard output may be one that is full
         raise first_error(group) from None
     return 0

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import msgspec
-
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
+from adaptdrive.cli.options import Json, Settings, print_json
+from adaptdrive.cli.sessions import find
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
@@ -19,18 +17,17 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import replay as run_again
-from adaptdrive.recording.replay_report import ReplayReport
-from adaptdrive.recording.session import SessionInfo, find_session, sessions_directory
+from adaptdrive.recording.session import SessionInfo
 from adaptdrive.recording.what_if import reconfigured
 
 
-def replay(name: str | None, settings: Sequence[str] = (), *, as_json: bool = False) -> int:
-    """Run the controller again and print what differs from the record.
+def replay(session: str | None = None, /, *, settings: Settings = (), as_json: Json = False) -> int:
+    """Run the controller again on the measurements of a recorded session.
 
     Args:
-        name: Directory of a session, or its name below the sessions of this machine; None for
-            the last one.
-        settings: `KEY=VALUE` pairs that replace keys of the recorded configuration.
+        session: Folder of the session, or its name below the sessions of this machine; the last one
+            when left out.
+        settings: Setting to change, KEY=VALUE, such as estimator.forgetting=0.95; may be repeated.
         as_json: Print JSON, for programs.
 
     Returns:
@@ -40,16 +37,19 @@ def replay(name: str | None, settings: Sequence[str] = (), *, as_json: bool = Fa
     Raises:
         AdaptdriveError: There is no such session, or a setting is not valid.
     """
-    path = find_session(name, sessions_directory(None, os.environ))
-    session = read_session(path)
-    configuration = reconfigured(session.config_text, path / "config.toml", settings)
-    report = run_again(session, controller_at_start(session.info, configuration))
-    if session.damage:
-        sys.stderr.write(f"adaptdrive: {session.damage}\n")
+    path = find(session)
+    record = read_session(path)
+    configuration = reconfigured(record.config_text, path / "config.toml", settings)
+    report = run_again(record, controller_at_start(record.info, configuration))
+    if record.damage:
+        sys.stderr.write(f"adaptdrive: {record.damage}\n")
     for setting in settings:
-        if not _acts(session.config_text, path / "config.toml", setting):
+        if not _acts(record.config_text, path / "config.toml", setting):
             sys.stderr.write(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}\n")
-    sys.stdout.write(f"{_as_json(report) if as_json else report}\n")
+    if as_json:
+        print_json({"bit_equal": report.exact, **asdict(report)})
+    else:
+        print(report)
     return 0 if report.exact or settings else 1
 
 
@@ -64,11 +64,6 @@ def controller_at_start(info: SessionInfo, configuration: Configuration) -> Cont
     if prior is not None and len(prior) != len(load.names):
         prior = None
     return Controller(controller_settings(configuration), load, prior, info.resolution)
-
-
-def _as_json(report: ReplayReport) -> str:
-    facts = {"bit_equal": report.exact, **asdict(report)}
-    return msgspec.json.format(msgspec.json.encode(facts), indent=2).decode()
 
 
 _WITHOUT_EFFECT = (
