@@ -46,6 +46,7 @@ bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for 
 	$(bin)/python -m tests.benchmarks --minutes $(MINUTES)
 
 proof: $(installed) ## run the long forms of the tests and write docs/proof/proof.md and the faults of docs/proof/reliability.md; takes hours
+	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
 	$(bin)/python -m tests.proof docs/proof/proof.md
 
 branches: $(installed) ## list the lines and branches of the supervised modules that their own tests leave out

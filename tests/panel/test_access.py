@@ -12,7 +12,7 @@ import pytest
 from tests.panel.browser import Panel, PanelSite
 from tests.panel.conftest import MakePanel
 
-pytestmark = [pytest.mark.slow, pytest.mark.alone]
+pytestmark = pytest.mark.slow
 
 SIZES = ((1280, 860), (360, 740))
 JUDGE = """async () => (await axe.run(document)).violations.flatMap(

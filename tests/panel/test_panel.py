@@ -25,7 +25,7 @@ from tests.panel.conftest import MakePanel
 from tests.support import MosquittoLauncher, free_port, stop_process
 from tests.system.site import PATIENT_DRIVE, publish, until
 
-pytestmark = [pytest.mark.slow, pytest.mark.alone]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture

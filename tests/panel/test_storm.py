@@ -20,7 +20,7 @@ from tests.panel.storm import (
 )
 from tests.system.site import publish
 
-pytestmark = [pytest.mark.slow, pytest.mark.alone]
+pytestmark = pytest.mark.slow
 
 SEED = 7
 PAYLOADS = 150

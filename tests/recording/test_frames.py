@@ -15,7 +15,7 @@ from adaptdrive.recording.frames import Kind, Loss, Record, framed, read_frames
 SIZE = 200_000
 STRIDES = [
     pytest.param(101, id="some"),
-    pytest.param(1, id="every", marks=[pytest.mark.slow, pytest.mark.timeout(1200)]),
+    pytest.param(1, id="every", marks=pytest.mark.proof),
 ]
 """Offsets that are tried: each of them takes the long form of these tests."""
 

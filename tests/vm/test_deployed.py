@@ -11,7 +11,7 @@ import pytest
 from tests.vm import machine
 from tests.vm.guest_tests import ROOT, plain_pytest_script, show
 
-pytestmark = [pytest.mark.slow, pytest.mark.alone]  # it needs two processors
+pytestmark = [pytest.mark.slow, pytest.mark.proof]  # it needs two processors for ten minutes
 
 HERE = Path(__file__).parent / "deployed"
 
