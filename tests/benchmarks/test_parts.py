@@ -12,7 +12,7 @@ import pytest
 from tests.benchmarks.__main__ import PARTS
 from tests.builds.run import ROOT
 
-pytestmark = [pytest.mark.slow, pytest.mark.proof]
+pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 ABSENT = ("is missing", "no compiled wheel", "No such file or directory: 'cyclictest'")
 """What a machine without a program of Debian, or without a C compiler, cannot measure."""
