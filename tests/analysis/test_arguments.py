@@ -10,8 +10,8 @@ from adaptdrive.cli import main
 
 COMPUTATIONS = {
     "plot": "adaptdrive.analysis.plot.draw_session",
-    "identify": "adaptdrive.analysis.session_load.identify_any",
-    "whatif": "adaptdrive.analysis.session_load.identify_any",
+    "identify": "adaptdrive.analysis.record_load.identify_any",
+    "whatif": "adaptdrive.analysis.record_load.identify_any",
 }
 
 

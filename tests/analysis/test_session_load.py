@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.analysis.excerpts import block_samples, read_stretches
 from adaptdrive.analysis.load_report import as_json, as_text
-from adaptdrive.analysis.session_load import SessionLoad, identify_session
+from adaptdrive.analysis.record_load import SessionLoad, identify_session
 from adaptdrive.cli import main
 from adaptdrive.errors import IdentificationError
 from adaptdrive.recording.reader import read_session

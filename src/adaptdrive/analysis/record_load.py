@@ -1,10 +1,13 @@
-"""The load that any record shows."""
+"""The load that any record shows; that of a recorded session with the on-line estimates, too."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
+from adaptdrive.analysis.curves import find_window, read_curves
+from adaptdrive.analysis.excerpts import Stretch, block_samples, read_stretches
 from adaptdrive.analysis.record import InputOutputRecord
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration
@@ -13,9 +16,12 @@ from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Estimate
 from adaptdrive.errors import IdentificationError
+from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.identify import FEWEST_IN_PART, identify_any
 from adaptdrive.identification.proposal import proposed_model, time_constants
 from adaptdrive.identification.result import IdentifiedLoad
+from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.what_if import reconfigured
 
 _MOST_BLOCKS = 4000
 
@@ -71,8 +77,19 @@ def identify_record(
         return RecordLoad(name, "", ends_s, load, {}, {}, time_constants(load))
     if lags is not None:
         raise IdentificationError("lags and a configuration were given: it says how many there are")
+    return _of_drive(name, record.excerpts, ends_s, block, configuration)
+
+
+def _of_drive(
+    name: str,
+    excerpts: list[Excerpt],
+    ends_s: tuple[float, ...],
+    block: int,
+    configuration: Configuration,
+) -> RecordLoad:
+    """Return the load between the boost voltage and the output of a drive."""
     structure = build_load(configuration)
-    load = identify_any(record.excerpts, candidate_loads(configuration), block=block)
+    load = identify_any(excerpts, candidate_loads(configuration), block=block)
     nominal = structure.physical(list(structure.numerator), list(structure.denominator))
     return RecordLoad(
         name=name,
@@ -103,3 +120,60 @@ def plain_load(lags: int) -> Load:
     if lags != 2:
         raise IdentificationError(f"{lags} lags: a load has one or two")
     return motor_load(1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SessionLoad(RecordLoad):
+    """The load of a recorded session.
+
+    Attributes:
+        session: The session.
+        configuration: The one that it ran with.
+        stretches: Parts of it that were used.
+    """
+
+    session: Session
+    configuration: Configuration
+    stretches: list[Stretch]
+
+
+def identify_session(
+    path: Path, begin_s: float | None = None, end_s: float | None = None
+) -> SessionLoad:
+    """Identify the load of a recorded session.
+
+    Args:
+        path: Directory of the session.
+        begin_s: First second used, from the first tick on; None for the first.
+        end_s: Last second used, None for the last.
+
+    Raises:
+        AdaptdriveError: The session cannot be read, or does not show its load.
+    """
+    session = read_session(path)
+    configuration = reconfigured(session.config_text, path / "config.toml", ())
+    stretches = read_stretches(session, begin_s, end_s)
+    block = block_samples(stretches)
+    long = [one for one in stretches if len(one.columns["output"]) >= FEWEST_IN_PART * block]
+    ends_s = tuple(
+        one.begin_s + len(one.columns["output"]) // block * block * one.period_s for one in long
+    )
+    excerpts = [one.excerpt for one in long]
+    found = _of_drive(session.path.name, excerpts, ends_s, block, configuration)
+    known = {one.name: getattr(found, one.name) for one in fields(found)}
+    known["online"] = _online(session, tuple(found.nominal), end_s)
+    return SessionLoad(**known, session=session, configuration=configuration, stretches=long)
+
+
+def _online(session: Session, names: tuple[str, ...], end_s: float | None) -> dict[str, Estimate]:
+    """Return the last on-line estimates before a time."""
+    curves = read_curves(session, find_window(session, None, end_s))
+    found = {}
+    for name in names:
+        known = [
+            Estimate(float(value), float(std))
+            for value, std in zip(*curves.estimates.get(name, ((), ())), strict=True)
+            if math.isfinite(value)
+        ]
+        found[name] = known[-1] if known else Estimate(math.nan, math.nan)
+    return found

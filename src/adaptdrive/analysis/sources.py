@@ -8,8 +8,7 @@ from typing import Any
 
 from adaptdrive.analysis.columns import Columns, columns_of_file, columns_of_table
 from adaptdrive.analysis.record import RecordView, read_record
-from adaptdrive.analysis.record_load import RecordLoad, identify_record
-from adaptdrive.analysis.session_load import identify_session
+from adaptdrive.analysis.record_load import RecordLoad, identify_record, identify_session
 from adaptdrive.analysis.simulation import Simulation
 from adaptdrive.config import load_configuration
 from adaptdrive.errors import IdentificationError

@@ -13,7 +13,7 @@ from adaptdrive.analysis.closed_loop import LoopStart, run_loop
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.excerpts import Stretch, read_stretches
 from adaptdrive.analysis.identified_plant import disturbed_plant
-from adaptdrive.analysis.session_load import SessionLoad, identify_session
+from adaptdrive.analysis.record_load import SessionLoad, identify_session
 from adaptdrive.analysis.steps import Quality, period_means, quality_of
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings

@@ -117,14 +117,13 @@ def identify(
     """
     with extra("analysis"):
         from adaptdrive.analysis import load_report  # noqa: PLC0415 - it is large
-        from adaptdrive.analysis.load_figure import draw_load  # noqa: PLC0415
         from adaptdrive.analysis.record import RecordView  # noqa: PLC0415
         from adaptdrive.analysis.sources import identify_source  # noqa: PLC0415
     path = Path(source) if source is not None and Path(source).is_file() else _find(source)
     figure = view.folder(path.parent if path.is_file() else path) / "load.png"
     wanted = RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
     found = identify_source(path, wanted)
-    replace_result(figure, draw_load(found))
+    replace_result(figure, load_report.draw_load(found))
     text = f"{load_report.as_text(found)}\n\n{figure}"
     return view.present(text, load_report.as_json(found), figure)
 
@@ -151,13 +150,12 @@ def whatif(
     with extra("analysis"):
         from adaptdrive.analysis import whatif_report  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
-        from adaptdrive.analysis.whatif_figure import draw_comparison  # noqa: PLC0415
     path = _find(session)
     figure = view.folder(path) / "whatif.png"
     found = what_if(path, settings, view.begin, view.end)
     for one in found.idle:
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
-    replace_result(figure, draw_comparison(found, settings))
+    replace_result(figure, whatif_report.draw_comparison(found, settings))
     text = f"{whatif_report.as_text(found)}\n\n{figure}"
     return view.present(text, whatif_report.as_json(found), figure)
 

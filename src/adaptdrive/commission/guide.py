@@ -11,9 +11,8 @@ from collections.abc import Callable
 from contextlib import aclosing, suppress
 from typing import Any
 
-from adaptdrive.commission.exchange import FastReading, WantedVoltage
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.readings import fast_readings
+from adaptdrive.commission.readings import FastReading, WantedVoltage, fast_readings
 from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, CommissionError, first_error

@@ -8,11 +8,11 @@ import math
 import sys
 from typing import NoReturn
 
-from adaptdrive.commission.exchange import FastReading
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.guide import Guide
 from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.picture import Picture, screen
+from adaptdrive.commission.readings import FastReading
 from adaptdrive.errors import CommissionError
 from adaptdrive.watch.ending import ended_once
 from adaptdrive.watch.keys import QUIT, pressed_keys

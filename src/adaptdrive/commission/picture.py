@@ -11,9 +11,9 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.commission.exchange import FastReading
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.phases import Phase
+from adaptdrive.commission.readings import FastReading
 from adaptdrive.commission.target import Target
 from adaptdrive.watch.plot import Mark, PlotPoint, plot
 from adaptdrive.watch.tables import DIM, cut, figure, titled

@@ -28,6 +28,38 @@ Array = NDArray[np.float64]
 _FREQUENCIES = 4000
 _STEPS = 400
 
+_RATIO_MIN = (0.1, 0.3)
+_RATIO_MAX = (4.0, 10.0)
+"""Range in which a bound of the estimates over the model is proposed."""
+
+_FILTER_SHARE = 0.5
+"""λ time constant over the sum of the time constants."""
+
+_LAG_PERIODS = 10.0
+"""Slow periods in the sum of the time constants for each of them, at least."""
+
+_ROUND = (1.0, 2.0, 5.0, 10.0)
+_SHORTEST_PERIOD_S = 0.1
+_LONGEST_PERIOD_S = 3600.0
+_FEWEST_READINGS = 3
+_FEWEST_LATENCIES = 2
+"""Shortest slow period, in readings of the drive, and in its dead times from sample to effect."""
+
+_SAMPLED_SHARE = 0.75
+"""Longest part of a slow period over which the output is averaged."""
+
+_FAST_POLES = (0.50, 0.55, 0.60, 0.65)
+"""Poles that are tried first for a bath whose sensor lags: what it shows late is asked for soon."""
+
+_POLES = (0.70, 0.75, 0.80, 0.85, 0.90, 0.93, 0.95, 0.97)
+_LEAST_GAIN = 2.0
+_LEAST_DELAY = 0.5
+"""Least delay margin in slow periods."""
+
+_STEP_SHARE = 0.1
+_EFFORT_SHARE = 0.5
+"""Share of the range of V_c that a set-point step of a tenth of its range may take."""
+
 
 @dataclass(frozen=True, slots=True)
 class Margins:
@@ -93,39 +125,6 @@ def _effort(a: list[float], b: list[float], r: list[float], s: list[float]) -> f
     closed = closed_loop_polynomial(a, b, r, s)
     inputs = lfilter(sum(s) * np.array(a), closed, np.ones(_STEPS))
     return float(np.abs(inputs).max())
-
-
-_RATIO_MIN = (0.1, 0.3)
-_RATIO_MAX = (4.0, 10.0)
-"""Range in which a bound of the estimates over the model is proposed."""
-
-_FILTER_SHARE = 0.5
-"""λ time constant over the sum of the time constants."""
-
-_LAG_PERIODS = 10.0
-"""Slow periods in the sum of the time constants for each of them, at least."""
-
-_ROUND = (1.0, 2.0, 5.0, 10.0)
-_SHORTEST_PERIOD_S = 0.1
-_LONGEST_PERIOD_S = 3600.0
-_FEWEST_READINGS = 3
-_FEWEST_LATENCIES = 2
-"""Shortest slow period, in readings of the drive, and in its dead times from sample to effect."""
-
-_SAMPLED_SHARE = 0.75
-"""Longest part of a slow period over which the output is averaged."""
-
-_FAST_POLES = (0.50, 0.55, 0.60, 0.65)
-"""Poles that are tried first for a bath whose sensor lags: what it shows late is asked for soon."""
-
-_POLES = (0.70, 0.75, 0.80, 0.85, 0.90, 0.93, 0.95, 0.97)
-_LEAST_GAIN = 2.0
-_LEAST_DELAY = 0.5
-"""Least delay margin in slow periods."""
-
-_STEP_SHARE = 0.1
-_EFFORT_SHARE = 0.5
-"""Share of the range of V_c that a set-point step of a tenth of its range may take."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,15 @@ import math
 import time
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import aclosing
+from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
-from adaptdrive.commission.exchange import FastReading, reading_of
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import telemetry
+from adaptdrive.operation.payloads import number, part
 
 _SILENCE_S = 4.0
 """Longest time without telemetry, and without a measurement in it; largest step of its time."""
@@ -23,6 +25,62 @@ _SAME_S = 0.03
 
 _SLEW = 1.0e-3
 """Largest rate of a clock that is kept right, twice what NTP allows, as a share of the time."""
+
+
+@dataclass(frozen=True, slots=True)
+class FastReading:
+    """One message of the fast loop.
+
+    Attributes:
+        time_s: Its time, in seconds of the wall clock.
+        boost_voltage_V: v_bst.
+        output: The regulated quantity.
+        age_s: Time since they were measured.
+        bridge: Whether the load is commanded on.
+    """
+
+    time_s: float
+    boost_voltage_V: float
+    output: float
+    age_s: float
+    bridge: bool
+
+    @property
+    def measured_s(self) -> float:
+        """Time of the measurement, which several messages may show."""
+        return self.time_s - self.age_s
+
+
+class WantedVoltage:
+    """The present voltage command of an experiment.
+
+    Attributes:
+        voltage_V: V_c.
+        changed: Set when it changes.
+    """
+
+    def __init__(self, voltage_V: float) -> None:
+        self.voltage_V = voltage_V
+        self.changed = asyncio.Event()
+
+    def change(self, voltage_V: float) -> None:
+        """Take a voltage."""
+        if voltage_V != self.voltage_V:
+            self.voltage_V = voltage_V
+            self.changed.set()
+
+
+def reading_of(content: dict[str, Any]) -> FastReading | None:
+    """Return the reading of a message of `telemetry/drive`, None where something is missing."""
+    try:
+        time_s = datetime.fromisoformat(content["time"]).timestamp()
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return None
+    measured = number(content.get("boost_voltage_V")), number(content.get("output"))
+    values = *measured, number(content.get("age_s"))
+    if not all(map(math.isfinite, values)):
+        return None
+    return FastReading(time_s, *values, bridge=bool(part(content, "command").get("bridge")))
 
 
 async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading, None]:

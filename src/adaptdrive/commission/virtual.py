@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from adaptdrive.analysis.closed_loop import Plant, advanced
-from adaptdrive.analysis.own_step import at_own_step
+from adaptdrive.analysis.closed_loop import Plant, advanced, at_own_step
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.settings import tick_s
 from adaptdrive.commission.experiment import LoadExperiment
