@@ -14,11 +14,12 @@ import time
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.clock.tick_timer import TickTimer
+from adaptdrive.config.services import Realtime
 from adaptdrive.control.controller import Controller
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.realtime import RealtimeSettings, real_time
+from adaptdrive.runtime.realtime import real_time
 from tests.benchmarks.compute import Quiet
 from tests.hardware.bench import MOTOR
 from tests.loopback_port import LoopbackPort
@@ -53,7 +54,7 @@ async def main(duration_s: float, priority: int, spin_us: float, *, awake: bool)
         loop.on_deadline(deadline_s)
 
     around.timer = TickTimer(asyncio.get_running_loop(), on_deadline, spin_us * 1e-6)
-    wanted = RealtimeSettings(
+    wanted = Realtime(
         priority=priority or None,
         lock_memory=bool(priority),
         freeze_gc=True,

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.config.services import Realtime
 from adaptdrive.runtime.collector import IdleCollector
-from adaptdrive.runtime.realtime import RealtimeSettings, real_time
+from adaptdrive.runtime.realtime import real_time
 
 ROOT = Path(__file__).parents[2]
 NOBODY = 65534
@@ -22,11 +23,13 @@ ASK = """
 import os, sys
 from pathlib import Path
 from concurrent.futures import ThreadPoolExecutor
-from adaptdrive.runtime.realtime import RealtimeSettings, helper_thread, real_time
+from adaptdrive.config.services import Realtime
+from adaptdrive.runtime.realtime import helper_thread, real_time
+wanted = Realtime({settings})
 if {user}:
     os.setresgid({user}, {user}, {user})
     os.setresuid({user}, {user}, {user})
-with real_time(RealtimeSettings({settings})) as grants:
+with real_time(wanted) as grants:
     for grant in grants:
         print(grant.asked, grant.granted, grant.meaning, sep="|")
     print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO)
@@ -94,13 +97,13 @@ def test_locked_memory_shows_in_the_kernel_but_is_not_made_resident() -> None:
 
 def test_cpus_are_those_asked_for() -> None:
     cpu = min(os.sched_getaffinity(0))
-    output = ask(f"cpus=({cpu},)")
+    output = ask(f"cpus=[{cpu}]")
     assert f"cpus = [{cpu}]|True" in output
     assert re.search(rf"Cpus_allowed_list:\s+{cpu}\n", output)
 
 
 def test_cpus_that_do_not_exist_are_refused_in_words() -> None:
-    assert "cpus = [1000]|False|Invalid argument: no such CPUs" in ask("cpus=(1000,)")
+    assert "cpus = [1000]|False|Invalid argument: no such CPUs" in ask("cpus=[1000]")
 
 
 def test_idle_cpus_are_kept_awake_for_as_long_as_the_daemon_runs() -> None:
@@ -123,7 +126,7 @@ def test_an_ordinary_user_is_refused_in_words_and_goes_on() -> None:
 
 
 def test_nothing_is_asked_for_unless_wanted() -> None:
-    with real_time(RealtimeSettings()) as grants:
+    with real_time(Realtime(freeze_gc=False)) as grants:
         assert grants == []
 
 
@@ -134,7 +137,7 @@ def test_after_the_freeze_garbage_waits_for_the_collector() -> None:
 
     collected: list[int] = []
     collector = IdleCollector(every_ticks=3)
-    with real_time(RealtimeSettings(freeze_gc=True)) as grants, ExitStack() as stack:
+    with real_time(Realtime(freeze_gc=True)) as grants, ExitStack() as stack:
         assert [grant.granted for grant in grants] == [True]
         assert not gc.isenabled()
         knot = Knot()

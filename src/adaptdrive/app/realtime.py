@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings, realtime_settings
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.reach import Reach
@@ -171,7 +171,7 @@ def prepared(configuration: Configuration, rehearsal: Rehearsal, hub: Hub) -> It
     if configuration.realtime.warm_up:
         grants.append(_rehearse(rehearsal))
     grants.extend(before_frames(configuration))
-    with real_time(realtime_settings(configuration)) as answers:
+    with real_time(configuration.realtime) as answers:
         for grant in (*grants, *answers):
             hub.publish(_event(grant))
         yield

@@ -31,7 +31,6 @@ from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.machine_limits import MachineLimits
-from adaptdrive.runtime.realtime import RealtimeSettings
 
 _LOWEST_LINE = 0.5
 """Share of the nominal line voltage below which the voltage loop does not divide by it."""
@@ -80,18 +79,6 @@ def daemon_settings(configuration: Configuration) -> DaemonSettings:
         rehearse_s=configuration.realtime.rehearse_us * 1e-6,
         collect_ticks=COLLECT_TICKS if configuration.realtime.freeze_gc else 0,
         refused_share=configuration.interlocks.refused_share,
-    )
-
-
-def realtime_settings(configuration: Configuration) -> RealtimeSettings:
-    """Return the settings of `[realtime]`."""
-    realtime = configuration.realtime
-    return RealtimeSettings(
-        priority=realtime.priority,
-        cpus=tuple(realtime.cpus),
-        lock_memory=realtime.lock_memory,
-        freeze_gc=realtime.freeze_gc,
-        cpu_latency_us=realtime.cpu_latency_us,
     )
 
 

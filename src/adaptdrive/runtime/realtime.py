@@ -18,32 +18,14 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from adaptdrive.config.services import Realtime
+
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _CAP_IPC_LOCK = 14
 _CPU_LATENCY = Path("/dev/cpu_dma_latency")
 _PYTHONS_SWITCH_S = 5e-3
 """Default of `sys.setswitchinterval`."""
 _SWITCH_S = 2e-4  # another thread of the process keeps a tick waiting no longer than this
-
-
-@dataclass(frozen=True, slots=True)
-class RealtimeSettings:
-    """Requested real-time settings.
-
-    Attributes:
-        priority: SCHED_FIFO priority, None for ordinary scheduling.
-        cpus: CPUs to run on, all when empty.
-        lock_memory: Whether to keep the process in RAM.
-        freeze_gc: Whether to take garbage collection out of the ticks.
-        cpu_latency_us: Longest time that an idle CPU may take to wake up, None for the kernel's
-            own choice.
-    """
-
-    priority: int | None = None
-    cpus: tuple[int, ...] = ()
-    lock_memory: bool = False
-    freeze_gc: bool = False
-    cpu_latency_us: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +44,7 @@ class Grant:
 
 
 @contextmanager
-def real_time(settings: RealtimeSettings) -> Iterator[list[Grant]]:
+def real_time(settings: Realtime) -> Iterator[list[Grant]]:
     """Ask for everything that is wanted; a refusal is an answer and no error.
 
     Enter it in the thread that runs the event loop, when everything is loaded and warmed up. At its
@@ -93,11 +75,11 @@ def helper_thread(priority: int | None) -> Callable[[], None]:
     return start
 
 
-def _asked(settings: RealtimeSettings, held: ExitStack) -> Iterator[Grant]:
+def _asked(settings: Realtime, held: ExitStack) -> Iterator[Grant]:
     if settings.cpu_latency_us is not None:
         yield _keep_awake(settings.cpu_latency_us, held)
     if settings.cpus:
-        yield _pin(settings.cpus)
+        yield _pin(tuple(settings.cpus))
     if settings.lock_memory:
         yield _lock_memory()
     if settings.freeze_gc:
