@@ -47,7 +47,7 @@ def asked(text: str) -> dict[str, str]:
 
 def marked(text: str) -> str:
     """Return a configuration whose values are marked as those of the example."""
-    return _rewritten(text, dict.fromkeys(QUESTIONS.keys() - _LIKELY, ""))
+    return answered(text, dict.fromkeys(QUESTIONS.keys() - _LIKELY, ""))
 
 
 def answered(text: str, answers: dict[str, str]) -> str:
@@ -55,14 +55,10 @@ def answered(text: str, answers: dict[str, str]) -> str:
 
     Args:
         text: The configuration.
-        answers: Values, as TOML.
+        answers: Values, as TOML; an empty one marks the value that is there.
     """
-    return _rewritten(text, answers)
-
-
-def _rewritten(text: str, values: dict[str, str]) -> str:
     return "".join(
-        f"{_line(line, values[key]) if key in values else line}\n" for key, line in _lines(text)
+        f"{_line(line, answers[key]) if key in answers else line}\n" for key, line in _lines(text)
     )
 
 

@@ -6,12 +6,12 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from adaptdrive.cli.inherited_signals import heed_signals
 from adaptdrive.cli.standard_files import (
     FAILED,
     UNUSABLE,
     complain,
     flushed,
+    heed_signals,
     lay_out_help,
     open_standard_files,
     reader_has_ended,

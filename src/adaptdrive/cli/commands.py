@@ -25,7 +25,7 @@ _COMMANDS = {
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
     "commission": ("commission", "Measure an unknown load on its drive, and propose the settings."),
     "panel": ("panel", "Serve the panel, a web page for a broker's drives, on this machine."),
-    "watch": ("site", "Show a drive live in the terminal, with keys for the commands."),
+    "watch": ("operate", "Show a drive live in the terminal, with keys for the commands."),
     "status": ("operate", "Show the state and the telemetry of a drive."),
     "manual": ("operate", "Hold the present V_c until the command voltage."),
 }
@@ -87,7 +87,7 @@ def build_app() -> App:
         app.command(f"adaptdrive.cli.{module}:{name}", name=name, help=purpose)
     for verb, request in REQUESTS.items():
         app.command(f"adaptdrive.cli.operate:{verb}", name=verb, help=_first_line(request))
-    app.command("adaptdrive.cli.site:list_drives", name="list", help=_LIST)
+    app.command("adaptdrive.cli.operate:list_drives", name="list", help=_LIST)
     app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
     app.register_install_completion_command(
         add_to_startup=False, help="Install completion for the present shell."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import sys
 import threading
 import webbrowser
@@ -10,6 +11,7 @@ from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 from urllib.parse import parse_qs, quote, urlsplit
 
@@ -17,7 +19,6 @@ from cyclopts import Parameter, validators
 
 from adaptdrive.aside import in_thread
 from adaptdrive.cli.options import Integer
-from adaptdrive.cli.session_report import last_report
 from adaptdrive.errors import AdaptdriveError
 
 FOLDER = Path(__file__).parents[1] / "panel"
@@ -150,3 +151,36 @@ def panel(
             in_thread(functools.partial(webbrowser.open, address), "browser")
         server.serve_forever()
     return 0
+
+
+def last_report(drive: str) -> bytes:
+    """Draw the last session of a drive, the running one as far as it is; return its HTML page.
+
+    Args:
+        drive: Name of the drive.
+
+    Raises:
+        AdaptdriveError: There is none, or it cannot be read.
+        OSError: As above.
+    """
+    from adaptdrive.analysis.plot import plot  # noqa: PLC0415 - it is large
+
+    with TemporaryDirectory() as folder:
+        _, report = plot(_last_session(drive), into=Path(folder))
+        return report.read_bytes()
+
+
+def _last_session(drive: str) -> Path:
+    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - `--help` reads no recordings
+    from adaptdrive.recording.session import (  # noqa: PLC0415
+        NO_SESSION,
+        read_info,
+        session_directories,
+        sessions_directory,
+    )
+
+    sessions = sessions_directory(None, os.environ)
+    for path in reversed(list(session_directories(sessions))):
+        if read_info(path).drive == drive:
+            return path
+    raise RecordingError(sessions, NO_SESSION)

@@ -1,4 +1,4 @@
-"""Standard input, output and error of a process that was started without some of them."""
+"""Signals and standard files as a process needs them, whatever its starter has left."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import errno
 import os
 import re
 import shutil
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from io import FileIO, TextIOWrapper
 from typing import Literal, TextIO
@@ -147,3 +149,15 @@ def _stream(
     number: int, mode: Literal["r", "w"], encoding: str = "utf-8", errors: str | None = None
 ) -> TextIO:
     return open(number, mode, encoding=encoding, errors=errors, closefd=False)
+
+
+def heed_signals() -> None:
+    """Unblocks every signal, and has ended child processes reported.
+
+    A process inherits both from the program that starts it. With SIGTERM blocked nothing but
+    SIGKILL would end a daemon, and a drive would stay on; with SIGCHLD ignored the status of a
+    recorder that has ended is lost. A signal that was ignored on purpose, as by `nohup`, stays so.
+    """
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, signal.valid_signals())
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
