@@ -115,17 +115,17 @@ async def test_events_leave_in_order_and_only_when_acknowledged(path: Path) -> N
         outbox = Outbox((), lambda: log.append(Kind.SENT, b""))
         for number in range(3):
             _note(log, _event(number))
-            outbox.append(b"%d" % number)
-        sequence, body = await outbox.oldest()
+            outbox.put(b"%d" % number)
+        body = await outbox.oldest()
         assert body == b"0"
-        outbox.sent(sequence)
+        outbox.sent(body)
     async with open_log(path) as (log, recalled):
         outbox = Outbox([b"%d" % one.tick for one in recalled.unsent], lambda: None)
-        outbox.append(b"3")
+        outbox.put(b"3")
         left = []
         while len(outbox):
-            sequence, body = await outbox.oldest()
-            outbox.sent(sequence)
+            body = await outbox.oldest()
+            outbox.sent(body)
             left.append(body)
     assert left == [b"1", b"2", b"3"]
 
@@ -135,12 +135,12 @@ async def test_a_full_outbox_drops_the_oldest_on_disk_too(path: Path) -> None:
         outbox = Outbox((), lambda: log.append(Kind.SENT, b""))
         for number in range(EVENTS + 7):
             _note(log, _event(number))
-            outbox.append(b"%d" % number)
+            outbox.put(b"%d" % number)
             if number == 0:
-                first, _ = await outbox.oldest()
+                first = await outbox.oldest()
         assert outbox.dropped == 7
         outbox.sent(first)  # acknowledged after it was dropped
-        outbox.sent((await outbox.oldest())[0])
+        outbox.sent(await outbox.oldest())
     unsent = recall(path, Time.wall).unsent
     assert [unsent[0].tick, unsent[-1].tick] == [8, EVENTS + 6]
 

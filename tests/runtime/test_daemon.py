@@ -413,7 +413,7 @@ async def test_losing_the_bus_and_its_return_are_events() -> None:
 async def test_the_fast_loop_is_reported_at_its_rate() -> None:
     async with daemon_bench() as bench:
         bench.frames(10)
-        await until(lambda: len(bench.drive_reports._queue) >= 3)
+        await until(lambda: len(bench.drive_reports._items) >= 3)
         reports = bench.drive_reports.drain()
         last = reports[-1]
         assert isinstance(last, DriveReport)

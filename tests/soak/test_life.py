@@ -22,6 +22,6 @@ def test_a_life_of_faults_is_recorded_whole_and_replays_bit_equal(tmp_path: Path
 def test_a_tick_that_is_not_recorded_is_found(tmp_path: Path) -> None:
     life = Life(4, tmp_path / "session")
     life.run(10.0)
-    life._tape._ticks._queue.popleft()
+    life._tape._ticks._items.popleft()
     life.close()
     assert life.sessions[0].flaws

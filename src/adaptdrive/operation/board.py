@@ -3,49 +3,37 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
-from datetime import datetime
-from typing import Generic, TypeVar
+from dataclasses import replace
+from typing import TypeVar
 
 from adaptdrive.operation.clock import Synchronisation, WallClock
 from adaptdrive.operation.messages import LastTrip, Payload, Standing, state_message
 from adaptdrive.operation.profile import Profile
+from adaptdrive.runtime.hub import Bounded
 from adaptdrive.runtime.reports import State, StateReport
 from adaptdrive.runtime.trips import remedy
 
 T = TypeVar("T")
 
 
-class Mailbox(Generic[T]):
-    """A bounded queue between two tasks; the oldest goes when it is full.
+class Mailbox(Bounded[T]):
+    """A queue of which one item at a time is taken."""
 
-    Attributes:
-        dropped: Items that went because the queue was full.
-    """
-
-    def __init__(self, size: int) -> None:
-        self.dropped = 0
-        self._items: deque[T] = deque(maxlen=size)
-        self._filled = asyncio.Event()
-
-    def put(self, item: T) -> None:
-        """Leave an item."""
-        self.dropped += len(self._items) == self._items.maxlen
-        self._items.append(item)
-        self._filled.set()
+    async def oldest(self) -> T:
+        """Wait for an item; it stays in the queue."""
+        await self._filled.wait()
+        return self._items[0]
 
     async def take(self) -> T:
         """Wait for the oldest item and take it."""
-        await self._filled.wait()
-        item = self._items.popleft()
-        if not self._items:
-            self._filled.clear()
+        item = await self.oldest()
+        self._strike_out()
         return item
 
-    def clear(self) -> None:
-        """Throw everything away."""
-        self._items.clear()
-        self._filled.clear()
+    def _strike_out(self) -> None:
+        self._items.popleft()
+        if not self._items:
+            self._filled.clear()
 
 
 class StateBoard:
@@ -60,12 +48,10 @@ class StateBoard:
             last_trip: The last trip of an earlier run, None before the first.
         """
         self._wall = wall
-        self._last_trip = last_trip
         self._profile = profile
         self._report: StateReport | None = None
-        self._clock = Synchronisation.UNKNOWN
-        self._since: datetime = wall()
-        self._changed_at = self._since
+        now = wall()
+        self._standing = Standing(now, last_trip, Synchronisation.UNKNOWN, now)
         self._changed = asyncio.Event()
 
     @property
@@ -83,8 +69,7 @@ class StateBoard:
         """Payload to publish, None before the first report."""
         if self._report is None:
             return None
-        standing = Standing(self._since, self._last_trip, self._clock, self._changed_at)
-        return state_message(self._report, standing, self._profile)
+        return state_message(self._report, self._standing, self._profile)
 
     def show(self, report: StateReport) -> None:
         """Take a report of the runtime."""
@@ -92,15 +77,17 @@ class StateBoard:
         if report == known:
             return
         self._note_change()
+        now = self._standing.time
         if known is None or report.state is not known.state:
-            self._since = self._changed_at
+            self._standing = replace(self._standing, since=now)
         if report.trip is not None and (known is None or report.trip != known.trip):
-            self._last_trip = LastTrip(self._changed_at, report.trip, remedy(report.trip))
+            trip = LastTrip(now, report.trip, remedy(report.trip))
+            self._standing = replace(self._standing, last_trip=trip)
 
     def show_clock(self, clock: Synchronisation) -> None:
         """Store whether the wall clock is synchronised."""
-        if clock is not self._clock:
-            self._clock = clock
+        if clock is not self._standing.clock:
+            self._standing = replace(self._standing, clock=clock)
             self._note_change()
 
     async def change(self) -> None:
@@ -109,5 +96,5 @@ class StateBoard:
         self._changed.clear()
 
     def _note_change(self) -> None:
-        self._changed_at = self._wall()
+        self._standing = replace(self._standing, time=self._wall())
         self._changed.set()

@@ -21,6 +21,7 @@ from adaptdrive.operation.commands import LONGEST_ID, PING, STOP, Payload
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.pace import LogRation
+from adaptdrive.operation.payloads import printable
 from adaptdrive.runtime.hub import Keep
 from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Host, Request
@@ -294,5 +295,4 @@ def _memorable(identity: str | int | None) -> bool:
 
 def _clean(reason: str) -> str:
     """Return one line that any terminal and any JSON reader takes."""
-    shown = "".join(letter if letter.isprintable() else "?" for letter in reason)
-    return shown[:LONGEST_REASON]
+    return printable(reason)[:LONGEST_REASON]

@@ -103,7 +103,7 @@ class Intake:
         for report in self._reports.drain():
             self._lay_out(report)
             if isinstance(report, Event):
-                self.outbox.append(self._event_body(report))
+                self.outbox.put(self._event_body(report))
 
     def history_pages(self) -> Iterator[Payload]:
         """Yield the payloads that answer a request for the last hour."""
@@ -111,9 +111,9 @@ class Intake:
 
     def forget_telemetry(self) -> None:
         """Throw away telemetry that was not sent in time."""
-        self.load.clear()
-        self.drive.clear()
-        self.histograms.clear()
+        self.load.drain()
+        self.drive.drain()
+        self.histograms.drain()
 
     async def _pass_on(self, events: Sequence[Event]) -> None:
         """Queue events for the broker once they are recorded, or as this daemon ends."""
@@ -123,7 +123,7 @@ class Intake:
                 await self._hub.kept()
         finally:
             for body in bodies:
-                self.outbox.append(body)
+                self.outbox.put(body)
 
     def _event_body(self, event: Event) -> bytes:
         return encode(event_message(event, self._wall()))

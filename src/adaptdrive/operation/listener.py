@@ -72,11 +72,13 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
     topics, status, end_s = Topics(drive), DriveStatus(), end_of(timeout_s)
     async with conversation(broker, drive, end_s) as client:
         async with asyncio.timeout_at(end_s):
-            await client.subscribe(topics.availability, qos=1)
-            await client.subscribe(topics.state, qos=1)
-            await _listen(client, topics, status, _complete)
+            await client.subscribe([(topics.availability, 1), (topics.state, 1)])
+            await _listen(client, {drive: status}, lambda: _complete(status))
         if status.online:
-            await _add_telemetry(client, topics, status, end_s)
+            with suppress(TimeoutError):
+                async with asyncio.timeout_at(min(end_s, end_of(LIFE_WAIT_S))):
+                    await client.subscribe(_telemetry_of(topics))
+                    await _listen(client, {drive: status}, lambda: _alive(status))
     return status
 
 
@@ -90,17 +92,14 @@ async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[
     Raises:
         NoAnswerError: The broker cannot be reached, or closed the connection.
     """
-    topics, status = Topics(drive), DriveStatus()
+    topics = Topics(drive)
     async with conversation(broker, drive) as client:
-        await client.subscribe(topics.load_telemetry)
-        await client.subscribe(topics.drive_telemetry)
+        await client.subscribe(_telemetry_of(topics))
         async for message in client.messages:
-            if message.retain:
-                continue  # kept by the broker, of an earlier time
-            status.telemetry.clear()
-            _note(message, topics, status)
-            for name, content in status.telemetry.items():
-                yield name, content
+            content = json_object(bytes(message.payload))
+            # what the broker has kept is of an earlier time
+            if content is not None and not message.retain:
+                yield message.topic.value.rpartition("/")[2], content
 
 
 async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
@@ -126,7 +125,8 @@ async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
                 await _listen_to_all(client, site, quiet)
         with suppress(TimeoutError):
             async with asyncio.timeout_at(min(end_s, life_s)):
-                await _await_life(client, site)
+                if any(status.silent for status in site.values()):
+                    await _listen(client, site, lambda: not any(s.silent for s in site.values()))
     return {name: status for name, status in site.items() if status.availability or status.state}
 
 
@@ -136,19 +136,9 @@ async def _listen_to_all(
     """Note all messages; each drive that is new prolongs the wait."""
     async for message in client.messages:
         known = len(site)
-        _note_of_any(message, site)
+        _note(message, site)
         if len(site) > known:
             quiet.reschedule(asyncio.get_running_loop().time() + SITE_WAIT_S)
-
-
-async def _await_life(client: Client, site: dict[str, DriveStatus]) -> None:
-    """Note all messages until each drive that is online has sent telemetry."""
-    if not any(status.silent for status in site.values()):
-        return
-    async for message in client.messages:
-        _note_of_any(message, site)
-        if not any(status.silent for status in site.values()):
-            return
 
 
 async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
@@ -181,6 +171,10 @@ async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str
                 yield name, content
 
 
+def _telemetry_of(topics: Topics) -> list[tuple[str, int]]:
+    return [(topics.load_telemetry, 0), (topics.drive_telemetry, 0)]
+
+
 def _complete(status: DriveStatus) -> bool:
     return status.state is not None and status.availability is not None
 
@@ -189,37 +183,24 @@ def _alive(status: DriveStatus) -> bool:
     return status.live and "drive" in status.telemetry
 
 
-async def _add_telemetry(client: Client, topics: Topics, status: DriveStatus, end_s: float) -> None:
-    with suppress(TimeoutError):
-        async with asyncio.timeout_at(min(end_s, end_of(LIFE_WAIT_S))):
-            await client.subscribe(topics.load_telemetry)
-            await client.subscribe(topics.drive_telemetry)
-            await _listen(client, topics, status, _alive)
-
-
-async def _listen(
-    client: Client, topics: Topics, status: DriveStatus, enough: Callable[[DriveStatus], bool]
-) -> None:
+async def _listen(client: Client, site: dict[str, DriveStatus], enough: Callable[[], bool]) -> None:
     async for message in client.messages:
-        _note(message, topics, status)
-        if enough(status):
+        _note(message, site)
+        if enough():
             return
 
 
-def _note_of_any(message: Message, site: dict[str, DriveStatus]) -> None:
-    _, drive, *_ = message.topic.value.split("/")
-    if _DRIVE.fullmatch(drive) is not None:
-        _note(message, Topics(drive), site.setdefault(drive, DriveStatus()))
-
-
-def _note(message: Message, topics: Topics, status: DriveStatus) -> None:
+def _note(message: Message, site: dict[str, DriveStatus]) -> None:
     topic, payload = message.topic.value, bytes(message.payload)
+    _, drive, *_ = topic.split("/")
+    if _DRIVE.fullmatch(drive) is None:
+        return
+    topics, status = Topics(drive), site.setdefault(drive, DriveStatus())
     if topic == topics.availability:
         status.availability = payload.decode("utf-8", "replace")
+    elif (content := json_object(payload)) is None:
         return
-    if (content := json_object(payload)) is None:
-        return
-    if topic == topics.state:
+    elif topic == topics.state:
         status.state = content
     else:
         status.telemetry[topic.rpartition("/")[2]] = content

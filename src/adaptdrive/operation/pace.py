@@ -1,34 +1,13 @@
-"""Rate limits, and delays before the next attempt."""
+"""A limit of lines in the log, and delays before the next attempt."""
 
 from __future__ import annotations
 
-import asyncio
 import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from adaptdrive.operation.clock import Monotonic
-
-
-@dataclass(slots=True)
-class Pace:
-    """Keeps at least `interval_s` between two turns.
-
-    Attributes:
-        interval_s: Shortest time between two turns.
-        monotonic: Clock.
-        due_s: When the next turn may be, on that clock.
-    """
-
-    interval_s: float
-    monotonic: Monotonic
-    due_s: float = 0.0
-
-    async def wait(self) -> None:
-        """Wait for the next turn and take it."""
-        await asyncio.sleep(max(0.0, self.due_s - self.monotonic()))
-        self.due_s = self.monotonic() + self.interval_s
 
 
 @dataclass(slots=True)

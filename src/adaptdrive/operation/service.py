@@ -29,7 +29,7 @@ from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import OFFLINE, LastTrip, encode, event_message
 from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.outbox import Outbox
-from adaptdrive.operation.pace import BrokerBackoff, LogRation, Pace
+from adaptdrive.operation.pace import BrokerBackoff, LogRation
 from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.session import BrokerSession
 from adaptdrive.operation.topics import Topics
@@ -87,7 +87,7 @@ class MqttService:
         self._announcement = (
             discovery(profile, settings.home_assistant) if settings.home_assistant else None
         )
-        self._pace = Pace(1.0 / settings.telemetry_Hz, surroundings.monotonic)
+        self._telemetry_s = 1.0 / settings.telemetry_Hz
         self._around = surroundings
         self._host = host
         ledger, wall = surroundings.ledger, surroundings.wall
@@ -146,7 +146,8 @@ class MqttService:
 
     async def _keep_connected(self) -> None:
         async def serve(line: BrokerConnection) -> None:
-            session = BrokerSession(line, self._topics, self._intake, self._desk, self._pace)
+            pause_s = self._telemetry_s
+            session = BrokerSession(line, self._topics, self._intake, self._desk, pause_s)
             await session.run(self._announcement)
 
         await self._link.run(serve)

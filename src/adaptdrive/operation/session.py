@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -17,7 +17,6 @@ from adaptdrive.operation.desk import Desk, OperatorCommand
 from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.link import BrokerConnection
 from adaptdrive.operation.messages import OFFLINE, ONLINE, Payload, Reply, encode
-from adaptdrive.operation.pace import Pace
 from adaptdrive.operation.probe import CommandProbe
 from adaptdrive.operation.topics import Topics
 from adaptdrive.runtime.reports import Severity, State
@@ -50,15 +49,24 @@ class BrokerSession:
         topics: Topics,
         intake: Intake,
         desk: Desk,
-        pace: Pace,
+        telemetry_s: float,
     ) -> None:
+        """Send nothing yet.
+
+        Args:
+            line: The connection.
+            topics: Topics of the drive.
+            intake: Reports to send.
+            desk: Answers commands.
+            telemetry_s: Shortest time between two messages of the fast loop.
+        """
         self._line = line
         self._client = line.client
         self._protocol = line.protocol
         self._topics = topics
         self._intake = intake
         self._desk = desk
-        self._pace = pace
+        self._telemetry_s = telemetry_s
         self._commands: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
         self._stops: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
         self._asked = asyncio.Event()
@@ -88,9 +96,8 @@ class BrokerSession:
                 tasks.create_task(self._send_state(), name="mqtt state")
                 tasks.create_task(self._repeat_online(), name="mqtt availability")
                 tasks.create_task(self._send_events(), name="mqtt events")
-                tasks.create_task(self._send_load(), name="mqtt telemetry/load")
-                tasks.create_task(self._send_drive(), name="mqtt telemetry/drive")
-                tasks.create_task(self._send_histograms(), name="mqtt telemetry/histograms")
+                for name, sending in self._telemetry():
+                    tasks.create_task(sending, name=f"mqtt telemetry/{name}")
                 tasks.create_task(self._send_history(), name="mqtt history")
                 if self._can_probe:
                     tasks.create_task(self._probe.run(), name="mqtt probe")
@@ -216,27 +223,25 @@ class BrokerSession:
             await self._send_oldest_event()
 
     async def _send_oldest_event(self) -> None:
-        sequence, body = await self._intake.outbox.oldest()
+        body = await self._intake.outbox.oldest()
         await self._client.publish(self._topics.event, body, qos=1)
-        self._intake.outbox.sent(sequence)
+        self._intake.outbox.sent(body)
         self._intake.report_discarded()
 
-    async def _send_load(self) -> None:
+    async def _send_telemetry(
+        self, box: Mailbox[Payload], topic: str, pause_s: float, *, retain: bool = True
+    ) -> None:
         while True:
-            message = await self._intake.load.take()
-            await self._client.publish(self._topics.load_telemetry, encode(message), retain=True)
+            message = await box.take()
+            await self._client.publish(topic, encode(message), retain=retain)
+            await asyncio.sleep(pause_s)
 
-    async def _send_drive(self) -> None:
-        while True:
-            message = await self._intake.drive.take()
-            await self._pace.wait()
-            await self._client.publish(self._topics.drive_telemetry, encode(message))
-
-    async def _send_histograms(self) -> None:
-        while True:
-            message = await self._intake.histograms.take()
-            await self._client.publish(self._topics.histograms, encode(message), retain=True)
-            await asyncio.sleep(HISTOGRAMS_EVERY_S)
+    def _telemetry(self) -> Iterator[tuple[str, Coroutine[Any, Any, None]]]:
+        """Yield what sends each kind of telemetry."""
+        send, intake, topics = self._send_telemetry, self._intake, self._topics
+        yield "load", send(intake.load, topics.load_telemetry, 0.0)
+        yield "drive", send(intake.drive, topics.drive_telemetry, self._telemetry_s, retain=False)
+        yield "histograms", send(intake.histograms, topics.histograms, HISTOGRAMS_EVERY_S)
 
     async def _send_history(self) -> None:
         """Answer all requests of the meantime at once; every client can read the answer."""

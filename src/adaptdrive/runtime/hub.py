@@ -9,37 +9,53 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
+from typing import Generic, TypeVar
 
 from adaptdrive.runtime.reports import Report
 
+T = TypeVar("T")
 
-class Subscription:
-    """One subscriber's queue."""
 
-    def __init__(self, kinds: tuple[type[Report], ...], size: int) -> None:
-        self.kinds = kinds
+class Bounded(Generic[T]):
+    """A queue between two tasks; the oldest goes when it is full.
+
+    Attributes:
+        dropped: Items that went because the queue was full.
+        limit: Most items that wait.
+    """
+
+    def __init__(self, limit: int) -> None:
         self.dropped = 0
-        self._queue: deque[Report] = deque(maxlen=size)
-        self._ready = asyncio.Event()
+        self.limit = limit
+        self._items: deque[T] = deque()
+        self._filled = asyncio.Event()
 
-    def offer(self, report: Report) -> None:
-        """Append a report; the oldest one goes when the queue is full."""
-        if len(self._queue) == self._queue.maxlen:
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def put(self, item: T) -> None:
+        """Leave an item; returns at once."""
+        self._items.append(item)
+        self._filled.set()
+        if len(self._items) > self.limit:
+            self._items.popleft()
             self.dropped += 1
-        self._queue.append(report)
-        self._ready.set()
+
+    def drain(self) -> Sequence[T]:
+        """Take all there are, maybe none, without waiting."""
+        self._filled.clear()
+        taken = tuple(self._items)
+        self._items.clear()
+        return taken
+
+
+class Subscription(Bounded[Report]):
+    """One subscriber's queue."""
 
     async def take(self) -> Sequence[Report]:
         """Wait until there is at least one report, then take all there are."""
-        await self._ready.wait()
+        await self._filled.wait()
         return self.drain()
-
-    def drain(self) -> Sequence[Report]:
-        """Take all there are, maybe none, without waiting."""
-        self._ready.clear()
-        taken = tuple(self._queue)
-        self._queue.clear()
-        return taken
 
 
 Keep = Callable[[], Awaitable[None]]
@@ -76,7 +92,7 @@ class Hub:
             kinds: Report classes.
             size: Reports held before the oldest is dropped.
         """
-        subscription = Subscription(kinds, size)
+        subscription = Subscription(size)
         for kind in kinds:
             self._queues.setdefault(kind, []).append(subscription)
         return subscription
@@ -84,7 +100,7 @@ class Hub:
     def publish(self, report: Report) -> None:
         """Offer a report to its subscribers. Never blocks, never fails."""
         for subscription in self._queues.get(type(report), ()):
-            subscription.offer(report)
+            subscription.put(report)
 
 
 async def _wait_for_nothing() -> None:
