@@ -125,7 +125,7 @@ def _log() -> bytes:
 
 def _payloads() -> tuple[bytes, ...]:
     ticks = make_batch([make_tick(0)]).ticks
-    begin = Begin(Header(INFO, ""), 1, replies=[("a", 1.0, b"{}")], learnt=b"{}")
+    begin = Begin(Header(INFO, ""), 1, replies=(("a", 1.0, b"{}"),), learnt=b"{}")
     rows = [{"monotonic_s": 1.0, "k": 1}]
     return tuple(msgspec.msgpack.encode(one) for one in (ticks, begin, rows, ("a", b"{}")))
 

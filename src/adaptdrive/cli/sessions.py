@@ -96,14 +96,11 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
     """
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
     from adaptdrive.recording.retention import size_of  # noqa: PLC0415
-    from adaptdrive.recording.segments import (  # noqa: PLC0415
-        last_tick_time,
-        newest_number,
-        segments,
-    )
+    from adaptdrive.recording.segments import segments  # noqa: PLC0415
 
     found = read_session(find(session, directory))
-    info, last = found.info, last_tick_time(found.path, found.info)
+    info, last = found.info, found.last_tick
+    numbers = (segment.number for segment in segments(found.path, info))
     unread = "damaged" if found.damage else ""
     rows = [
         ("session", str(found.path)),
@@ -113,7 +110,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         ("last tick", last.isoformat() if last else "not known"),
         ("ended", info.ended.value),
         ("not recorded", str(info.dropped)),
-        ("segments", str(newest_number(segments(found.path, info)))),
+        ("segments", str(max(numbers, default=0))),
         ("events", unread or str(len(found.events))),
         ("commands", unread or str(len(found.commands))),
         ("trips", ", ".join(_trips(found.path)) or unread or "none"),

@@ -24,12 +24,20 @@ import pyarrow as pa
 from adaptdrive.errors import AdaptdriveError, RecordingError
 from adaptdrive.recording import reserve
 from adaptdrive.recording.frames import ROW_KINDS, Kind
-from adaptdrive.recording.log_files import LogFile, is_live, last_of, log_files, newest_sound
+from adaptdrive.recording.log_files import (
+    LogFile,
+    first_begin,
+    is_live,
+    last_of,
+    log_files,
+    newest_sound,
+)
 from adaptdrive.recording.log_tables import content_of, logged_batches
 from adaptdrive.recording.parquet import write_parquet
+from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.retention import prune
-from adaptdrive.recording.segments import last_tick_time, parquet_path
+from adaptdrive.recording.segments import parquet_path
 from adaptdrive.recording.session import (
     NOTES,
     TABLES,
@@ -128,9 +136,7 @@ def _sessions(folder: Path, report: Report) -> Iterator[_Logged]:
     files, live = log_files(folder), is_live(folder)
     for session, group in groupby(files, key=lambda file: file.session):
         of_session = tuple(group)
-        begins = (file.begin() for file in of_session)
-        begin = next((one for one in begins if one is not None), None)
-        if begin is None:
+        if (begin := first_begin(of_session)) is None:
             _put_aside(of_session, report)
             continue
         is_open = live and session == files[-1].session
@@ -230,7 +236,7 @@ def _end(directory: Path, info: SessionInfo, logged: _Logged, report: Report) ->
     ending = Ending.ORDERLY if last_of(logged.files, Kind.END) else Ending.CUT
     write_info(directory, msgspec.structs.replace(info, ended=ending))
     if ending is Ending.CUT:
-        last = last_tick_time(directory, info)
+        last = read_session(directory).last_tick
         until = f"its last tick is of {last:%Y-%m-%dT%H:%M:%S.%f}Z" if last else "it has no ticks"
         detail = f"session {directory.name} ended without its close, the daemon was killed: {until}"
         report(Severity.WARNING, detail)

@@ -13,7 +13,7 @@ import msgspec
 
 from adaptdrive.aside import in_thread
 from adaptdrive.recording.recorder_settings import RecordingPace
-from adaptdrive.recording.records import Header, News
+from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session, session_of
 from adaptdrive.runtime.reports import Severity
 
@@ -103,9 +103,9 @@ class Archiving:
         """
         loop = asyncio.get_running_loop()
 
-        def tell(news: News) -> None:
+        def tell(severity: Severity, detail: str) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(self._report, Severity(news.severity), news.detail)
+                loop.call_soon_threadsafe(self._report, severity, detail)
 
         def run() -> str:
             self._pace.start_thread()
@@ -117,7 +117,7 @@ class Archiving:
             return str(problem)
 
 
-def _run(command: Sequence[str], tell: Callable[[News], None]) -> str:
+def _run(command: Sequence[str], tell: Callable[[Severity, str], None]) -> str:
     with subprocess.Popen(  # noqa: S603 - this program itself
         command,
         stdin=subprocess.DEVNULL,
@@ -128,7 +128,7 @@ def _run(command: Sequence[str], tell: Callable[[News], None]) -> str:
     ) as process:
         for line in process.stdout or ():
             with contextlib.suppress(msgspec.DecodeError):
-                tell(msgspec.json.decode(line, type=News))
+                tell(*msgspec.json.decode(line, type=tuple[Severity, str]))
         said = b"" if process.stderr is None else process.stderr.read()
     if process.returncode == 0:
         return ""

@@ -18,7 +18,6 @@ import msgspec
 
 from adaptdrive.clock.now import now_s
 from adaptdrive.errors import escaped
-from adaptdrive.recording.records import News
 from adaptdrive.runtime.reports import Severity
 
 NO_FIGURE = "--no-figure"
@@ -41,9 +40,8 @@ def step_aside() -> None:
 
 def report(severity: Severity, detail: str) -> None:
     """Report to the control process, if it is still there."""
-    news = News(severity.value, escaped(detail))
     with contextlib.suppress(OSError):
-        os.write(sys.stdout.fileno(), msgspec.json.encode(news) + b"\n")
+        os.write(sys.stdout.fileno(), msgspec.json.encode((severity, escaped(detail))) + b"\n")
 
 
 def draw(directory: Path) -> bool:

@@ -52,11 +52,12 @@ class Record:
     """One record.
 
     Attributes:
-        number: Running number in the log.
+        number: Running number in the log, 0 before it is written.
         monotonic_s: When it was handed over.
         wall_s: When, by the wall clock, in seconds since 1970.
         kind: Its kind.
         payload: Its contents.
+        rows: Rows of tables in it, known before it is written.
     """
 
     number: int
@@ -64,6 +65,7 @@ class Record:
     wall_s: float
     kind: Kind
     payload: bytes
+    rows: int = 0
 
 
 @dataclass(frozen=True, slots=True)

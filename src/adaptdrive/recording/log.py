@@ -13,9 +13,9 @@ import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
-from adaptdrive.recording.frames import ROW_KINDS, Kind
+from adaptdrive.recording.frames import ROW_KINDS, Kind, Record
 from adaptdrive.recording.log_syncs import LogNews
-from adaptdrive.recording.log_writer import NOTES, ROWS, Item, LogWriter
+from adaptdrive.recording.log_writer import NOTES, ROWS, LogWriter
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import Dropped
@@ -119,7 +119,7 @@ class Log:
             payload: Its contents.
             rows: Rows of tables in it.
         """
-        item = Item(kind, payload, *self._clock(), rows)
+        item = Record(0, *self._clock(), kind, payload, rows)
         if kind in ROW_KINDS:
             self._rows_bytes += len(payload)
             self._writer.rows.append(item)

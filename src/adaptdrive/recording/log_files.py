@@ -9,7 +9,7 @@ from __future__ import annotations
 import fcntl
 import re
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -24,7 +24,6 @@ from adaptdrive.recording.session import Ending, SessionInfo, time_in_name
 
 SUFFIX = ".log"
 _NAME = re.compile(r"(?P<number>\d{8})-(?P<session>\d{8}T\d{12}Z)-(?P<part>\d{4,})\.log")
-NO_LOG = Recalled()
 
 
 def log_folder(state: Path, drive: str) -> Path:
@@ -61,6 +60,15 @@ class LogFile:
         """
         first = next(read_frames(_content(self.path)), None)
         return _begin(first)
+
+
+def first_begin(files: Iterable[LogFile]) -> Begin | None:
+    """Return the first record that can be read of one of some files, None for none.
+
+    Raises:
+        RecordingError: A file cannot be read at all.
+    """
+    return next(filter(None, (file.begin() for file in files)), None)
 
 
 def new_file(folder: Path, number: int, started: datetime, part: int) -> LogFile:
@@ -184,7 +192,7 @@ def recall(folder: Path, now: datetime) -> Recalled:
     except RecordingError as problem:
         return Recalled(flaws=(str(problem),))
     known = _since_last_begin(files, flaws)
-    memory = LogMemory(NO_LOG, 0.0)
+    memory = LogMemory(Recalled(), 0.0)
     for file in known:
         try:
             for record in records([file], flaws):

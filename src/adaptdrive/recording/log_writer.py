@@ -15,7 +15,7 @@ import time
 import zlib
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -36,25 +36,6 @@ _FAST = 1
 
 _PAUSE_S = 0.5
 """Shortest time from an attempt that failed to the next."""
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """A record that waits.
-
-    Attributes:
-        kind: Its kind.
-        payload: Its contents.
-        monotonic_s: When it was handed over.
-        wall_s: When, by the wall clock.
-        rows: Rows of tables in it.
-    """
-
-    kind: Kind
-    payload: bytes
-    monotonic_s: float
-    wall_s: float
-    rows: int = 0
 
 
 NOTES, ROWS = "notes", "rows"
@@ -90,8 +71,8 @@ class LogWriter:
             begin_rows: Prepares for rows, at once where that is done; may raise `OSError`.
             start_thread: What a thread does first.
         """
-        self.notes: deque[Item] = deque()
-        self.rows: deque[Item] = deque()
+        self.notes: deque[Record] = deque()
+        self.rows: deque[Record] = deque()
         self.rows_written = 0
         self._folder = folder
         self._header = header
@@ -105,8 +86,8 @@ class LogWriter:
         self._syncs = LogSyncs(tell)
         self._descriptor, self._path, self._size = -1, Path(), 0
         self._part, self._part_began_s = 0, 0.0
-        self._taken: list[Item] = []
-        self._taken_rows: list[Item] = []
+        self._taken: list[Record] = []
+        self._taken_rows: list[Record] = []
         self._notes_written = 0
         self._problems = {NOTES: "", ROWS: ""}
         self._closing = threading.Event()
@@ -188,12 +169,10 @@ class LogWriter:
             self._folder.mkdir(parents=True, exist_ok=True)
             reserve.set_aside(self._folder)
 
-    def _append(self, items: list[Item]) -> None:
+    def _append(self, items: list[Record]) -> None:
         self._require_file()
-        records = [
-            Record(number, item.monotonic_s, item.wall_s, item.kind, item.payload)
-            for number, item in enumerate(items, self._number + 1)
-        ]
+        numbered = enumerate(items, self._number + 1)
+        records = [replace(item, number=number) for number, item in numbered]
         self._write(b"".join(map(framed, records)))
         self._number += len(items)
         for record in records:
@@ -282,11 +261,11 @@ class LogWriter:
             self._tell(LogNews(problems={what: problem}))
 
 
-def _compressed(item: Item) -> Item:
+def _compressed(item: Record) -> Record:
     return replace(item, payload=zlib.compress(item.payload, _FAST))
 
 
-def _fill(taken: list[Item], waiting: deque[Item]) -> bool:
+def _fill(taken: list[Record], waiting: deque[Record]) -> bool:
     """Take some of what waits; return whether there is something to write."""
     with contextlib.suppress(IndexError):
         while len(taken) < _AT_ONCE:

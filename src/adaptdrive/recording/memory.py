@@ -8,8 +8,8 @@ removed once its rows are in the folder of their session.
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 import msgspec
 
@@ -23,44 +23,43 @@ TRIP = "trip"
 """Kind of the event of a trip."""
 
 
-class Begin(msgspec.Struct, frozen=True):
-    """First record of a segment.
+class Left(msgspec.Struct, frozen=True, kw_only=True):
+    """State that survives segments and runs.
 
     Attributes:
-        header: The session that it belongs to.
-        part: Segment of the session that its rows are in, from 1.
         replies: Id, age in seconds and contents of each reply, the oldest first.
         unsent: Events that the broker does not have.
         trip: Event of the last trip.
         learnt: Estimates for the next run; empty for none.
     """
 
-    header: Header
-    part: int
-    replies: list[tuple[str, float, bytes]] = []
-    unsent: list[EventRow] = []
+    replies: tuple[tuple[str, float, bytes], ...] = ()
+    unsent: tuple[EventRow, ...] = ()
     trip: EventRow | None = None
     learnt: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class Recalled:
+class Begin(Left, frozen=True):
+    """First record of a segment: what is left of those before it.
+
+    Attributes:
+        header: The session that it belongs to.
+        part: Segment of the session that its rows are in, from 1.
+    """
+
+    header: Header
+    part: int
+
+
+class Recalled(Left, frozen=True, kw_only=True):
     """State that an earlier run has left.
 
     Attributes:
-        replies: Id, age in seconds and contents of each reply, the oldest first.
-        unsent: Events that the broker does not have.
-        trip: Event of the last trip.
-        learnt: Estimates; empty for none.
         number: Number of its last record.
         file: Number of its last file.
         flaws: What of it cannot be read, in words.
     """
 
-    replies: tuple[tuple[str, float, bytes], ...] = ()
-    unsent: tuple[EventRow, ...] = ()
-    trip: EventRow | None = None
-    learnt: bytes = b""
     number: int = 0
     file: int = 0
     flaws: tuple[str, ...] = ()
@@ -69,20 +68,23 @@ class Recalled:
 class LogMemory:
     """The fold."""
 
-    def __init__(self, recalled: Recalled, now_s: float) -> None:
-        """Begin with what an earlier run has left.
+    def __init__(self, left: Left, now_s: float) -> None:
+        """Begin with what an earlier run or segment has left.
 
         Args:
-            recalled: That.
+            left: That.
             now_s: Present time, monotonic.
         """
-        self._replies = OrderedDict(
-            (identity, (now_s - age_s, body)) for identity, age_s, body in recalled.replies
-        )
-        self._unsent = deque(recalled.unsent, maxlen=EVENTS)
-        self._trip = recalled.trip
-        self._learnt = recalled.learnt
         self._last: Record | None = None
+        self._begin(left, now_s)
+
+    def _begin(self, left: Left, now_s: float) -> None:
+        self._replies = OrderedDict(
+            (identity, (now_s - age_s, body)) for identity, age_s, body in left.replies
+        )
+        self._unsent = deque(left.unsent, maxlen=EVENTS)
+        self._trip = left.trip
+        self._learnt = left.learnt
 
     def take(self, record: Record) -> None:
         """Take a record; one that cannot be decoded has no effect.
@@ -119,11 +121,6 @@ class LogMemory:
             case _:
                 pass
 
-    def _begin(self, begin: Begin, now_s: float) -> None:
-        self.__init__(  # type: ignore[misc] # the record has all of it
-            Recalled(tuple(begin.replies), tuple(begin.unsent), begin.trip, begin.learnt), now_s
-        )
-
     def begin(self, header: Header, part: int, now_s: float) -> Begin:
         """Return the first record of a segment.
 
@@ -132,7 +129,7 @@ class LogMemory:
             part: Segment of the session.
             now_s: Present time, monotonic.
         """
-        return Begin(header, part, self._aged(now_s), list(self._unsent), self._trip, self._learnt)
+        return Begin(header, part, **self._left(now_s))
 
     def recalled(self, now: datetime, file: int, flaws: tuple[str, ...]) -> Recalled:
         """Return what the next run begins with; ages follow the wall clock.
@@ -145,19 +142,17 @@ class LogMemory:
         if self._last is None:
             return Recalled(file=file, flaws=flaws)
         since_s = max(0.0, now.timestamp() - self._last.wall_s)
-        replies = self._aged(self._last.monotonic_s + since_s)
-        return Recalled(
-            tuple(replies),
-            tuple(self._unsent),
-            self._trip,
-            self._learnt,
-            self._last.number,
-            file,
-            flaws,
-        )
+        left = self._left(self._last.monotonic_s + since_s)
+        return Recalled(number=self._last.number, file=file, flaws=flaws, **left)
 
-    def _aged(self, now_s: float) -> list[tuple[str, float, bytes]]:
-        return [
+    def _left(self, now_s: float) -> dict[str, Any]:
+        replies = (
             (identity, max(0.0, now_s - born_s), body)
             for identity, (born_s, body) in self._replies.items()
-        ]
+        )
+        return {
+            "replies": tuple(replies),
+            "unsent": tuple(self._unsent),
+            "trip": self._trip,
+            "learnt": self._learnt,
+        }

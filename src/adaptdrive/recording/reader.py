@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
@@ -106,6 +107,13 @@ class Session:
                 lasts = (_last(_filled(one, schema)) for one in reversed(found))
                 return first, next(last for last in lasts if last is not None)
         return None
+
+    @property
+    def last_tick(self) -> datetime | None:
+        """Time of the last recorded tick, None where that is not recorded."""
+        ends = self.ends(TICKS, ("utc",))
+        found: datetime | None = ends and ends[1].column("utc")[-1].as_py()
+        return found
 
     def _schema_of(self, table: str, columns: Sequence[str] | None) -> pa.Schema:
         schema = self.schema(table)

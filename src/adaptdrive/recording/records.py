@@ -171,18 +171,6 @@ class Header(msgspec.Struct, frozen=True):
     keep: Keep = Keep()
 
 
-class News(msgspec.Struct, frozen=True):
-    """Report of the archiver process, one JSON object a line.
-
-    Attributes:
-        severity: How much it matters.
-        detail: An event in words.
-    """
-
-    severity: str
-    detail: str
-
-
 def slow_row(report: LoadReport) -> dict[str, Any]:
     """Return one slow step as it is recorded: its columns by name."""
     return {column.name: _plain(column.read(report)) for column in SLOW_COLUMNS}

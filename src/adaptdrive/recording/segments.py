@@ -5,17 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from datetime import datetime
 from itertools import groupby
 from pathlib import Path
 
 import pyarrow as pa
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.log_files import LogFile, unarchived
+from adaptdrive.recording.log_files import LogFile, first_begin, unarchived
 from adaptdrive.recording.log_tables import logged_batches
 from adaptdrive.recording.parquet import parquet_schema, read_parquet
-from adaptdrive.recording.session import NOTES, TABLES, TICKS, SessionInfo
+from adaptdrive.recording.session import NOTES, TABLES, SessionInfo
 from adaptdrive.recording.tables import table_schema
 
 _ALL = (*TABLES, *NOTES)
@@ -77,9 +76,7 @@ class Segment:
         return self._logged_schema()
 
     def _logged_schema(self) -> pa.Schema:
-        begins = (file.begin() for file in self.logged)
-        begin = next((one for one in begins if one is not None), None)
-        if begin is None:
+        if (begin := first_begin(self.logged)) is None:
             return pa.schema([])
         return table_schema(self.table, begin.header.info.output_unit, begin.header.sensors)
 
@@ -118,30 +115,8 @@ def closed_segments(directory: Path) -> list[Segment]:
     ]
 
 
-def newest_number(found: Iterable[Segment]) -> int:
-    """Return the number of the last of some segments, 0 for none."""
-    return max((segment.number for segment in found), default=0)
-
-
 def _logged(directory: Path, info: SessionInfo, tables: Iterable[str]) -> Iterator[Segment]:
     for part, group in groupby(unarchived(directory, info), key=lambda file: file.part):
         files = tuple(group)
         for table in tables:
             yield Segment(part, table, parquet_path(directory, table, part), files)
-
-
-def last_tick_time(directory: Path, info: SessionInfo) -> datetime | None:
-    """Return when the last recorded tick was, None where that is not recorded.
-
-    Args:
-        directory: Directory of the session.
-        info: Its facts.
-    """
-    for segment in reversed(segments(directory, info, TICKS)):
-        found: datetime | None = None
-        for batch in segment.batches(["utc"]):
-            if "utc" in batch.schema.names and batch.num_rows:
-                found = batch.column("utc")[-1].as_py()
-        if found is not None:
-            return found
-    return None

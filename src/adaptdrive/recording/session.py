@@ -11,6 +11,7 @@ import errno
 import shutil
 import threading
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import datetime
 from enum import StrEnum
 from itertools import count
@@ -149,16 +150,27 @@ def create_session(sessions: Path, info: SessionInfo, config_text: str) -> Path:
     """
     sessions.mkdir(parents=True, exist_ok=True)
     # with the drive: in two containers two processes have one number
-    unfinished = sessions / f".new-{threading.get_native_id()}_{info.drive}"
-    shutil.rmtree(unfinished, ignore_errors=True)
-    unfinished.mkdir()
-    try:
+    number = threading.get_native_id()
+    with unfinished_folder(sessions / f".new-{number}_{info.drive}") as unfinished:
         # without a sync, for which the thread of the log would wait: all of it is in the log
         (unfinished / CONFIG_FILE).write_text(config_text, encoding="utf-8")
         (unfinished / INFO_FILE).write_bytes(_text(info))
         return rename_free(unfinished, session_name(info))
+
+
+@contextmanager
+def unfinished_folder(path: Path) -> Iterator[Path]:
+    """Make a folder, which is removed at the end where it still has its name.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir()
+    try:
+        yield path
     finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def session_of(sessions: Path, info: SessionInfo) -> Path | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from adaptdrive.recording.session import (
     Dropped,
     Ending,
     time_in_name,
+    unfinished_folder,
     write_facts,
 )
 from adaptdrive.recording.tick_times import Counted
@@ -81,10 +81,7 @@ def _write(
     after_s: float,
 ) -> Path:
     begin_s, end_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
-    unfinished = session.path / f".{path.name}"
-    shutil.rmtree(unfinished, ignore_errors=True)
-    unfinished.mkdir()
-    try:
+    with unfinished_folder(session.path / f".{path.name}") as unfinished:
         count = Counted()
         for table, found in recent.items():
             rows = _between(found, begin_s, end_s)
@@ -104,8 +101,6 @@ def _write(
         write_facts(unfinished, info, session.config_text)
         (unfinished / TEXT_FILE).write_text(_text(info.drive, trip, events), encoding="utf-8")
         return unfinished.rename(path)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _between(found: list[Segment], begin_s: float, end_s: float) -> Iterator[pa.RecordBatch]:
