@@ -56,7 +56,6 @@ def test_rows_of_a_file_that_was_removed_are_missing(
     [
         (Dropped(slow=2), ("2 slow steps were not recorded",)),
         (Dropped(events=3), ("3 events were not recorded",)),
-        (Dropped(commands=1), ("1 commands were not recorded",)),
         (
             Dropped(ticks=4, slow=5, events=6),
             ("5 slow steps were not recorded", "6 events were not recorded"),

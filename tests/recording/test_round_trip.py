@@ -28,7 +28,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.notes import session_notes
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import CommandRow, EventRow, Header, event_row
-from adaptdrive.recording.rows import recorded_ticks
+from adaptdrive.recording.replay import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, TickReport
 from tests.recording.material import INFO, make_batch, make_tick, record_messages

@@ -31,14 +31,11 @@ _ID = re.compile(r'"id"\s*:\s*("(?:[^"\\\x00-\x1f]|\\.)*")')
 _Expires = Annotated[datetime, msgspec.Meta(tz=True)] | None
 
 
-class _Envelope(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _Plain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    value: None = None
     id: Annotated[str, msgspec.Meta(min_length=1, max_length=LONGEST_ID)]
     expires: _Expires = None
     user: Annotated[str, msgspec.Meta(max_length=LONGEST_USER)] | None = None
-
-
-class _Plain(_Envelope, frozen=True):
-    value: None = None
 
 
 class _Waveform(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -10,7 +10,7 @@ import msgspec
 
 from adaptdrive.errors import NOT_JSON
 from adaptdrive.operation.clock import Monotonic
-from adaptdrive.operation.messages import Reply, encode
+from adaptdrive.operation.messages import Reply
 
 LIMIT = 1000
 LIFETIME_S = 24 * 3600.0
@@ -24,12 +24,6 @@ Recalled = tuple[str, float, bytes]
 class _Entry:
     reply: Reply
     born_s: float
-    asked: str | None = None
-
-
-class _Asked(msgspec.Struct):
-    """The part of a record next to the reply."""
-
     asked: str | None = None
 
 
@@ -85,7 +79,7 @@ class ReplyMemory:
         """
         self._entries.pop(identity, None)
         self._entries[identity] = _Entry(reply, self._monotonic(), asked)
-        self._post(identity, encode(msgspec.structs.asdict(reply) | {"asked": asked}))
+        self._post(identity, msgspec.json.encode((reply, asked)))
         self._forget()
 
     def _forget(self) -> None:
@@ -99,8 +93,8 @@ class ReplyMemory:
 
 def _entry(identity: str, born_s: float, body: bytes) -> _Entry:
     try:
-        reply = msgspec.json.decode(body, type=Reply)
-        return _Entry(reply, born_s, msgspec.json.decode(body, type=_Asked).asked)
+        reply, asked = msgspec.json.decode(body, type=tuple[Reply, str | None])
+        return _Entry(reply, born_s, asked)
     except NOT_JSON:
         reply = Reply(identity, "an earlier command", accepted=False, reason=UNREADABLE, state=None)
         return _Entry(reply, born_s)

@@ -6,7 +6,6 @@ was written with.
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -94,8 +93,8 @@ class EventRow(msgspec.Struct, frozen=True):
         kind: Machine-readable name.
         severity: How much it matters.
         detail: One sentence.
-        monotonic_s: When it was heard of; NaN where that was not recorded.
-        number: Running number in the session, from 1; 0 where there is none.
+        monotonic_s: When it was heard of.
+        number: Running number in the session, from 1.
     """
 
     time: datetime
@@ -103,8 +102,8 @@ class EventRow(msgspec.Struct, frozen=True):
     kind: str
     severity: str
     detail: str
-    monotonic_s: float = math.nan
-    number: int = 0
+    monotonic_s: float
+    number: int
 
     @property
     def event(self) -> Event:

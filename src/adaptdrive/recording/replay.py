@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import islice
 from typing import Any
 
+from adaptdrive.control.columns import rebuild
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import Command, Decision, Snapshot
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.replay_report import Difference, Gap, ReplayReport
-from adaptdrive.recording.rows import recorded_ticks, table_rows
 from adaptdrive.recording.session import INFO_FILE, SLOW, TICKS
-from adaptdrive.runtime.reports import TickReport
+from adaptdrive.runtime.reports import TICK_COLUMNS, TickReport
 
+_COLUMNS = tuple(column.name for column in TICK_COLUMNS)
 _COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
 _DECIDED = ("boost_reference_V", "controller", "accepted", "gains")
 
@@ -46,6 +49,17 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
     if not report.ticks:
         raise RecordingError(session.path, "it holds no ticks to replay")
     return report
+
+
+def recorded_ticks(session: Session) -> Iterator[TickReport]:
+    """Yield the fast ticks of a session, in their order."""
+    return map(partial(rebuild, TickReport), table_rows(session, TICKS, _COLUMNS))
+
+
+def table_rows(session: Session, table: str, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield rows of a table as Python values, without holding all of them at once."""
+    for batch in session.batches(table, columns):
+        yield from batch.to_pylist()
 
 
 def _refuse_middle(session: Session) -> None:

@@ -98,11 +98,8 @@ def segments(directory: Path, info: SessionInfo, table: str | None = None) -> li
         RecordingError: The folder of the log cannot be read.
     """
     tables = _ALL if table is None else (table,)
-    found = {(one.number, one.table): one for one in _logged(directory, info, tables)}
-    for path in directory.iterdir():
-        match = _NAME.fullmatch(path.name)
-        if match and match[1] in tables:
-            found[int(match[2]), match[1]] = Segment(int(match[2]), match[1], path)
+    every = (*_logged(directory, info, tables), *closed_segments(directory))
+    found = {(one.number, one.table): one for one in every if one.table in tables}
     return sorted(found.values())
 
 

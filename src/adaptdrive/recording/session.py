@@ -16,7 +16,7 @@ from datetime import datetime
 from enum import StrEnum
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 
@@ -57,24 +57,17 @@ class Ending(StrEnum):
 
 
 class Dropped(msgspec.Struct, frozen=True):
-    """Reports that could not be recorded."""
+    """Reports that could not be recorded; operator commands are among the events."""
 
     ticks: int = 0
     slow: int = 0
     events: int = 0
-    commands: int = 0
 
     def __add__(self, other: Dropped) -> Dropped:
-        return Dropped(
-            self.ticks + other.ticks,
-            self.slow + other.slow,
-            self.events + other.events,
-            self.commands + other.commands,
-        )
+        return Dropped(self.ticks + other.ticks, self.slow + other.slow, self.events + other.events)
 
     def __str__(self) -> str:
-        rows = f"{self.ticks} ticks, {self.slow} slow steps, {self.events} events"
-        return f"{rows} and {self.commands} commands"
+        return f"{self.ticks} ticks, {self.slow} slow steps and {self.events} events or commands"
 
 
 _MOST_TICKS = 1_000_000_000
@@ -297,7 +290,7 @@ def read_info(directory: Path) -> SessionInfo:
     path = directory / INFO_FILE
     try:
         text = read_regular(path)
-        version = msgspec.json.decode(text, type=_SessionFormat).format
+        version = msgspec.json.decode(text, type=dict[str, Any]).get("format")
         if version != FORMAT:
             raise RecordingError(path, f"format {version} is not {FORMAT}, the one known here")
         return msgspec.json.decode(text, type=SessionInfo)
@@ -305,7 +298,3 @@ def read_info(directory: Path) -> SessionInfo:
         raise RecordingError(path, reason_of(problem)) from problem
     except NOT_JSON as problem:
         raise RecordingError(path, str(problem)) from problem
-
-
-class _SessionFormat(msgspec.Struct):
-    format: int

@@ -141,7 +141,7 @@ def _missing_rows(rows: Mapping[str, int], known: Mapping[str, int]) -> Iterator
 
 def _unrecorded(dropped: Dropped) -> Iterator[str]:
     """Yield what the recorder counted as lost; missing ticks are counted on their own."""
-    lost = {"slow steps": dropped.slow, "events": dropped.events, "commands": dropped.commands}
+    lost = {"slow steps": dropped.slow, "events": dropped.events}
     for kind, number in lost.items():
         if number:
             yield f"{number} {kind} were not recorded"
