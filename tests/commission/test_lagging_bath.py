@@ -9,6 +9,7 @@ import pytest
 
 from adaptdrive.lab import commission, simulate
 from tests.hardware.bench import EXAMPLES
+from tests.support import sample
 
 W_PER_V2 = 0.25**2 * 7.87 / 8.87**2
 RESOLUTION_K = 0.32
@@ -39,7 +40,7 @@ class Kit:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("lag_s", "delay_s"), [(0.0, 0.0), (20.0, 0.0), (20.0, 18.0)])
+@pytest.mark.parametrize(("lag_s", "delay_s"), sample([(20.0, 18.0), (20.0, 0.0), (0.0, 0.0)], 1))
 def test_lags_and_dead_time_are_taken_where_the_record_shows_them(
     lag_s: float, delay_s: float
 ) -> None:

@@ -27,6 +27,7 @@ from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
 from tests.commission.draws import KINDS, Draw, Rig, finish
 from tests.identification.plants import open_loop, random_voltage
+from tests.support import sample
 from tests.wire.rig import EXAMPLES
 
 RAISED_V = 40.0
@@ -72,7 +73,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", sample([0, 1, 2], 1))
 def test_a_motor_responds_as_predicted(seed: int) -> None:
     draw, proposal, prediction, rest_V = proposed("motor", seed)
     drive = settled(draw, proposal, rest_V)

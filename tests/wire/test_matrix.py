@@ -40,6 +40,20 @@ _RUNNING_s = 0.2
 """Some polls of a running drive before the wire is spoiled."""
 
 
+ABOVE_FRAMES = {
+    *("sensor-stuck", "counter-stuck", "nan", "out-of-range", "not-available"),
+    *("foreign", "exception", "restart"),
+}
+"""Faults that Modbus on a serial line and on TCP meet in the same code."""
+
+
+def _marks(name: str) -> list[pytest.MarkDecorator]:
+    fault, _, link = name.rpartition("-")
+    if link == "rtu" and fault in ABOVE_FRAMES:
+        return [pytest.mark.proof]
+    return [pytest.mark.slow] if CELLS[name].cause == "stuck" else []
+
+
 def wire_for(name: str, tmp_path: Path, tcp_port: int, udp_port: int) -> Wire:
     link = name.rpartition("-")[2]
     stale = {} if CELLS[name].cause == "stale" else {"stale_s": PATIENT_s}
@@ -53,10 +67,7 @@ def wire_for(name: str, tmp_path: Path, tcp_port: int, udp_port: int) -> Wire:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] if cell.cause == "stuck" else [])
-        for name, cell in CELLS.items()
-    ],
+    [pytest.param(name, marks=_marks(name)) for name in CELLS],
 )
 async def test_a_fault_of_the_wire(
     name: str, tmp_path: Path, free_tcp_port: int, free_udp_port: int
