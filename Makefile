@@ -16,6 +16,9 @@ inputs := $(firstword $(shell { cat pyproject.toml constraints.txt; echo '$(aske
 installed := $(venv)/.installed-$(inputs)
 demonstrable := $(or $(wildcard $(installed)),$(venv)/.demo-$(inputs))
 
+# What the Debian package is made of: of the same files it is not made twice.
+packed := LICENSE README.md pyproject.toml constraints.txt $(shell find src simulators deploy docs -type f ! -name '*.pyc')
+
 # Without a cache of bytecode each of the processes that the tests start compiles the sources again.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -34,7 +37,7 @@ test: $(installed) ## run the whole test suite
 	@tests/suite $(bin)/python
 
 quick: $(installed) ## run the tests that need no clock, process, network or virtual machine
-	$(bin)/python -m pytest -rfE -m 'calculating and not slow' --numprocesses auto --dist worksteal
+	$(bin)/python -m pytest -rfE -m 'calculating and not slow' --numprocesses auto --dist loadfile
 
 lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/ruff check
@@ -78,7 +81,9 @@ wheel: $(installed) ## build the wheel into dist/
 compiled: $(installed) ## build the wheel with compiled modules into build/compiled/
 	deploy/compiled-wheel $(bin)/python build/compiled
 
-deb: $(installed) ## build the Debian package into build/, of compiled modules where there is a C compiler
+deb: build/adaptdrive.deb ## build the Debian package into build/, of compiled modules where there is a C compiler
+
+build/adaptdrive.deb: $(installed) $(packed)
 	$(MAKE) --no-print-directory compiled || $(MAKE) --no-print-directory wheel
 	mkdir -p build
 	deploy/debian/build $(bin)/python "$$(ls build/compiled/*.whl 2>/dev/null || ls dist/*.whl)" build

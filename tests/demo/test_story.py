@@ -136,7 +136,7 @@ def test_the_battery_is_complete_in_the_end() -> None:
     assert stage.record.events[-1]["kind"] == "complete"
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_the_adaptive_bath_overshoots_less_than_the_fixed_one() -> None:
     _, summary = played("bath")
     assert summary["ok"], summary

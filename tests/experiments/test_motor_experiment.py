@@ -76,6 +76,7 @@ def daemon() -> dict[str, Run]:
     return dict(zip(("fixed", "adaptive"), run_all_compiled(cases), strict=True))
 
 
+@pytest.mark.slow
 def test_the_exact_design_comes_closer_to_its_ideal_than_the_papers(
     daemon: dict[str, Run], published: ExperimentOutcome
 ) -> None:
@@ -86,6 +87,7 @@ def test_the_exact_design_comes_closer_to_its_ideal_than_the_papers(
     assert exact[LAST_CYCLES[1]].model_error_rms < 0.008
 
 
+@pytest.mark.slow
 def test_the_exact_design_overshoots_no_more_than_the_papers_limits(
     daemon: dict[str, Run],
 ) -> None:
