@@ -79,7 +79,7 @@ def response_to_a_disk(bench: Bench) -> tuple[float, float]:
     return float(max(last[:half].max() - HIGH, LOW - last[half:].min()) / STEP), step_V
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_eight_hours_without_excitation_wind_nothing_up() -> None:
     rested = excited_bench()
     rested.run(600.0, order(LOW, Mode.ADAPTIVE))
