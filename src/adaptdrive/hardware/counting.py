@@ -1,13 +1,30 @@
-"""Counts of a port, and answers that most drives have in common."""
+"""Counts of a port, answers that most drives have in common, and the presence of sensors."""
 
 from __future__ import annotations
 
 from collections import Counter
 
-from adaptdrive.hardware.port import PortStatistics
+from adaptdrive.hardware.port import PortStatistics, SensorListener
 
 
-class CountingPort:
+class CountedPort:
+    """Counts of a port."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(**self._counts)
+
+    def take_garbage(self) -> None:
+        """Count something on the bus that is no frame, or none of the drive."""
+        self._counts["received"] += 1
+        self._counts["foreign"] += 1
+
+
+class CountingPort(CountedPort):
     """A port of a drive without a counter, each of whose readings reports the bridge.
 
     A port overrides what is otherwise with it.
@@ -19,14 +36,6 @@ class CountingPort:
     stop_slack_s: float | None = 0.0
     bridge_cycle_s = 0.0
     """0: each reading has a report of the bridge."""
-
-    def __init__(self) -> None:
-        self._counts: Counter[str] = Counter()
-
-    @property
-    def statistics(self) -> PortStatistics:
-        """Counts since the port was built."""
-        return PortStatistics(**self._counts)
 
     def catch_up(self) -> None:
         """Nothing waits: each answer is taken where it was asked for."""
@@ -41,7 +50,28 @@ class CountingPort:
     async def reset_fault(self) -> None:
         """No-op: the drive clears its fault word by itself."""
 
-    def take_garbage(self) -> None:
-        """Count something on the bus that is no frame."""
-        self._counts["received"] += 1
-        self._counts["foreign"] += 1
+
+class SensingPort(CountedPort):
+    """The part of a port of sensors that is the same on each kind of bus.
+
+    Attributes:
+        description: The bus in one phrase.
+    """
+
+    def __init__(self, description: str) -> None:
+        super().__init__()
+        self.description = description
+        self._up: bool | None = None
+
+    def _count_reopened(self) -> None:
+        """Count a bus that is open, unless it is so for the first time."""
+        self._counts["reconnects"] += self._up is not None
+
+    def _report(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
+        """Report a change of presence; a bus that is present at the start is none."""
+        if up is self._up:
+            return
+        news, self._up = self._up is not None or not up, up
+        if news:
+            detail = self.description if up else f"{self.description}: {problem}"
+            listener.on_bus(up=up, detail=detail)

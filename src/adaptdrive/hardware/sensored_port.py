@@ -34,6 +34,11 @@ class SensoredPort:
         counter_modulus: As of the drive's own port, like all that follow.
         stop_slack_s: Additional time for the report of the bridge.
         bridge_cycle_s: Time from one report of the bridge to the next.
+        catch_up: Hands over what has arrived from the drive; sensors are never caught up with.
+        rehearse: Does what a reading of the drive costs.
+        explain_age: Returns the oldest value of the drive; those of sensors are in the complaint.
+        details: Returns the messages of the drive's bus that were not used.
+        reset_fault: Resets a latched fault of the drive.
     """
 
     def __init__(
@@ -58,6 +63,11 @@ class SensoredPort:
         self.counter_modulus = drive.counter_modulus
         self.stop_slack_s = drive.stop_slack_s
         self.bridge_cycle_s = drive.bridge_cycle_s
+        self.catch_up = drive.catch_up
+        self.rehearse = drive.rehearse
+        self.explain_age = drive.explain_age
+        self.details = drive.details
+        self.reset_fault = drive.reset_fault
         self.buses = tuple(buses)
         self._derivations = tuple(derivations)
         self._clock = clock
@@ -126,26 +136,6 @@ class SensoredPort:
     def send(self, command: Command) -> bool:
         """Send one command to the drive now, the safe one once a sensor bus has failed."""
         return self._drive.send(SAFE_COMMAND if self._ends else command)
-
-    def catch_up(self) -> None:
-        """Have the drive's port hand over what has arrived; sensors are never caught up with."""
-        self._drive.catch_up()
-
-    def rehearse(self) -> None:
-        """Do what a reading of the drive costs."""
-        self._drive.rehearse()
-
-    def explain_age(self) -> str:
-        """Return the oldest value of the drive; those of sensors are in the complaint."""
-        return self._drive.explain_age()
-
-    def details(self) -> list[str]:
-        """Return the messages of the drive's bus that were not used."""
-        return self._drive.details()
-
-    async def reset_fault(self) -> None:
-        """Reset a latched fault of the drive."""
-        await self._drive.reset_fault()
 
     def on_reading(self, reading: Reading) -> None:
         """Complete a reading of the drive and pass it on."""

@@ -10,17 +10,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from enum import IntEnum
 from typing import Protocol
 
-import can
-
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.mapping import CanOpenMapping
-from adaptdrive.hardware.canopen.sdo import SdoLink, describe_node, in_thread
-from adaptdrive.hardware.canopen.setup import set_up
+from adaptdrive.hardware.canopen.sdo import describe_node
 
 NMT = 0x000
 _START, _PRE_OPERATIONAL = 0x01, 0x80
@@ -69,8 +65,7 @@ class Master:
     def __init__(
         self,
         bus: CanOpenBus,
-        mapping: CanOpenMapping,
-        half_cycle_s: float,
+        set_up: Callable[[], Awaitable[None]],
         send: Callable[[int, bytes], bool],
         clock: Callable[[], float],
     ) -> None:
@@ -78,17 +73,14 @@ class Master:
 
         Args:
             bus: `[bus]`.
-            mapping: What its PDOs shall carry.
-            half_cycle_s: Half a line cycle.
+            set_up: Sets the node up; it is in state pre-operational then.
             send: Puts a frame on the bus.
             clock: Monotonic clock in seconds.
         """
         self._bus = bus
-        self._mapping = mapping
-        self._half_cycle_s = half_cycle_s
+        self._set_up = set_up
         self._send = send
         self._clock = clock
-        self._link: SdoLink | None = None
         self._heard = asyncio.Event()
         self._heard_s = 0.0
         self._state: int | None = None
@@ -142,11 +134,6 @@ class Master:
         self._lose(problem)
         self.mapped = False
 
-    def take_reply(self, frame: can.Message) -> None:
-        """Take a frame of the node's SDO server."""
-        if self._link is not None:
-            self._link.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
-
     def _lose(self, problem: str) -> None:
         self.ready, self.problem = False, problem
 
@@ -174,18 +161,6 @@ class Master:
                     await self._next_heartbeat()
         if self._state != NodeState.OPERATIONAL:
             raise BusError(describe_node(self._bus), "does not become operational")
-
-    async def _set_up(self) -> None:
-        """Run the set-up in a thread; it has ended when this returns or is cancelled."""
-        self._link = link = SdoLink(self._send)
-        try:
-            await in_thread(
-                self._bus,
-                link,
-                lambda server: set_up(server, self._bus, self._mapping, self._half_cycle_s),
-            )
-        finally:
-            self._link = None
 
     async def _watch(self, others_quiet: Callable[[], bool]) -> str:
         """Wait until the node is lost; why it is."""

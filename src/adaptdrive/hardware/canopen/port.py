@@ -24,8 +24,8 @@ from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
 from adaptdrive.hardware.canopen.reports import Reports
-from adaptdrive.hardware.canopen.sdo import describe_node
-from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
+from adaptdrive.hardware.canopen.sdo import SdoThread, describe_node
+from adaptdrive.hardware.canopen.setup import SYNC_COB_ID, set_up
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
@@ -75,7 +75,8 @@ class CanOpenPort(CountingPort):
         self._control = DriveControl()
         self._unseen = UnseenStop(self._control, timing)
         self._reports = Reports(mapping, self._control, self._unseen, self._counts)
-        self._master = Master(config, mapping, timing.half_cycle_s, self._connection.put, clock)
+        self._sdo = SdoThread(config, self._connection.put)
+        self._master = Master(config, self._set_up, self._connection.put, clock)
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(timing.half_cycle_s, clock, self._send_sync)
         self._half_cycle_s = timing.half_cycle_s
@@ -196,7 +197,7 @@ class CanOpenPort(CountingPort):
         node = self._config.node_id
         takers: dict[int, Callable[[can.Message], None]] = {
             0x080 + node: self._take_emergency,
-            0x580 + node: self._master.take_reply,
+            0x580 + node: self._sdo.take_reply,
             0x700 + node: self._take_heartbeat,
         }
         if self._config.sync == "drive":
@@ -237,6 +238,10 @@ class CanOpenPort(CountingPort):
         if listener is not None and (reading := self._reports.hand_out()) is not None:
             self._connection.uptake.hear()
             listener.on_reading(reading)
+
+    async def _set_up(self) -> None:
+        half_s = self._half_cycle_s
+        await self._sdo.run(lambda server: set_up(server, self._config, self._mapping, half_s))
 
     def _send_sync(self) -> None:
         self.catch_up()  # what waits belongs to the SYNC before

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
+import can
 from canopen import Network
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
@@ -192,25 +193,42 @@ def holds(found: bytes, wanted: bytes) -> bool:
     return found[: len(wanted)] == wanted if short else found == wanted
 
 
-async def in_thread(bus: CanOpenBus, link: SdoLink, work: Callable[[Server], T]) -> T:
-    """Let a thread work with the drive's object dictionary.
+class SdoThread:
+    """Threads that work with the drive's object dictionary, one after the other."""
 
-    The thread has ended when this returns or is cancelled; the link cannot be used again then.
+    def __init__(self, bus: CanOpenBus, send: Callable[[int, bytes], object]) -> None:
+        """Start none yet.
 
-    Args:
-        bus: `[bus]`.
-        link: The bus.
-        work: What the thread does.
+        Args:
+            bus: `[bus]`.
+            send: Puts a frame on the bus; called in the event loop.
+        """
+        self._bus = bus
+        self._send = send
+        self._link: SdoLink | None = None
 
-    Raises:
-        BusError: The drive does not answer, or refuses.
-    """
-    server = Server(link.client(bus), describe_node(bus))
-    future = asyncio.ensure_future(asyncio.to_thread(work, server))
-    try:
-        return await asyncio.shield(future)
-    finally:
-        link.close()
-        await asyncio.wait([future])
-        if not future.cancelled():
-            future.exception()  # it was raised above, or is not needed any more
+    def take_reply(self, frame: can.Message) -> None:
+        """Take a frame of the node's SDO server."""
+        if self._link is not None:
+            self._link.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
+
+    async def run(self, work: Callable[[Server], T]) -> T:
+        """Let a thread work; it has ended when this returns or is cancelled.
+
+        Args:
+            work: Done in the thread.
+
+        Raises:
+            BusError: The drive does not answer, or refuses.
+        """
+        self._link = link = SdoLink(self._send)
+        server = Server(link.client(self._bus), describe_node(self._bus))
+        future = asyncio.ensure_future(asyncio.to_thread(work, server))
+        try:
+            return await asyncio.shield(future)
+        finally:
+            link.close()
+            await asyncio.wait([future])
+            self._link = None
+            if not future.cancelled():
+                future.exception()  # it was raised above, or is not needed any more

@@ -14,7 +14,7 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.binding import other_names
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveState, state_of
-from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
+from adaptdrive.hardware.canopen.sdo import SdoThread, Server, describe_node
 from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.arrival import ArrivalClock
@@ -43,8 +43,8 @@ class CanOpenWatch(CountingPort):
         self._config = config
         self._mapping = mapping
         self._clock = clock
-        self._link: SdoLink | None = None
         self._connection = CanConnection(config, self, ArrivalClock(clock), self._counts)
+        self._sdo = SdoThread(config, self._connection.put)
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and read the drive again and again until cancelled.
@@ -76,8 +76,8 @@ class CanOpenWatch(CountingPort):
         self._counts["received"] += 1
         if frame.arbitration_id != 0x580 + self._config.node_id or frame.is_extended_id:
             self._counts["foreign"] += 1
-        elif self._link is not None:
-            self._link.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
+        else:
+            self._sdo.take_reply(frame)
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Read the drive until the bus is lost; return the reason."""
@@ -90,9 +90,8 @@ class CanOpenWatch(CountingPort):
         assert listener is not None  # noqa: S101 - of the connection in use
         while True:
             start_s = self._clock()
-            self._link = link = SdoLink(self._connection.put)
             try:
-                values, state = await in_thread(self._config, link, self._read)
+                values, state = await self._sdo.run(self._read)
             except BusError as problem:
                 self._counts["timeouts"] += 1
                 if str(problem) != reported:

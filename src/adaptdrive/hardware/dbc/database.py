@@ -346,6 +346,12 @@ def cycle_time_s(message: Message) -> float:
     return 1e-3 * cycle_ms if isinstance(cycle_ms, int | float) else 0.0
 
 
+def stated_cycle(message: Message) -> str:
+    """Return the cycle time of a message in words."""
+    cycle: object = message.cycle_time
+    return f"GenMsgCycleTime {cycle} ms" if cycle else "no GenMsgCycleTime: that of the clock"
+
+
 def _key(message: Message) -> int:
     return frame_key(message.frame_id, extended=message.is_extended_frame)
 

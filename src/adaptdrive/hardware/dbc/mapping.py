@@ -17,7 +17,13 @@ from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Source, fault_words, is_word, other_names
-from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, cycle_time_s, describe
+from adaptdrive.hardware.dbc.database import (
+    Located,
+    SignalCatalogue,
+    cycle_time_s,
+    describe,
+    stated_cycle,
+)
 from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
@@ -173,9 +179,7 @@ def _source(
         cycle = max(cycle, _cycle(clock, bus, timing), key=lambda one: one[0])
     cycle_s, by, slowest = cycle
     slack_s = max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
-    unstated = "no GenMsgCycleTime: that of the clock"
-    stated = f"GenMsgCycleTime {slowest.cycle_time} ms" if slowest.cycle_time else unstated
-    named = f"message {slowest.name!r} ({stated})"
+    named = f"message {slowest.name!r} ({stated_cycle(slowest)})"
     seldom = slack_s > 0.0 or cycle_s > VOLTAGE_TICKS * timing.half_cycle_s
     if seldom and timing.feeds_voltage_loop(source.quantity):
         problem = f"{named} comes too seldom for voltage_loop.where = 'daemon'"

@@ -17,6 +17,7 @@ from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.binding import Source, sensor_entries
+from adaptdrive.hardware.counting import SensingPort
 from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, describe
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.arrival import ArrivalClock
@@ -25,7 +26,6 @@ from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive.hardware.port import SensorListener
-from adaptdrive.hardware.presence import SensingPort
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +138,6 @@ class CanSensorPort(SensingPort):
             self._hand_out(message, decoded.values, self._clock() - self._arrivals.waited_s(frame))
         elif decoded.verdict is not FrameVerdict.COUNTER_LOST:
             self._counts[decoded.verdict] += 1
-
-    def take_garbage(self) -> None:
-        """Count something on the bus that is no frame of a sensor."""
-        self._counts["received"] += 1
-        self._counts["foreign"] += 1
 
     async def _try(self) -> str:
         """Open the bus and read it until it is lost; return the reason."""

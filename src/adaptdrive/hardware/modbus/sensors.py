@@ -19,6 +19,7 @@ from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.binding import Source, sensor_entries
+from adaptdrive.hardware.counting import SensingPort
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.bus import describe_bus
@@ -29,7 +30,6 @@ from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
 from adaptdrive.hardware.port import SensorListener
-from adaptdrive.hardware.presence import SensingPort
 
 _SILENT_CYCLES = 3
 """Cycles without any reply after which the modules are reported lost."""
