@@ -101,30 +101,21 @@ def bus_of(configuration: Configuration, kind: type[Bus]) -> Bus:
     return configuration.bus
 
 
-def no_locks(_: Configuration) -> Iterator[str]:
-    """Yield nothing: frames of another sender are received on this kind of bus."""
-    return iter(())
-
-
-def no_cautions(_: Configuration) -> Iterator[Flaw]:
-    """Yield nothing: each reading has a report of the bridge, and heartbeats feed the drive."""
-    return iter(())
-
-
 @dataclass(frozen=True, slots=True)
 class BusKind:
     """One kind of bus.
 
     Attributes:
         build_port: Builds the port of a drive.
+        cautions: Yields what can be used, and probably does not work well.
         build_sensors: Builds the port of a sensor bus, None where there are none of this kind.
         time_limits: Yields the limits of time of a drive.
-        cautions: Yields what can be used, and probably does not work well.
-        lock_names: Yields what one daemon alone may have, in addition to the drive's name.
+        lock_names: Yields what one daemon alone may have, in addition to the drive's name; nothing
+            where frames of another sender are received.
     """
 
     build_port: BuildPort
+    cautions: Callable[[Configuration], Iterator[Flaw]]
     build_sensors: BuildSensors | None = None
     time_limits: Callable[[Configuration, Path | str], Iterator[Row]] = stale_limits
-    cautions: Callable[[Configuration], Iterator[Flaw]] = no_cautions
-    lock_names: Callable[[Configuration], Iterator[str]] = no_locks
+    lock_names: Callable[[Configuration], Iterator[str]] = lambda _: iter(())

@@ -58,4 +58,4 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
         )
 
 
-CANOPEN = BusKind(_build, time_limits=_time_limits, cautions=_cautions)
+CANOPEN = BusKind(_build, _cautions, time_limits=_time_limits)

@@ -105,7 +105,7 @@ class Master:
                 if reported != self.problem:
                     reported = self.problem
                     report(up=False, detail=reported)
-                await self._wait_for_boot_up()
+                await self._await(_RETRY_S, lambda: self._booted)
                 continue
             self.ready = True
             report(up=True, detail="operational")
@@ -155,10 +155,8 @@ class Master:
             raise BusError(describe_node(self._bus), "was restarted while it was set up")
         self.mapped = True
         self._command(_START)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(_STARTED_S + self._bus.heartbeat_s):
-                while self._state != NodeState.OPERATIONAL:
-                    await self._next_heartbeat()
+        started_s = _STARTED_S + self._bus.heartbeat_s
+        await self._await(started_s, lambda: self._state == NodeState.OPERATIONAL)
         if self._state != NodeState.OPERATIONAL:
             raise BusError(describe_node(self._bus), "does not become operational")
 
@@ -172,26 +170,23 @@ class Master:
                 return self._departure()
             if self.overwritten and others_quiet():
                 return "is set up again: another sender has written its objects"
-            silent_s = self._clock() - self._heard_s
-            if silent_s > timeout_s:
-                heard_s = self._heard_s
-                await asyncio.sleep(_LOOK_AGAIN_S)
-                if heard_s == self._heard_s:
-                    return f"heartbeat lost for {1e3 * silent_s:.0f} ms"
+            heard_s = self._heard_s
+            silent_s = self._clock() - heard_s
+            if silent_s <= timeout_s:
+                self._heard.clear()
+                await self._await(timeout_s - silent_s + 0.001, self._heard.is_set)
                 continue
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(timeout_s - silent_s + 0.001):
-                    await self._next_heartbeat()
+            await asyncio.sleep(_LOOK_AGAIN_S)
+            if heard_s == self._heard_s:
+                return f"heartbeat lost for {1e3 * silent_s:.0f} ms"
 
-    async def _next_heartbeat(self) -> None:
-        self._heard.clear()
-        await self._heard.wait()
-
-    async def _wait_for_boot_up(self) -> None:
+    async def _await(self, limit_s: float, done: Callable[[], bool]) -> None:
+        """Wait for heartbeats until something is done, no longer than a limit in s."""
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(_RETRY_S):
-                while not self._booted:
-                    await self._next_heartbeat()
+            async with asyncio.timeout(limit_s):
+                while not done():
+                    self._heard.clear()
+                    await self._heard.wait()
 
     def _command(self, command: int) -> None:
         self._state = None

@@ -80,4 +80,4 @@ def _seldom(message: str, cycle_s: float, limit_s: float) -> str:
     )
 
 
-CAN = BusKind(_build, build_can_sensors, _time_limits, _cautions)
+CAN = BusKind(_build, _cautions, build_can_sensors, _time_limits)

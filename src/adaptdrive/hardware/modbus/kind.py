@@ -94,4 +94,4 @@ def _bus(configuration: Configuration) -> ModbusTcp | ModbusRtu:
     return configuration.bus
 
 
-MODBUS = BusKind(_build, build_modbus_sensors, cautions=_cautions, lock_names=_lock_names)
+MODBUS = BusKind(_build, _cautions, build_modbus_sensors, lock_names=_lock_names)

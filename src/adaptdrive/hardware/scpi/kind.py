@@ -45,4 +45,4 @@ def _lock_names(configuration: Configuration) -> Iterator[str]:
     yield from (f"scpi address {one}" for one in tcp_addresses(bus.host, bus.port))
 
 
-SCPI = BusKind(_build, cautions=_cautions, lock_names=_lock_names)
+SCPI = BusKind(_build, _cautions, lock_names=_lock_names)
