@@ -16,9 +16,9 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.dbc.port import CanPort
+from adaptdrive.hardware.doubts import QUIET_S
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.port import Reading
-from adaptdrive.hardware.rival import QUIET_S
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.stop_watch import Stop, StopWatch
 from tests.hardware.bench import (

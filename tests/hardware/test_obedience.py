@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.hardware.obedience import Obedience
+from adaptdrive.hardware.doubts import Obedience
 
 
 class Watched:

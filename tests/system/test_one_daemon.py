@@ -17,7 +17,7 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
-from adaptdrive.hardware.rival import QUIET_S
+from adaptdrive.hardware.doubts import QUIET_S
 from tests.support import Process, start_process, stop_process
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite

@@ -22,7 +22,7 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.link.reader import read_frames
+from adaptdrive.hardware.link.reader import FrameReader
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
@@ -123,7 +123,7 @@ class CanDrive:
 
     async def _hear(self, bus: can.BusABC) -> None:
         while True:
-            self._report("bus lost", problem=await read_frames(bus, self))
+            self._report("bus lost", problem=await FrameReader(bus, self).run())
             self._leave_bus()
             bus = self._bus = await self._reopened()
             self._report("bus back")

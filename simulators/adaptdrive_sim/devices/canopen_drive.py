@@ -26,7 +26,7 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
-from adaptdrive.hardware.link.reader import read_frames
+from adaptdrive.hardware.link.reader import FrameReader
 from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import quantities_of
@@ -142,7 +142,7 @@ class CanOpenDrive:
         return entry >> 16 & 0x7F, (entry & 0xFFFF) * 1e-3
 
     async def _hear(self, bus: can.BusABC) -> None:
-        raise BusError(describe_bus(self._config), await read_frames(bus, self))
+        raise BusError(describe_bus(self._config), await FrameReader(bus, self).run())
 
     def _boot(self) -> None:
         """Start as after power-on."""

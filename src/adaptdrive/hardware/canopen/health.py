@@ -13,7 +13,7 @@ from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.master import Master
 from adaptdrive.hardware.canopen.profile import DriveControl, DriveState
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
-from adaptdrive.hardware.rival import Rival
+from adaptdrive.hardware.doubts import Rival
 
 LENGTH = 8
 

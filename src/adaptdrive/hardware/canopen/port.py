@@ -28,12 +28,11 @@ from adaptdrive.hardware.canopen.sdo import SdoThread, describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID, set_up
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.counting import CountingPort
+from adaptdrive.hardware.doubts import Obedience, Rival
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
 from adaptdrive.hardware.link.connection import CanConnection
-from adaptdrive.hardware.obedience import Obedience
 from adaptdrive.hardware.port import Listener
-from adaptdrive.hardware.rival import Rival
 
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""

@@ -28,15 +28,13 @@ from adaptdrive.hardware.dbc.assembly import StatusAssembly
 from adaptdrive.hardware.dbc.mapping import CanMapping, StatusFrame
 from adaptdrive.hardware.dbc.orders import CommandFrame, bridge_first
 from adaptdrive.hardware.dbc.refusals import Refusals
+from adaptdrive.hardware.doubts import LEAPT, Obedience, Relink, Rival
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import as_received, describe_bus
 from adaptdrive.hardware.link.codec import frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.obedience import Obedience
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
-from adaptdrive.hardware.relink import LEAPT, Relink
-from adaptdrive.hardware.rival import Rival
 
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 
@@ -234,7 +232,7 @@ class CanPort:
         """Count a frame that is no measurement; no bus returns what this port has sent."""
         self._counts["foreign"] += 1
         if self._hears_all:
-            self._refusals.note_strange(f"0x{frame.arbitration_id:03X}", bytes(frame.data))
+            self._refusals.note(f"0x{frame.arbitration_id:03X}", None, bytes(frame.data))
         if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
             self._counts["foreign_commands"] += 1
             self._rival.hear(self._commands[key])

@@ -33,36 +33,30 @@ class Refusals:
     """Refused frames of each message, and frames that are not of this drive."""
 
     def __init__(self) -> None:
-        self._messages: dict[str, dict[FrameVerdict, _Refusal]] = {}
-        self._strange: dict[str, _Refusal] = {}
+        self._seen: dict[str, dict[FrameVerdict | None, _Refusal]] = {}
 
     @property
     def any(self) -> bool:
-        """True if a frame of the drive was refused since the start."""
-        return bool(self._messages)
+        """True if a frame was refused since the start."""
+        return bool(self._seen)
 
-    def note(self, message: str, verdict: FrameVerdict, data: bytes) -> None:
-        """Remember a frame of a message that failed a check."""
-        refusal = self._messages.setdefault(message, {}).setdefault(verdict, _Refusal())
+    def note(self, frame: str, verdict: FrameVerdict | None, data: bytes) -> None:
+        """Remember a frame that failed a check, or of an id that nothing is taken from."""
+        if verdict is None and frame not in self._seen and len(self._seen) >= _KINDS_HELD:
+            return
+        refusal = self._seen.setdefault(frame, {}).setdefault(verdict, _Refusal())
         refusal.count += 1
         refusal.in_a_row += 1
         refusal.data = data
 
     def accept(self, message: str) -> None:
         """Note a good frame of a message."""
-        for refusal in self._messages.get(message, {}).values():
+        for refusal in self._seen.get(message, {}).values():
             refusal.in_a_row = 0
-
-    def note_strange(self, frame: str, data: bytes) -> None:
-        """Remember a frame of an id that nothing is taken from."""
-        if frame in self._strange or len(self._strange) < _KINDS_HELD:
-            refusal = self._strange.setdefault(frame, _Refusal())
-            refusal.count += 1
-            refusal.data = data
 
     def explain(self, message: str) -> str | None:
         """Return why a message has no good frame, None when none was refused since the last one."""
-        found = self._messages.get(message, {})
+        found = self._seen.get(message, {})
         verdict = max(found, key=lambda one: found[one].in_a_row, default=None)
         if verdict is None or not found[verdict].in_a_row:
             return None
@@ -71,12 +65,11 @@ class Refusals:
 
     def lines(self) -> Iterator[str]:
         """Every kind of refused frame, one line each."""
-        for message, found in self._messages.items():
+        for frame, found in self._seen.items():
             for verdict, refusal in found.items():
-                yield f"refused {message}: {verdict} {_shown(refusal)}: {_REMEDIES[verdict]}"
-        for frame, refusal in self._strange.items():
-            yield f"refused {frame}: no entry of [signals] is taken from this id, {_shown(refusal)}"
-
-
-def _shown(refusal: _Refusal) -> str:
-    return f"{refusal.count} x, last [{refusal.data.hex(' ')}]"
+                shown = f"{refusal.count} x, last [{refusal.data.hex(' ')}]"
+                if verdict is None:
+                    why = f"no entry of [signals] is taken from this id, {shown}"
+                else:
+                    why = f"{verdict} {shown}: {_REMEDIES[verdict]}"
+                yield f"refused {frame}: {why}"

@@ -24,7 +24,7 @@ from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import channel_flaws, describe_bus, open_bus
 from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.link.reader import read_frames
+from adaptdrive.hardware.link.reader import FrameReader
 from adaptdrive.hardware.port import SensorListener
 
 
@@ -151,7 +151,7 @@ class CanSensorPort(SensingPort):
         for message in self._messages.values():
             message.codec.resume()
         try:
-            return await read_frames(bus, self, self._arrivals)
+            return await FrameReader(bus, self, self._arrivals).run()
         finally:
             bus.shutdown()
 

@@ -13,10 +13,10 @@ import can
 from adaptdrive.config.bus import CanLink
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.hardware.doubts import Uptake
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.link.reader import FrameReader, FrameTaker
-from adaptdrive.hardware.link.uptake import Uptake
 from adaptdrive.hardware.port import Listener
 
 Serve = Callable[[Callable[[], None]], Awaitable[str]]

@@ -45,13 +45,6 @@ class FrameTaker(Protocol):
         """Take note of something on the bus that is no frame."""
 
 
-async def read_frames(
-    bus: can.BusABC, taker: FrameTaker, arrivals: ArrivalClock | None = None
-) -> str:
-    """Hand every frame to `taker` until the bus is lost; why it is lost."""
-    return await FrameReader(bus, taker, arrivals).run()
-
-
 class FrameReader:
     """Reads one open bus."""
 

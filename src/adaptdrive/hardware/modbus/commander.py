@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.doubts import Obedience
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, OvertakenError, PolledLink
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, block_words
 from adaptdrive.hardware.modbus.pace import WritePace, has_switch
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
 from adaptdrive.hardware.modbus.witness import PollWitness
-from adaptdrive.hardware.obedience import Obedience
 
 
 class Commander:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink
+from adaptdrive.hardware.doubts import REFUSED, UNANSWERED, UNREAD, Relink
 
 _LOOK_TIMEOUTS = 0.5
 """Age of a report at which a write still follows, in time-outs besides those of the exchanges."""
