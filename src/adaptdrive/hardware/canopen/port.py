@@ -21,12 +21,11 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.health import ForeignCommands, Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
-from adaptdrive.hardware.canopen.master import Master, NodeState
+from adaptdrive.hardware.canopen.master import Master, NodeState, SyncProducer
 from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
 from adaptdrive.hardware.canopen.reports import Reports
 from adaptdrive.hardware.canopen.sdo import SdoThread, describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID, set_up
-from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.doubts import Obedience, Rival
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock

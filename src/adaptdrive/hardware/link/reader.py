@@ -10,8 +10,7 @@ then act once, on the newest of what has piled up, and not once for each.
 from __future__ import annotations
 
 import asyncio
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Protocol
 
 import can
@@ -72,13 +71,22 @@ class FrameReader:
 
     async def run(self) -> str:
         """Read until the bus is lost; why it is lost."""
-        lost = self._lost
-        with _wake_ups(self._loop, _fileno(self._bus), self.drain):
+        lost, fileno = self._lost, _fileno(self._bus)
+        if fileno >= 0:
+            self._loop.add_reader(fileno, self.drain)
+        try:
             while not lost.done():
+                if fileno == _NO_FILE:
+                    await asyncio.sleep(_POLL_S)
+                    self.drain()
+                    continue
                 await asyncio.wait([lost], timeout=_HEALTH_S)
                 if not lost.done() and _fileno(self._bus) == _CLOSED:
                     return "closed"
             return lost.result()
+        finally:
+            if fileno >= 0:
+                self._loop.remove_reader(fileno)
 
     def drain(self) -> None:
         """Take the frames that wait, now."""
@@ -125,39 +133,6 @@ def _fileno(bus: can.BusABC) -> int:
         return bus.fileno()
     except NotImplementedError:
         return _NO_FILE
-
-
-@contextlib.contextmanager
-def _wake_ups(
-    loop: asyncio.AbstractEventLoop, fileno: int, drain: Callable[[], None]
-) -> Iterator[None]:
-    if fileno == _CLOSED:
-        yield
-    elif fileno == _NO_FILE:
-        with _polling(loop, drain):
-            yield
-    else:
-        loop.add_reader(fileno, drain)
-        try:
-            yield
-        finally:
-            loop.remove_reader(fileno)
-
-
-@contextlib.contextmanager
-def _polling(loop: asyncio.AbstractEventLoop, drain: Callable[[], None]) -> Iterator[None]:
-    handle: asyncio.Handle
-
-    def poll() -> None:
-        nonlocal handle
-        handle = loop.call_later(_POLL_S, poll)
-        drain()
-
-    handle = loop.call_soon(poll)
-    try:
-        yield
-    finally:
-        handle.cancel()
 
 
 def _is_garbage(problem: can.CanOperationError) -> bool:
