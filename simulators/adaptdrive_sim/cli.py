@@ -15,7 +15,7 @@ from adaptdrive.cli.contact import DriveName
 from adaptdrive.cli.options import Integer
 from adaptdrive.cli.standard_files import FAILED, complain
 from adaptdrive_sim.demo.settings import DemoSettings
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device_settings import DeviceSettings, parse_address
 
 app = App(
     name="adaptdrive-sim",
@@ -80,7 +80,6 @@ def disturb(
 
     from adaptdrive.operation.conversation import NoAnswerError  # noqa: PLC0415
     from adaptdrive.operation.sender import disturb as ask  # noqa: PLC0415
-    from adaptdrive_sim.broker import parse_address  # noqa: PLC0415
     from adaptdrive_sim.disturbances import from_words  # noqa: PLC0415
 
     request = from_words(action, values)

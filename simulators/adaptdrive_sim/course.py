@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from adaptdrive.control.preview import AHEAD
@@ -19,6 +22,8 @@ COLUMNS = (
     *("verdict", "innovation", "handover_step_V", "fallback"),
 )
 """First columns of a run, in the order of `compiled.bench`."""
+
+_FLAGS = ("adaptive", "accepted", "fallback")
 
 PERIODS = ("time_s", "reference", "output", "adaptive")
 """First columns of a run of the daemon, whose slow periods follow the line's frequency."""
@@ -83,6 +88,34 @@ class Course:
         return tuple(float(self.references[min(k + i, last)]) for i in range(1, AHEAD))
 
 
+def moving(
+    times_s: Array,
+    starts_s: Sequence[float],
+    levels: Sequence[float],
+    ramps_s: Sequence[float] | float = 0.0,
+) -> Array:
+    """Return a quantity that moves from level to level.
+
+    Args:
+        times_s: When it is asked for.
+        starts_s: When it begins to move to the next level.
+        levels: One more than there are starts.
+        ramps_s: How long each movement takes, or all of them; the next one ends it early.
+    """
+    found = np.full(times_s.size, levels[0])
+    if isinstance(ramps_s, float):
+        ramps_s = (ramps_s,) * len(starts_s)
+    ends_s = [*starts_s, np.inf][1:]
+    value = levels[0]
+    for start_s, end_s, level, ramp_s in zip(starts_s, ends_s, levels[1:], ramps_s, strict=True):
+        share = np.clip((times_s - start_s) / ramp_s, 0.0, 1.0) if ramp_s else np.ones(times_s.size)
+        course = np.where(share < 1.0, value + share * (level - value), level)
+        found = np.where(times_s >= start_s, course, found)
+        reached = min(1.0, (end_s - start_s) / ramp_s) if ramp_s else 1.0
+        value += reached * (level - value)
+    return found
+
+
 @dataclass(slots=True)
 class Run:
     """A table with a row for each slow period, taken at its first tick.
@@ -123,6 +156,21 @@ class Run:
     def __getitem__(self, name: str) -> Array:
         """A column by its name; writing to it changes the table."""
         return self.trace[:, self.names.index(name)]
+
+    def table(self, **constant: str) -> pa.Table:
+        """Return the columns of a run, and of its decisions what the columns do not have.
+
+        Args:
+            constant: Columns that have one value.
+        """
+        rest = len(self.trace) - len(self.decisions)
+        columns: dict[str, Any] = {name: self[name] for name in self.names}
+        columns |= {name: self[name] > 0.0 for name in _FLAGS if name in self.names}
+        columns["reason"] = [one.reason for one in self.decisions] + [""] * rest
+        columns["gains"] = [list(one.gains) for one in self.decisions] + [None] * rest
+        columns["excitation"] = [one.excitation for one in self.decisions] + [None] * rest
+        columns |= {name: [value] * len(self.trace) for name, value in constant.items()}
+        return pa.table(columns)
 
     def beside(self, **columns: Array) -> Run:
         """Return the run with more columns."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import math
 import signal
 import sys
 import time
 from collections.abc import Callable, Coroutine
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,7 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError, first_error
 from adaptdrive.lines import log
-from adaptdrive_sim.broker import parse_address
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device_settings import DeviceSettings, parse_address
 from adaptdrive_sim.devices.drive import (
     COMMAND_TIMEOUT_s,
     Frame,
@@ -31,7 +30,7 @@ from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
 from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.line import LineParameters
-from adaptdrive_sim.noise import NoiseParameters, read_spikes
+from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.plants.kinds import coupling_of, load_of
@@ -56,9 +55,9 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     drive = build_drive(configuration, settings, report)
     node = build_node(configuration, drive, report, path)
     sensors = build_sensors(configuration, drive, path)
-    jobs: list[Job] = [functools.partial(node.run, _say_bus("drive", configuration.drive.name))]
+    jobs: list[Job] = [partial(node.run, partial(_say_bus, "drive", configuration.drive.name))]
     for bus, modules in zip(configuration.sensor_bus, sensors, strict=True):
-        jobs.append(functools.partial(modules.run, _say_bus("sensors", bus.name)))
+        jobs.append(partial(modules.run, partial(_say_bus, "sensors", bus.name)))
     if settings.broker is not None:
         address = parse_address(settings.broker)
         jobs.append(Remote(address, configuration.drive.name, drive, report).run)
@@ -176,13 +175,11 @@ def build_world(configuration: Configuration, settings: DeviceSettings) -> World
         frequency_Hz=drive.line_frequency_Hz,
         drift_Hz=settings.line_drift_Hz,
         voltage_V=drive.line_voltage_V,
-        wander=settings.line_wander,
     )
     boost = BoostParameters(
         capacitance_F=drive.boost_capacitance_F, bidirectional=drive.kind == "bidirectional"
     )
-    share, sigma = read_spikes(settings.spikes)
-    noise = NoiseParameters(sigma=settings.noise_V, spike_share=share, spike_sigma=sigma)
+    noise = NoiseParameters(sigma=settings.noise_V)
     stage = coupling_of(configuration)
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
     world = World(load_of(configuration, settings.disks), parameters)
@@ -214,12 +211,9 @@ def _overridden(configuration: Configuration, settings: DeviceSettings) -> Confi
     return configuration.model_copy(update={"bus": bus})
 
 
-def _say_bus(what: str, name: str) -> Callable[[str], None]:
-    def say(bus: str) -> None:
-        sys.stdout.write(f"simulated {what} {name} on {bus}\n")
-        sys.stdout.flush()
-
-    return say
+def _say_bus(what: str, name: str, bus: str) -> None:
+    sys.stdout.write(f"simulated {what} {name} on {bus}\n")
+    sys.stdout.flush()
 
 
 _CANCEL_AGAIN_S = 1.0

@@ -14,6 +14,15 @@ A request is a JSON object with an `id` and exactly one disturbance:
     {"id": "8", "inflow_L_per_min": 0.9}        cold water flowing into the bath
     {"id": "9", "series_Ohm": 0.4}              series resistance of the battery
     {"id": "10", "charge": 0.8}                 state of charge of the battery, 0 to 1
+
+The simulator's own topics on an MQTT broker.
+
+    adaptdrive-sim/DRIVE/disturb   requests, see `adaptdrive_sim.disturbances`; never retained
+    adaptdrive-sim/DRIVE/reply     the answer to each: id, accepted, reason
+    adaptdrive-sim/DRIVE/truth     retained, once a second: what an estimator is to find, and
+                                   the disturbances that the device offers
+
+The truth is removed when the simulated drive goes away, by its last will if need be.
 """
 
 from __future__ import annotations
@@ -71,6 +80,11 @@ class DisturbanceRequest(
     series_Ohm: float | None = None
     charge: float | None = None
 
+    @property
+    def asked(self) -> list[str]:
+        """Names of all disturbances that it asks for."""
+        return [name for name in _ACTIONS if getattr(self, name) is not None]
+
 
 def parse_request(payload: bytes) -> DisturbanceRequest:
     """Read one request and make sure that it asks for one thing.
@@ -82,11 +96,10 @@ def parse_request(payload: bytes) -> DisturbanceRequest:
         request = msgspec.json.decode(payload, type=DisturbanceRequest)
     except NOT_JSON as problem:
         raise RefusedError(str(problem)) from problem
-    asked = [name for name in _ACTIONS if getattr(request, name) is not None]
-    if len(asked) != 1:
+    if len(request.asked) != 1:
         wanted = ", ".join(_ACTIONS)
-        raise RefusedError(f"exactly one of {wanted} is needed, not {len(asked)}")
-    if (request.duration_s is not None) != (asked[0] in _LASTING):
+        raise RefusedError(f"exactly one of {wanted} is needed, not {len(request.asked)}")
+    if (request.duration_s is not None) != (request.asked[0] in _LASTING):
         raise RefusedError(f"duration_s belongs to {' and '.join(_LASTING)}, which need it")
     return request
 
@@ -95,9 +108,10 @@ def answer(payload: bytes, drive: Disturbed) -> DeviceReply:
     """Carry out a request, and return the reply to it; a refused one has changed nothing."""
     try:
         request = parse_request(payload)
-        apply_request(request, drive)
-    except RefusedError as refusal:
-        return refused(payload, refusal.reason)
+        (name,) = request.asked
+        _ACTIONS[name](drive, getattr(request, name), request.duration_s or 0.0)
+    except (RefusedError, ParameterError) as problem:
+        return refused(payload, str(problem))
     return DeviceReply(request.id, accepted=True, reason="")
 
 
@@ -109,19 +123,6 @@ def refused(payload: bytes, reason: str) -> DeviceReply:
         found = None
     name = found.get("id") if isinstance(found, dict) else None
     return DeviceReply(name if isinstance(name, str) else None, accepted=False, reason=reason)
-
-
-def apply_request(request: DisturbanceRequest, drive: Disturbed) -> None:
-    """Do to the plant what a request asks for.
-
-    Raises:
-        RefusedError: It cannot be done; nothing was changed.
-    """
-    name = next(name for name in _ACTIONS if getattr(request, name) is not None)
-    try:
-        _ACTIONS[name](drive, getattr(request, name), request.duration_s or 0.0)
-    except ParameterError as problem:
-        raise RefusedError(str(problem)) from problem
 
 
 def _plant(drive: Disturbed, kind: type[Plant]) -> Plant:
@@ -191,11 +192,11 @@ def from_words(action: str, values: Sequence[float]) -> dict[str, float]:
     if len(values) != len(names):
         wanted = " ".join(names) or "no value"
         raise RefusedError(f"{action} takes {wanted}, not {len(values)} values")
-    for name, value in zip(names, values, strict=True):
+    given = dict(zip(names, values, strict=True))
+    for name, value in given.items():
         if not math.isfinite(value):
             raise RefusedError(f"{action}: {name} = {value:g} is not finite")
-    given = {name: _whole(value) for name, value in zip(names, values, strict=True)}
-    return {**fixed, **given}
+    return fixed | {name: _whole(value) for name, value in given.items()}
 
 
 def _whole(value: float) -> float:

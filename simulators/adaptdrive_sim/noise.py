@@ -34,12 +34,11 @@ class NoiseParameters:
         return self.sigma == 0.0 and (self.spike_share == 0.0 or self.spike_sigma == 0.0)
 
 
-def read_spikes(text: str, form: str = "SHARE,SIGMA") -> tuple[float, float]:
+def read_spikes(text: str) -> tuple[float, float]:
     """Read the share and the deviation of spikes from a command line.
 
     Args:
-        text: Both.
-        form: How they are asked for.
+        text: RATE,SIGMA.
 
     Raises:
         RefusedError: They cannot be read.
@@ -47,7 +46,7 @@ def read_spikes(text: str, form: str = "SHARE,SIGMA") -> tuple[float, float]:
     try:
         share, sigma = (float(part) for part in text.split(","))
     except ValueError as problem:
-        raise RefusedError(f"spikes {text!r} is not {form}") from problem
+        raise RefusedError(f"spikes {text!r} is not RATE,SIGMA") from problem
     return share, sigma
 
 

@@ -9,8 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.battery_bench import BatteryTrial, ideal_current
-from adaptdrive_sim.campaign.battery_scenario import BatteryCampaign, BatteryScenario, draw_battery
+from adaptdrive_sim.campaign.battery_bench import (
+    BatteryCampaign,
+    BatteryScenario,
+    BatteryTrial,
+    draw_battery,
+    ideal_current,
+)
 from adaptdrive_sim.campaign.main import repeat_run, run_campaign, run_seed
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
 from tests.campaign.flaws import message_about

@@ -11,9 +11,9 @@ import pytest
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive_sim.campaign.bench import Scenario, Stand, deployed, draw
 from adaptdrive_sim.campaign.judge import judge
-from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
+from adaptdrive_sim.campaign.life import Life, draw_life, volt_Nm
 from adaptdrive_sim.campaign.settings import FOLDER, LifeRanges, read_campaign
-from adaptdrive_sim.course import Run
+from adaptdrive_sim.course import Run, moving
 from adaptdrive_sim.plants.motor import Motor
 from tests.campaign.flaws import message_about
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import sys
 import time
 import tomllib
@@ -17,7 +16,7 @@ import pytest
 
 from adaptdrive.recording.marks import read_marks
 from adaptdrive.recording.reader import read_session
-from tests.support import Broker, Process, Spawn, children, serve_promptly
+from tests.support import Process, Spawn, children, serve_promptly
 
 pytestmark = pytest.mark.slow
 
@@ -198,24 +197,12 @@ def test_nothing_outlives_a_demonstration_that_was_killed(start: Start) -> None:
     demo.is_gone()
 
 
-def test_two_demonstrations_use_a_running_broker_at_once(start: Start, mosquitto: Broker) -> None:
-    address = f"{mosquitto.host}:{mosquitto.port}"
-    demos = [start("--duration=5", f"--broker={address}", "--noise=0") for _ in range(2)]
-    for demo in demos:
-        demo.succeeds()
-        assert demo.summary()["broker"] == address
-        assert demo.summary()["trips"] == []
-        assert not (demo.directory / "broker.log").exists()
-
-
 @pytest.mark.parametrize(
     ("option", "complaint"),
     [
         ("--duration=0", "--duration 0"),
         ("--noise=2", "--noise 2"),
         ("--speed=2", "--speed: this story passes in real time"),
-        ("--broker=127.0.0.1:1", "broker 127.0.0.1:1: "),
-        ("--broker=no where", "'no where' is not HOST:PORT"),
     ],
 )
 def test_refuses_what_cannot_be_done(start: Start, option: str, complaint: str) -> None:
@@ -224,13 +211,3 @@ def test_refuses_what_cannot_be_done(start: Start, option: str, complaint: str) 
     said = demo.output.read_text()
     assert complaint in said
     assert "Traceback" not in said
-
-
-def test_a_broker_that_does_not_answer_is_named(start: Start) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as mute:
-        address = f"127.0.0.1:{mute.getsockname()[1]}"
-        demo = start(f"--broker={address}")
-        assert demo.ended() == 1
-    said = demo.output.read_text()
-    assert f"adaptdrive-sim: no answer from broker {address} within 3 s" in said
-    assert "daemon" not in said

@@ -7,17 +7,18 @@ import json
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
 from adaptdrive.errors import RefusedError
+from adaptdrive_sim.demo.main import summarise
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoSettings
 from adaptdrive_sim.demo.story import Overshoot, Story, Value, read_story, story_names
-from adaptdrive_sim.demo.summary import summarise
 from adaptdrive_sim.demo.view import KEYS, DemoView
 from adaptdrive_sim.demo.virtual import VirtualStage
 
@@ -168,7 +169,7 @@ def test_headless_it_prints_one_line_of_json(name: str) -> None:
         DemoSettings(speed=0.0),
         DemoSettings(duration_s=0.0),
         DemoSettings(noise=2.0),
-        DemoSettings(broker="127.0.0.1:1883"),
+        DemoSettings(directory=Path("demo")),
     ],
 )
 def test_a_story_in_virtual_time_refuses_what_cannot_be_done(settings: DemoSettings) -> None:

@@ -18,19 +18,19 @@ from adaptdrive_sim.demo.story import read_story
 
 
 @contextmanager
-def stage(directory: Path | None = None, broker: str | None = None) -> Iterator[RealStage]:
-    settings = DemoSettings(directory=directory, broker=broker)
+def stage(directory: Path | None = None) -> Iterator[RealStage]:
+    settings = DemoSettings(directory=directory)
     with closing(RealStage(read_story("motor"), settings)) as made:
         yield made
 
 
 def test_the_configuration_is_valid_and_has_this_bus_and_broker(tmp_path: Path) -> None:
     with stage(tmp_path / "run") as made:
-        configuration = load_configuration(made.workspace.configuration)
+        configuration = load_configuration(made.configuration)
     assert configuration.drive.name == "motor"
     assert f"127.0.0.1:{configuration.mqtt.port}" == made.broker
     assert configuration.recording.directory == tmp_path / "run" / "sessions"
-    bus = tomllib.loads(made.workspace.configuration.read_text())["bus"]
+    bus = tomllib.loads(made.configuration.read_text())["bus"]
     assert f"{bus['interface']} {bus['channel']}:{bus['udp_port']}" == made.places["bus"]
     assert (tmp_path / "run" / bus["database"]).read_text().startswith("VERSION")
 
@@ -40,15 +40,10 @@ def test_two_demonstrations_in_one_second_share_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with stage() as one, stage() as other:
-        assert one.workspace.directory != other.workspace.directory
-        assert one.workspace.directory.parent == tmp_path / "build" / "demo"
+        assert one.directory != other.directory
+        assert one.directory.parent == tmp_path / "build" / "demo"
         assert one.places["bus"] != other.places["bus"]
         assert one.broker != other.broker
-
-
-def test_at_a_broker_that_others_use_a_drive_has_a_name_of_its_own(tmp_path: Path) -> None:
-    with stage(tmp_path, "127.0.0.1:1883") as made:
-        assert made.drive_name.startswith("motor-")
 
 
 async def test_a_port_that_is_held_can_be_listened_at_and_is_given_to_nobody_else() -> None:

@@ -298,7 +298,6 @@ def test_the_noise_of_the_output_is_as_asked(host: Host, node: StartNode) -> Non
     [
         (("--disks", "0"), "disks = 0 must lie in 1…10"),
         (("--noise", "-1"), "NoiseParameters.sigma = -1.0 must lie in"),
-        (("--spikes", "often"), "spikes 'often' is not SHARE,SIGMA"),
         (("--initial-voltage", "100"), "boost_voltage_V = 100.0 must be at least"),
         (("--broker", "a b"), "broker 'a b' is not HOST:PORT"),
     ],

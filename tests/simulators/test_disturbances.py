@@ -14,8 +14,8 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import RefusedError
 from adaptdrive_sim import cli
-from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_main import build_sensors
+from adaptdrive_sim.device_settings import parse_address
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.disturbances import from_words, parse_request

@@ -9,8 +9,8 @@ from pathlib import Path
 from adaptdrive.config.services import Mqtt
 from adaptdrive.runtime.requests import Disable, Reset
 from adaptdrive.watch.keys import KeyCommand
+from adaptdrive.watch.main import CommandsUnderWay, over_mqtt
 from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.sending import CommandsUnderWay, over_mqtt
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, serving
 from tests.support import Broker
 

@@ -19,8 +19,7 @@ from adaptdrive_sim.campaign.bath_settings import (
     bath_reach,
 )
 from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Numbers, Row
-from adaptdrive_sim.campaign.life import moving
-from adaptdrive_sim.course import Array
+from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.world import World, WorldParameters
@@ -77,10 +76,8 @@ def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
     moves = draws.whole(generator, water.inflow_changes)
     inflows = tuple(draws.uniform(generator, water.inflow) for _ in range(moves + 1))
     drift = draws.uniform(generator, water.drift_K_per_h) * float(generator.choice((-1.0, 1.0)))
-    turn_s, offset_K = (
-        draws.uniform(generator, water.turn_s),
-        draws.uniform(generator, sensor.offset_K),
-    )
+    turn_s = draws.uniform(generator, water.turn_s)
+    offset_K = draws.uniform(generator, sensor.offset_K)
     resistance = draws.uniform(generator, campaign.heater.resistance)
     ageing = draws.uniform(generator, campaign.heater.ageing_per_h)
     aged = resistance * (1.0 + ageing * campaign.duration_s / 3600.0)
@@ -117,18 +114,16 @@ def _waveform(
 ) -> Waveform:
     """Draw a waveform and move it into what V_c holds."""
     shape = ranges.shapes[int(generator.integers(len(ranges.shapes)))]
-    least, most = room
-    height = min(draws.uniform(generator, ranges.step), most - least)
-    wanted = ranges.low + draws.uniform(generator, ranges.low_above)
-    low = min(max(wanted, least), most - height)
-    period_s = float(round(draws.uniform(generator, ranges.period_s)))
-    return Waveform(Shape(shape), low, low + height, period_s)
+    step = draws.uniform(generator, ranges.step)
+    low = ranges.low + draws.uniform(generator, ranges.low_above)
+    ends = draws.within_reach(low, step, room)
+    return Waveform(Shape(shape), *ends, float(round(draws.uniform(generator, ranges.period_s))))
 
 
 @cache
 def deployed_bath() -> Deployed:
     """The example configuration."""
-    return draws.read_deployed("bath.toml")
+    return draws.deploy("bath.toml")
 
 
 class BathStand(DrawnRun):

@@ -13,9 +13,9 @@ from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive_sim.campaign import drawn as draws
 from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Numbers, Row
-from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
+from adaptdrive_sim.campaign.life import Life, draw_life, volt_Nm
 from adaptdrive_sim.campaign.settings import MIDDLE, NOMINAL_GAIN, Campaign, ReferenceRanges, reach
-from adaptdrive_sim.course import Array
+from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.experiments.case import from_rest
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -39,11 +39,6 @@ class Scenario(Drawn):
     gain: float
     filter: float
     life: Life
-
-    @property
-    def largest_movement(self) -> float:
-        """Movement of the output by the reference's step or by the largest load torque."""
-        return max(self.step, NOMINAL_GAIN * self.gain * self.life.largest_torque_V)
 
     def inertias_at(self, times_s: Array) -> Array:
         """Inertia in disks at each time."""
@@ -84,7 +79,8 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
     line, wire = campaign.line, campaign.wire
     gain, above = draws.uniform(generator, load.gain), _low_above(reference, seed)
     life = draw_life(campaign.life, seed, campaign.duration_s, len(times_s))
-    low, high = _reachable(reference.low + above, step, gain, life)
+    held = reach(gain, life.largest_torque_V + life.coulomb_V, life.drag_V)
+    low, high = draws.within_reach(reference.low + above, step, held)
     return Scenario(
         seed=seed,
         duration_s=campaign.duration_s,
@@ -110,22 +106,13 @@ def _low_above(reference: ReferenceRanges, seed: int) -> float:
     return draws.uniform(np.random.default_rng([seed, 2]), reference.low_above)
 
 
-def _reachable(low: float, step: float, gain: float, life: Life) -> tuple[float, float]:
-    """Move the set-points of a step into what V_c holds."""
-    brake_V = life.largest_torque_V + life.coulomb_V
-    least, most = reach(gain, brake_V, life.drag_V)
-    height = min(step, most - least)
-    moved = min(max(low, least), most - height)
-    return (low, low + step) if (moved, height) == (low, step) else (moved, moved + height)
-
-
 WARM_UP_s = 90.0
 
 
 @cache
 def deployed() -> Deployed:
     """The example configuration, for a run that starts at rest."""
-    return at_rest(draws.read_deployed("motor.toml"))
+    return at_rest(draws.deploy("motor.toml"))
 
 
 def at_rest(own: Deployed) -> Deployed:
@@ -144,9 +131,10 @@ class Stand(DrawnRun):
         self.burdens = life.torques_at(self.times_s)
         self.references = scenario.references_at(self.times_s)
         self.change_times_s = scenario.change_times_s
-        self.largest_movement = scenario.largest_movement
+        self.largest_movement = max(self.step, NOMINAL_GAIN * scenario.gain * life.largest_torque_V)
         self.stops = life.stops(self.own.period_s)
         self.disturbances = life.offset + scenario.disturbances(self.ticks + 1)
+        self._true_load = cache(self._load_with)
 
     def columns(self) -> Row:
         """Return the drawn values as columns of the results; noise is relative to the step."""
@@ -162,13 +150,7 @@ class Stand(DrawnRun):
         """Return the model of the true motor in a slow period."""
         return self._true_load(float(self.sizes[k]))
 
-    def true_loads(self) -> list[Load]:
-        """Return the same for all slow periods."""
-        inertias = self.sizes.tolist()
-        models = {inertia: self._true_load(inertia) for inertia in set(inertias)}
-        return [models[inertia] for inertia in inertias]
-
-    def _true_load(self, inertia: float) -> Load:
+    def _load_with(self, inertia: float) -> Load:
         motor, coupling = Motor(self.scenario.motor()), CouplingParameters()
         motor.set_inertia(MotorParameters().disk_kgm2 * inertia)
         reference = self.scenario.reference

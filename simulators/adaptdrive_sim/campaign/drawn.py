@@ -44,14 +44,9 @@ class Deployed:
     period_s: float
 
 
-def read_deployed(name: str) -> Deployed:
-    """Return what the daemon makes of an example configuration."""
-    return deploy(name, example_tables(name))
-
-
-def deploy(name: str, tables: dict[str, Any]) -> Deployed:
-    """Return what the daemon makes of the tables of an example that may have been changed."""
-    configuration = validate_configuration(tables, FOLDER / name)
+def deploy(name: str, tables: dict[str, Any] | None = None) -> Deployed:
+    """Return what the daemon makes of an example configuration, or of its changed tables."""
+    configuration = validate_configuration(tables or example_tables(name), FOLDER / name)
     limits = configuration.interlocks
     return Deployed(
         settings=controller_settings(configuration),
@@ -198,6 +193,20 @@ def _another(
     return low + place if place < room_below else above + place - room_below
 
 
+def within_reach(low: float, step: float, reach: tuple[float, float]) -> tuple[float, float]:
+    """Return the ends of a step of the set-point, moved into what V_c holds.
+
+    Args:
+        low: The lower one that is wanted.
+        step: The height that is wanted.
+        reach: The least and the largest set-point.
+    """
+    least, most = reach
+    height = min(step, most - least)
+    low = min(max(low, least), most - height)
+    return low, low + height
+
+
 class Trial(ABC):
     """The run of one seed, for as many controllers as are to run it.
 
@@ -256,7 +265,6 @@ class DrawnRun(Trial):
         change_times_s: Times at which it begins to change.
         targets: What the sizes are asked to be, relative to what the plant takes for 1.
         over_s: How long a change of them takes.
-        preview: Whether the controller knows the references to come.
         burdens: What disturbs the load in each slow period; empty for nothing.
         disturbances: Measurement noise of every tick, with the offset of the sensor.
         offset: Offset of the sensor of the output.
@@ -270,7 +278,6 @@ class DrawnRun(Trial):
     burdens: Array
     disturbances: Array
     over_s = 0.0
-    preview = False
 
     def __init__(self, own: Deployed, scenario: Drawn, offset: float, shown: float) -> None:
         """Begin the course of a scenario.
@@ -308,7 +315,6 @@ class DrawnRun(Trial):
             self.burdens,
             self.offset,
             self.stops,
-            preview=self.preview,
         )
 
     @abstractmethod

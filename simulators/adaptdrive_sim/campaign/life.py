@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptdrive_sim.campaign.drawn import Numbers, times, uniform, whole
 from adaptdrive_sim.campaign.settings import LifeRanges
-from adaptdrive_sim.course import Array
+from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import MotorParameters
 
@@ -73,31 +73,6 @@ class Life:
         for start_s, length_s in zip(self.idle_times_s, self.idle_s, strict=True):
             found[(times_s >= start_s) & (times_s < start_s + length_s)] = start_s
         return found
-
-
-def moving(
-    times_s: Array, starts_s: Numbers, levels: Numbers, ramps_s: Numbers | float = 0.0
-) -> Array:
-    """Return a quantity that moves from level to level.
-
-    Args:
-        times_s: When it is asked for.
-        starts_s: When it begins to move to the next level.
-        levels: One more than there are starts.
-        ramps_s: How long each movement takes, or all of them; the next one ends it early.
-    """
-    found = np.full(times_s.size, levels[0])
-    if isinstance(ramps_s, float):
-        ramps_s = (ramps_s,) * len(starts_s)
-    ends_s = (*starts_s, np.inf)[1:]
-    value = levels[0]
-    for start_s, end_s, level, ramp_s in zip(starts_s, ends_s, levels[1:], ramps_s, strict=True):
-        share = np.clip((times_s - start_s) / ramp_s, 0.0, 1.0) if ramp_s else np.ones(times_s.size)
-        course = np.where(share < 1.0, value + share * (level - value), level)
-        found = np.where(times_s >= start_s, course, found)
-        reached = min(1.0, (end_s - start_s) / ramp_s) if ramp_s else 1.0
-        value += reached * (level - value)
-    return found
 
 
 def volt_Nm() -> float:

@@ -20,13 +20,11 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.campaign.bath_bench import BathStand, draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
-from adaptdrive_sim.campaign.battery_bench import BatteryTrial
-from adaptdrive_sim.campaign.battery_scenario import BatteryCampaign, draw_battery
+from adaptdrive_sim.campaign.battery_bench import BatteryCampaign, BatteryTrial, draw_battery
 from adaptdrive_sim.campaign.bench import Stand, draw
 from adaptdrive_sim.campaign.drawn import Row, Trial
 from adaptdrive_sim.campaign.judge import judge
-from adaptdrive_sim.campaign.repeat import repeat
-from adaptdrive_sim.campaign.report import print_results, write_results
+from adaptdrive_sim.campaign.report import print_results, repeat, write_results
 from adaptdrive_sim.campaign.settings import MOST_RUNS, Campaign, read_campaign_of
 from adaptdrive_sim.jobs import processes, progress
 from adaptdrive_sim.parameters import SEED_MAX, check_range

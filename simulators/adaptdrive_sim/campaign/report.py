@@ -1,4 +1,4 @@
-"""The results of a campaign: a file, a table, pictures."""
+"""The results of a campaign: a file, a table, pictures; and one run again, recorded and drawn."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from rich.console import Console
 from rich.table import Table
 
 from adaptdrive.analysis import style
-from adaptdrive_sim.campaign.drawn import Row
-from adaptdrive_sim.campaign.judge import WORSE
+from adaptdrive.control.signals import Mode
+from adaptdrive_sim.campaign.drawn import DrawnRun, Row, Trial
+from adaptdrive_sim.campaign.judge import WORSE, judge
 from adaptdrive_sim.claims import Claim, print_claims
+from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.figure import CONTROLLERS, SYMBOLS, mark_in_force, minutes_of
 
 BETTER_SHARE = 0.95
 
@@ -53,8 +56,8 @@ def failures(rows: list[Row]) -> list[Failure]:
         for cause in _HELD
         if row[f"{cause}_adaptive"] and not row[f"{cause}_fixed"]
     ]
-    worse = (row for row in rows if row["ratio"] > WORSE)
-    found += [Failure(row["seed"], "worse than fixed", row["ratio"]) for row in worse]
+    worse = [(row["seed"], row["ratio"]) for row in rows if row["ratio"] > WORSE]
+    found += [Failure(seed, "worse than fixed", ratio) for seed, ratio in worse]
     return sorted(found, key=lambda failure: (failure.cause, -failure.ratio))
 
 
@@ -232,4 +235,44 @@ def influences(rows: list[Row]) -> Figure:
         axes.set(xlabel=label, ylabel="cost ratio")
     named = figure.axes[0].get_legend_handles_labels()
     figure.legend(*named, loc="outside upper center", ncols=len(shapes))
+    return figure
+
+
+def repeat(trial: Trial, seed: int, output: Path, console: Console) -> None:
+    """Run one seed with both controllers, interpreted; write run-SEED.parquet, and a picture."""
+    modes = Mode.FIXED, Mode.ADAPTIVE
+    runs = {mode.value: trial.described(trial.run_deployed(mode)) for mode in modes}
+    path = output / f"run-{seed}.parquet"
+    pq.write_table(pa.concat_tables([run.table(mode=name) for name, run in runs.items()]), path)
+    for name, value in judge(trial, *runs.values()).items():
+        console.print(f"{name:26} {value}")
+    if isinstance(trial, DrawnRun):
+        picture(trial, *runs.values()).savefig(path.with_suffix(".png"), dpi=120)
+        console.print(f"changes at {trial.change_times_s} s, at last to {trial.sizes[-1]:.4g}")
+    console.print(f"recorded: {path}")
+
+
+def picture(stand: DrawnRun, fixed: Run, adaptive: Run) -> Figure:
+    """Output, boost voltage and estimates of one run."""
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    top, middle, bottom = figure.subplots(3, 1, sharex=True)
+    minutes = minutes_of(fixed)
+    top.plot(minutes, fixed["ideal"], label="as designed", **style.TRUTH)
+    for name, run in (("fixed", fixed), ("adaptive", adaptive)):
+        label, look = CONTROLLERS[name]
+        top.plot(minutes, run["output"], label=label, **look)
+        middle.plot(minutes, run["boost_reference_V"], label=label, **look)
+    truth = np.array([stand.truth_at(k) for k in range(minutes.size)])
+    for i, name in enumerate(stand.own.load.names):
+        estimates = adaptive[name] / truth[:, i]
+        bottom.plot(minutes, estimates, color=style.PARAMETERS[i], label=SYMBOLS[name])
+    mark_in_force(bottom, adaptive)
+    top.set(ylabel="output", title=f"seed {stand.seed}")
+    middle.set(ylabel="V_c, V")
+    bottom.set(xlabel="time, min", ylabel="estimate over truth", ylim=(0.0, 2.5))
+    for axes in (top, middle, bottom):
+        for time_s in stand.change_times_s:
+            axes.axvline(time_s / 60.0, color="k", lw=0.6, ls=":")
+        axes.grid(visible=True, alpha=0.3)
+        axes.legend(loc="upper right")
     return figure

@@ -6,7 +6,7 @@ import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
@@ -222,21 +222,14 @@ def read_campaign_of(path: Path, types: Mapping[str, type[FileOfAnyType]]) -> Fi
     try:
         # strict validation takes arrays for tuples from JSON only
         tables = tomllib.loads(read_text(found))
-        return _kind(path, tables, types).model_validate_json(json.dumps(tables))
+        if (named := tables.get("type", "motor")) not in types:
+            flaw = Flaw(f"type = {named!r}", f"must be one of {', '.join(types)}")
+            raise ConfigurationError(path, [flaw])
+        return types[named].model_validate_json(json.dumps(tables))
     except tomllib.TOMLDecodeError as problem:
         raise ConfigurationError(path, [Flaw("TOML", str(problem))]) from problem
     except ValidationError as problem:
         raise ConfigurationError(path, [_flaw(error) for error in problem.errors()]) from problem
-
-
-def _kind(
-    path: Path, tables: dict[str, Any], types: Mapping[str, type[FileOfAnyType]]
-) -> type[FileOfAnyType]:
-    named = tables.get("type", "motor")
-    if named not in types:
-        flaw = Flaw(f"type = {named!r}", f"must be one of {', '.join(types)}")
-        raise ConfigurationError(path, [flaw])
-    return types[named]
 
 
 def _flaw(error: ErrorDetails) -> Flaw:

@@ -1,28 +1,38 @@
-"""`adaptdrive-sim demo`: plays one story and prints its outcome."""
+"""`adaptdrive-sim demo`: plays one story, and prints its figures and what was seen in a picture."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import msgspec
+from rich.console import Console, Group
+from rich.text import Text
 
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.household.processes import ProcessDiedError
+from adaptdrive.recording.marks import SessionMark, write_marks
+from adaptdrive.recording.reader import read_session
 from adaptdrive.watch.main import run_view
+from adaptdrive.watch.plot import CONTROLLERS, plot
 from adaptdrive.watch.terminal import refuse_dumb_terminal
 from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.real import RealStage
-from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.demo.real import RealStage, program
+from adaptdrive_sim.demo.record import TRIPPED, DemoRecord
 from adaptdrive_sim.demo.settings import DemoSettings
 from adaptdrive_sim.demo.story import Story, read_story
-from adaptdrive_sim.demo.summary import keep_marks, show_end, summarise
-from adaptdrive_sim.demo.view import DemoView
+from adaptdrive_sim.demo.view import DemoView, story_table
 from adaptdrive_sim.demo.virtual import VirtualStage
+
+_PICTURE = (100, 18)
 
 
 def run_demo(name: str, settings: DemoSettings) -> int:
@@ -77,3 +87,115 @@ async def _play(
     if not settings.headless:
         show_end(record, summary, stage.session)
     return summary, problem
+
+
+def summarise(record: DemoRecord, player: Player, failure: str) -> dict[str, Any]:
+    """Return everything worth knowing at the end, as one flat object for JSON.
+
+    Args:
+        record: What was heard.
+        player: The story.
+        failure: What ended the demonstration early; empty when nothing did.
+    """
+    problems = [failure] if failure else list(_problems(record, player))
+    return {
+        "demo": record.story.name,
+        "ok": not problems,
+        "reason": "; ".join(problems),
+        **{name: record.state.get(name) for name in ("state", "mode", "controller")},
+        "story_s": round(player.at_s, 3),
+        "duration_s": round(record.control_s, 3),
+        **{name: int(count) for name, count in record.counts.items()},
+        "slow_periods": record.slow_periods,
+        "trips": record.trips,
+        "complete": record.completed,
+        "overshoot": _overshoots(record),
+        "values": {name: round(value, 4) for name, value in record.values.items()},
+        "estimates": record.load.get("estimates"),
+        "truth": {name: record.truth.get(name) for name in record.load.get("estimates") or ()},
+    }
+
+
+def _problems(record: DemoRecord, player: Player) -> Iterator[str]:
+    """Yield everything that makes the demonstration a failure, in one sentence each."""
+    if not (record.control_s or record.running):
+        yield "the drive never ran"
+    elif not record.running and not record.completed and not player.paused:
+        yield f"the drive is not running but in {record.state.get('state')}"
+    for one in record.story.values:
+        value = record.values.get(one.name, 0.0)
+        if player.at_s >= one.from_s and not one.fits(value):
+            yield f"{one.name} was {value:.4g} {one.unit}"
+    if (known := record.story.overshoot) is not None:
+        for name, share in _overshoots(record)["adaptive"].items():
+            if share > known.adaptive_at_most and not record.trips:
+                yield f"the adaptive controller overshot by {100.0 * share:.1f} % with {name}"
+
+
+def _overshoots(record: DemoRecord) -> dict[str, dict[str, float]]:
+    """Return overshoots as shares of a step, by controller and size of the load."""
+    names = record.story.overshoot.names if record.story.overshoot else []
+    return {
+        controller: {
+            name: round(found, 4)
+            for k, name in enumerate(names)
+            if (found := record.halves.overshoot(controller, k)) is not None
+        }
+        for controller in CONTROLLERS
+    }
+
+
+def keep_marks(record: DemoRecord, session: Path) -> None:
+    """Write what was done to the drive into its session, for figures."""
+    marks = [SessionMark(datetime.fromtimestamp(m.time_s, UTC), m.text) for m in record.marks]
+    write_marks(session, [mark for mark in marks if mark.text != TRIPPED])
+
+
+def show_end(record: DemoRecord, summary: dict[str, Any], session: Path | None) -> None:
+    """Print what was seen, the figures, and the line that shows it again."""
+    points = list(record.points)
+    console = Console(highlight=False)
+    size = min(_PICTURE[0], console.width), _PICTURE[1]
+    if points:
+        since_s = points[-1].time_s - points[0].time_s
+        title = Text(f"{record.story.about} ({record.output_name} in {record.unit})", "bold")
+        picture = plot(points, list(record.marks), points[-1].time_s, max(since_s, 1.0), size)
+        name, table = story_table(record)
+        table.expand = False
+        console.print(Group(title, picture, Text(f"\n{name}", "bold"), table, ""))
+    sys.stdout.write("\n".join(_lines(summary, session)) + "\n")
+
+
+def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
+    verdict = "control worked" if summary["ok"] else "control failed"
+    yield f"{summary['demo']}: {verdict} for {summary['duration_s']:.0f} s"
+    counted = (f"{summary[name]} {name}" for name in ("ticks", "missed", "held"))
+    yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
+    if session is not None and (drawn := _figure(session)) is not None:
+        yield f"  figure     {_short(drawn[0])}"
+        yield f"  once more  {program()} plot {_short(session)} --from {drawn[1]}"
+    else:
+        yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
+
+
+def _figure(session: Path) -> tuple[Path, int] | None:
+    """Draw the session from its start on; None where it cannot be drawn here.
+
+    Returns:
+        The figure, and the second of the session from which on the drive was enabled.
+    """
+    try:
+        from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
+
+        read = read_session(session)
+        first_s = read.ticks["monotonic_s"][0].as_py()
+        starts = (event.monotonic_s - first_s for event in read.events if event.kind == "state")
+        begin = max(0, math.ceil(next(starts, 0.0)))
+        return plot_session(session, begin)[0], begin
+    except (ImportError, AdaptdriveError, OSError, IndexError):
+        return None
+
+
+def _short(path: Path) -> str:
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)

@@ -4,34 +4,35 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import socket
+import sys
+import tempfile
 import time
 from collections.abc import Coroutine
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
+
+import tomlkit
 
 from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.cli.panel import panel_address
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import RecordingError
 from adaptdrive.household.ports import Ports
-from adaptdrive.household.processes import BROKER, Household
-from adaptdrive.operation.conversation import NoAnswerError, conversation, end_of
+from adaptdrive.household.processes import BROKER, Child, Household
+from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.simulator import DeviceReply
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.watch.keys import KeyCommand
-from adaptdrive.watch.main import follow_drive
-from adaptdrive.watch.sending import over_mqtt
-from adaptdrive_sim.broker import parse_address
+from adaptdrive.watch.main import follow_drive, over_mqtt
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story
-from adaptdrive_sim.demo.workspace import make_workspace, program
-
-CONNECT_s = 3.0
-"""Longest wait for the connection to a running broker."""
+from adaptdrive_sim.experiments.examples import FOLDER
 
 SESSION_s = 10.0
 AFTERMATH_s = 1.5
@@ -45,12 +46,16 @@ _LOOK_s = 0.05
 _WAIT_s = 0.1
 
 
+_HEAD = "# Written by `adaptdrive-sim demo`. The commented original is in deploy/examples.\n\n"
+
+
 class RealStage:
     """The processes of a demonstration. Use it as an async context manager.
 
     Attributes:
         drive_name: Name of the drive.
-        workspace: Its folder.
+        directory: Its folder, with configuration, messages, logs and sessions.
+        configuration: Configuration of daemon and simulated drive.
         places: What the help shows of the surroundings.
     """
 
@@ -61,28 +66,24 @@ class RealStage:
             AdaptdriveError: They cannot be had.
         """
         self._story, self._settings = story, settings
-        self.workspace = make_workspace(settings.directory, story.configuration)
+        self.directory = _made(settings.directory)
+        self.configuration = self.directory / story.configuration
         self._ports = Ports()
         port, number = self._ports.take(socket.SOCK_DGRAM), os.getpid()
         group = f"239.74.{number >> 8 & 255}.{number & 255}"
         document = story.document()
         self.drive_name = str(document["drive"]["name"])
-        if settings.broker is None:
-            self._broker = Mqtt(port=self._ports.take())
-            self._page, self._websocket = self._ports.take(), self._ports.take()
-        else:
-            self._broker = parse_address(settings.broker)
-            self.drive_name = f"{self.drive_name}-{number}"  # others share that broker
-        document["drive"]["name"] = self.drive_name
+        self._broker = Mqtt(port=self._ports.take())
+        self._page, self._websocket = self._ports.take(), self._ports.take()
         document["bus"] |= {"interface": "udp_multicast", "channel": group, "udp_port": port}
         document["mqtt"] = {"host": self._broker.host, "port": self._broker.port}
-        document["recording"] = {"directory": str(self.workspace.sessions)}
-        self.workspace.write(document)
-        state = {"STATE_DIRECTORY": str(self.workspace.state), NAMESPACE: f"demo-{number}"}
+        document["recording"] = {"directory": str(self.directory / "sessions")}
+        self._write(document)
+        state = {"STATE_DIRECTORY": str(self.directory / "state"), NAMESPACE: f"demo-{number}"}
         self._household = Household({**os.environ, **state})
         self._ask = over_mqtt(self._broker, self.drive_name, _ANSWER_s)
         self.places = {
-            "folder": str(self.workspace.directory),
+            "folder": str(self.directory),
             "bus": f"udp_multicast {group}:{port}",
             "broker": self.broker,
             "try": f"{program()} mode {self.drive_name} adaptive --broker {self.broker}",
@@ -121,8 +122,9 @@ class RealStage:
 
     @property
     def session(self) -> Path | None:
-        """The recorded session."""
-        return self.workspace.session()
+        """The recorded session; None when there is none."""
+        found = (path.parent for path in self.directory.glob("sessions/2*/session.json"))
+        return max(found, default=None)
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -134,8 +136,7 @@ class RealStage:
     @property
     def broker(self) -> str:
         """The broker as HOST:PORT."""
-        host, port = self._broker.host, self._broker.port
-        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        return f"{self._broker.host}:{self._broker.port}"
 
     async def wait(self, longest_s: float) -> None:
         """Let some time pass."""
@@ -153,43 +154,66 @@ class RealStage:
         return [self._household.watch(), follow_drive(self._broker, record)]
 
     async def panel(self) -> str:
-        """Serve the panel, and return its address.
-
-        Raises:
-            DemoError: The broker has no websocket for it.
-        """
-        if self._settings.broker is not None:
-            raise DemoError("the panel needs the broker of the demonstration")
+        """Serve the panel, and return its address."""
         websocket = f"ws://127.0.0.1:{self._websocket}/mqtt"
         page = ["panel", "--no-open", f"--port={self._page}", f"--broker={websocket}"]
         if not self._household.has("panel"):
-            log = self.workspace.log("panel")
-            panel = await self._household.start("panel", "adaptdrive.cli", page, log)
+            panel = await self._start_process("panel", "adaptdrive.cli", page, "panel")
             await panel.until_listening(self._page)
         return panel_address(self._page, websocket)
 
     async def _start(self) -> None:
-        household, log = self._household, self.workspace.log
-        if self._settings.broker is None:
-            listeners = [self.broker, f"127.0.0.1:{self._websocket}"]
-            broker = await household.start("broker", BROKER, listeners, log("broker"))
-            await broker.until_listening(self._broker.port)
-        else:
-            await self._find_broker()
-        configuration = str(self.workspace.configuration)
+        listeners = [self.broker, f"127.0.0.1:{self._websocket}"]
+        broker = await self._start_process("broker", BROKER, listeners, "broker")
+        await broker.until_listening(self._broker.port)
+        configuration = str(self.configuration)
         noise = self._story.noise if self._settings.noise is None else self._settings.noise
         device = [
             *("device", configuration, f"--broker={self.broker}"),
             *(f"--noise={noise!r}", f"--seed={self._settings.seed}"),
             f"--initial-voltage={self._story.initial_voltage_V}",
         ]
-        await household.start("simulated drive", "adaptdrive_sim", device, log("drive"))
-        daemon = ["run", configuration]
-        await household.start("daemon", "adaptdrive.cli", daemon, log("daemon"))
+        await self._start_process("simulated drive", "adaptdrive_sim", device, "drive")
+        await self._start_process("daemon", "adaptdrive.cli", ["run", configuration], "daemon")
 
-    async def _find_broker(self) -> None:
+    async def _start_process(self, name: str, module: str, words: list[str], log: str) -> Child:
+        return await self._household.start(name, module, words, self.directory / f"{log}.log")
+
+    def _write(self, document: dict[str, Any]) -> None:
+        """Write the configuration and the messages that it names.
+
+        Raises:
+            DemoError: The folder cannot be written.
+        """
+        database = document["bus"]["database"]
         try:
-            async with conversation(self._broker, self.drive_name, end_of(CONNECT_s)):
-                return
-        except NoAnswerError as silence:
-            raise DemoError(silence.problem) from silence
+            (self.directory / database).write_bytes((FOLDER / database).read_bytes())
+            self.configuration.write_text(_HEAD + tomlkit.dumps(document), encoding="utf-8")
+        except OSError as problem:
+            raise DemoError(f"{self.directory}: {problem.strerror or problem}") from problem
+
+
+def _made(directory: Path | None) -> Path:
+    """Make the folder of a demonstration; one that no other demonstration has, when None.
+
+    Raises:
+        DemoError: It cannot be made.
+    """
+    try:
+        if directory is None:
+            parent = Path("build", "demo").absolute()
+            parent.mkdir(parents=True, exist_ok=True)
+            now = datetime.now(UTC)
+            directory = Path(tempfile.mkdtemp(prefix=f"{now:%Y%m%dT%H%M%SZ}-", dir=parent))
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise DemoError(f"{problem.filename}: {problem.strerror}") from problem
+    return directory.absolute()
+
+
+def program(name: str = "adaptdrive") -> str:
+    """Return the command for a program: its name, or its path if the name is not found."""
+    if shutil.which(name):
+        return name
+    path = Path(sys.executable).with_name(name)
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)

@@ -6,6 +6,9 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from adaptdrive.analysis.steps import judge_step
 from adaptdrive.operation.payloads import number
 from adaptdrive.watch.plot import Mark
 from adaptdrive.watch.record import Payload, WatchRecord
@@ -20,11 +23,10 @@ Case = tuple[str, int | None]
 
 @dataclass(slots=True)
 class _Half:
+    before: float
     reference: float
-    step: float
     case: Case
-    beyond: float = 0.0
-    periods: int = 0
+    outputs: list[float] = field(default_factory=list)
 
 
 class Halves:
@@ -49,12 +51,10 @@ class Halves:
             self._close()
         if self._reference is not None and reference != self._reference:
             self._close()
-            self._half = _Half(reference, reference - self._reference, case)
+            self._half = _Half(self._reference, reference, case)
         self._reference = reference
         if self._half is not None:
-            self._half.periods += 1
-            beyond = (output - reference) / self._half.step
-            self._half.beyond = max(self._half.beyond, beyond)
+            self._half.outputs.append(output)
 
     def begin(self, reference: float) -> None:
         """Begin anew, near a reference: something else than a step has moved the output."""
@@ -68,8 +68,9 @@ class Halves:
     def _close(self) -> None:
         """End a half wave, at its end or when something is changed; a long one counts."""
         half, self._half = self._half, None
-        if half is not None and half.periods >= _SETTLED_PERIODS:
-            self._found.setdefault(half.case, deque(maxlen=2)).append(half.beyond)
+        if half is not None and len(half.outputs) >= _SETTLED_PERIODS:
+            beyond, _ = judge_step(np.array(half.outputs), half.before, half.reference)
+            self._found.setdefault(half.case, deque(maxlen=2)).append(beyond)
 
 
 TRIPPED = "trip"

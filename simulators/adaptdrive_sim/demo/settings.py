@@ -32,7 +32,6 @@ class DemoSettings:
         noise: Standard deviation of each sample of the output, in its unit; the story's own when
             left out.
         seed: Seed of the noise.
-        broker: HOST:PORT of a running MQTT broker; one is started when left out.
         directory: Folder for configuration, logs and sessions; a new one in build/demo when left
             out.
         speed: Times real time, for a story in virtual time.
@@ -42,7 +41,6 @@ class DemoSettings:
     headless: Annotated[bool, Parameter(negative=())] = False
     noise: float | None = None
     seed: Integer = 0
-    broker: str | None = None
     directory: Path | None = None
     speed: float | None = None
 
@@ -61,8 +59,7 @@ class DemoSettings:
             raise RefusedError(f"--speed {self.speed:g} must lie above 0, and up to 1e6")
         if self.noise is not None and not 0.0 <= self.noise <= 1.0:
             raise RefusedError(f"--noise {self.noise:g} must lie in 0…1")
-        unused = ("broker", "directory") if virtual else ("speed",)
-        for name in unused:
-            if getattr(self, name) is not None:
-                time = "virtual time, without processes" if virtual else "real time"
-                raise RefusedError(f"--{name}: this story passes in {time}")
+        unused = "directory" if virtual else "speed"
+        if getattr(self, unused) is not None:
+            time = "virtual time, without processes" if virtual else "real time"
+            raise RefusedError(f"--{unused}: this story passes in {time}")

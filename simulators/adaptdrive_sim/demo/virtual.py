@@ -29,7 +29,6 @@ from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.disturbances import answer, features_of
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.virtual import OperatedDrive
-from adaptdrive_sim.world import World
 
 _SLICE_s = 0.02
 _BREAK_s = 0.005
@@ -41,6 +40,7 @@ class VirtualStage:
 
     Attributes:
         drive: The drive.
+        world: The plant.
         drive_name: Its name.
         record: Takes its messages.
         places: What the help shows of the surroundings.
@@ -60,6 +60,7 @@ class VirtualStage:
             noise_V=noise, seed=settings.seed, initial_voltage_V=story.initial_voltage_V
         )
         self.drive = OperatedDrive(configuration, build_world(configuration, device))
+        self.world = self.drive.world
         self.drive_name = configuration.drive.name
         self.record: DemoRecord | None = None
         self._profile = operator_profile(configuration)
@@ -101,11 +102,6 @@ class VirtualStage:
     def time_s(self) -> float:
         """Time of the drive."""
         return self.drive.time_s
-
-    @property
-    def world(self) -> World:
-        """The plant."""
-        return self.drive.world
 
     def inject(self, fault: int) -> None:
         """Refuse a fault: there is no drive that could report one."""

@@ -7,7 +7,6 @@ time, as fast as it goes. It depends on its case alone, so it is the same each t
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -66,7 +65,7 @@ def disturbance_of(noise: float, spikes: str) -> Disturbance:
         RefusedError: The spikes cannot be read.
         ParameterError: A value lies outside its range.
     """
-    return Disturbance(noise, *read_spikes(spikes, "RATE,SIGMA"))
+    return Disturbance(noise, *read_spikes(spikes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,19 +87,13 @@ class Case:
     disturbance: Disturbance
     seed: int
 
-    @property
-    def mode(self) -> Mode:
-        """Controller that the operator selects."""
-        return Mode.FIXED if self.variant == "fixed" else Mode.ADAPTIVE
-
 
 _METHODS = {"direct_rls": METHODS["rls"], "lm_rls": METHODS["lm-rls"]}
 
 
 def case_settings(experiment: Experiment, variant: Variant, design: Design) -> ControllerSettings:
     """Settings of one controller of an experiment."""
-    exact = design == "exact"
-    settings = daemon_settings(experiment) if exact else paper_settings(experiment)
+    settings = paper_settings(experiment) if design == "paper" else _exact_settings(experiment)
     method = _METHODS.get(variant, settings.learning.method)
     learning = dataclasses.replace(settings.learning, method=method)
     return dataclasses.replace(settings, learning=learning)
@@ -138,7 +131,7 @@ class ReproduceRequest:
         return Case(self.experiment, "fixed", settings, disturbance, self.seed)
 
 
-def daemon_settings(experiment: Experiment) -> ControllerSettings:
+def _exact_settings(experiment: Experiment) -> ControllerSettings:
     """The daemon's default controller, for an experiment that starts at rest."""
     settings = _from_tables(experiment, experiment.tables())
     return from_rest(settings, experiment.paper.warm_up_s, experiment.period_s)
@@ -194,7 +187,7 @@ def run_case(case: Case, *, keep_ticks: bool = False, compiled: bool = False) ->
     site = Site(Controller(case.settings, experiment.nominal()), World(experiment.plant()))
     run = site.run(course, compiled=compiled, keep_ticks=keep_ticks)
     times_s = experiment.times_s()
-    sizes = np.array([experiment.size_at(time_s) for time_s in times_s])
+    sizes = experiment.sizes_at(times_s)
     return run.beside(time_s=np.array(times_s), reference=course.references, size=sizes)
 
 
@@ -205,23 +198,16 @@ def _course(case: Case) -> Course:
     noise = case.disturbance.scaled(experiment.step)
     return Course(
         references=np.array([experiment.reference.value(time_s) for time_s in times_s]),
-        sizes=np.array([_size_wanted(experiment, time_s) for time_s in times_s]),
+        sizes=experiment.sizes_at(times_s, wanted=True),
         over_s=max((change.over_s for change in experiment.changes), default=0.0),
         disturbances=_disturbances(noise, case.seed, ticks + 1),
-        mode=case.mode,
+        mode=Mode.FIXED if case.variant == "fixed" else Mode.ADAPTIVE,
         pole=experiment.pole,
         start=experiment.reference.low,
     )
 
 
-def _size_wanted(experiment: Experiment, time_s: float) -> float:
-    """Return the present or next size of the load."""
-    sizes = [change.size for change in experiment.changes if change.time_s <= time_s]
-    return sizes[-1] if sizes else 1.0
-
-
 def _disturbances(noise: NoiseParameters, seed: int, count: int) -> Array:
     if noise.silent:
         return np.zeros(count)
-    drawn = samples(noise, np.random.default_rng(seed))
-    return np.fromiter(itertools.islice(drawn, count), np.float64, count)
+    return np.fromiter(samples(noise, np.random.default_rng(seed)), np.float64, count)

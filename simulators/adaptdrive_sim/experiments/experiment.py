@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.waveform import Waveform
+from adaptdrive_sim.course import Array, moving
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,16 +120,16 @@ class Experiment(ExperimentFile):
         """Return the slow instants."""
         return [k * self.period_s for k in range(round(self.duration_s / self.period_s))]
 
+    def sizes_at(self, times_s: Sequence[float], *, wanted: bool = False) -> Array:
+        """Size of the load at each time, or the present or next one that is wanted."""
+        starts_s = [one.time_s for one in self.changes]
+        over_s = 0.0 if wanted else [one.over_s for one in self.changes]
+        levels = [1.0, *(one.size for one in self.changes)]
+        return moving(np.array(times_s), starts_s, levels, over_s)
+
     def size_at(self, time_s: float) -> float:
         """Size of the load at a time."""
-        size = 1.0
-        for change in self.changes:
-            if time_s < change.time_s:
-                break
-            passed = time_s - change.time_s
-            share = min(1.0, passed / change.over_s) if change.over_s else 1.0
-            size += (change.size - size) * share
-        return size
+        return float(self.sizes_at([time_s])[0])
 
     def truth_at(self, time_s: float) -> list[float]:
         """Physical parameters of the load at a time, in the order of its names."""
@@ -139,10 +141,10 @@ class Experiment(ExperimentFile):
         count = math.ceil(self.duration_s / self.reference.period_s - 1e-9)
         return [i * self.reference.period_s for i in range(count)]
 
-    def until_next_change(self, change: LoadChange) -> float:
-        """Return the time of the next change of the load, or of the end of the experiment."""
-        later = [other.time_s for other in self.changes if other.time_s > change.time_s]
-        return min(later, default=self.duration_s)
+    @property
+    def ends_s(self) -> list[float]:
+        """Ends of the parts with one load: the changes of it, and the end of the experiment."""
+        return [*(one.time_s for one in self.changes), self.duration_s]
 
 
 def read_experiment(name: str, **parts: Any) -> Experiment:  # noqa: ANN401 - functions
@@ -154,5 +156,5 @@ def read_experiment(name: str, **parts: Any) -> Experiment:  # noqa: ANN401 - fu
     """
     text = Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8")
     data = msgspec.convert(tomllib.loads(text), ExperimentFile)
-    values: dict[str, Any] = {one.name: getattr(data, one.name) for one in fields(data)}
-    return Experiment(name=name, **values, **parts)
+    parts |= {one.name: getattr(data, one.name) for one in fields(data)}
+    return Experiment(name=name, **parts)

@@ -143,9 +143,8 @@ def mark_changes(axes: Iterable[Axes], experiment: Experiment) -> None:
 
 def name_segments(axes: Axes, experiment: Experiment, names: tuple[str, ...]) -> None:
     """Name the load in each segment of the experiment, at the bottom of a panel."""
-    ends = [change.time_s for change in experiment.changes] + [experiment.duration_s]
-    starts = [0.0, *ends[:-1]]
-    for start, end, name in zip(starts, ends, names, strict=True):
+    ends = experiment.ends_s
+    for start, end, name in zip([0.0, *ends[:-1]], ends, names, strict=True):
         axes.annotate(
             name,
             (0.5 * (start + end) / 60.0, 0.03),

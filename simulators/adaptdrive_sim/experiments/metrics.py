@@ -100,11 +100,9 @@ def rms_between(record: Run, errors: Array, first_s: float, last_s: float) -> fl
 def _cycle(experiment: Experiment, record: Run, errors: Array, start_s: float) -> Cycle:
     half_s = 0.5 * experiment.reference.period_s
     end_s = min(start_s + 2.0 * half_s, experiment.duration_s)
-    halves = [_half(experiment, record, start_s, start_s + half_s)]
-    if end_s > start_s + half_s:
-        halves.append(_half(experiment, record, start_s + half_s, end_s))
-    overshoot = max(half[0] for half in halves)
-    settling_s = max(half[1] for half in halves)
+    begins_s = [one for one in (start_s, start_s + half_s) if one < end_s]
+    halves = [_half(experiment, record, one, min(one + half_s, end_s)) for one in begins_s]
+    overshoot, settling_s = (max(one) for one in zip(*halves, strict=True))
     return Cycle(
         start_s=start_s,
         load=experiment.size_at(math.nextafter(end_s, start_s)),
@@ -128,8 +126,12 @@ def _half(
 
 def convergence_cycles(experiment: Experiment, record: Run, change: LoadChange) -> float | None:
     """Return `cycles_until_right` of an adaptive run."""
-    estimates = np.column_stack([record[name] for name in experiment.nominal().names])
-    return cycles_until_right(experiment, estimates, change)
+    return cycles_until_right(experiment, estimates_of(experiment, record), change)
+
+
+def estimates_of(experiment: Experiment, record: Run) -> Array:
+    """Return the estimates of a run, a row for each slow period."""
+    return np.column_stack([record[name] for name in experiment.nominal().names])
 
 
 def cycles_until_right(
@@ -145,8 +147,8 @@ def cycles_until_right(
     Returns:
         None when the estimates never get there.
     """
-    ends = change.time_s, experiment.until_next_change(change)
-    first, last = (round(time_s / experiment.period_s) for time_s in ends)
+    end_s = min(one for one in experiment.ends_s if one > change.time_s)
+    first, last = (round(time_s / experiment.period_s) for time_s in (change.time_s, end_s))
     with np.errstate(invalid="ignore"):
         good = np.all(distances(experiment, estimates, first, last) <= CONVERGED, axis=1)
     bad = np.flatnonzero(~good)
@@ -174,14 +176,9 @@ def estimate_moves(experiment: Experiment, record: Run) -> dict[str, float]:
     A move is the largest distance from the last value before the change, within one cycle after
     it.
     """
+    estimates = estimates_of(experiment, record)
     periods = round(experiment.reference.period_s / experiment.period_s)
     firsts = [round(change.time_s / experiment.period_s) for change in experiment.changes]
-    return {
-        name: min(_move(record[name], first, periods) for first in firsts)
-        for name in experiment.nominal().names
-    }
-
-
-def _move(values: Array, first: int, periods: int) -> float:
-    before = values[first - 1]
-    return float(np.max(np.abs(values[first : first + periods] / before - 1.0)))
+    moves = [estimates[first : first + periods] / estimates[first - 1] - 1.0 for first in firsts]
+    least = np.min([np.max(np.abs(one), axis=0) for one in moves], axis=0)
+    return dict(zip(experiment.nominal().names, least.tolist(), strict=True))

@@ -205,12 +205,11 @@ def _tau_lambda(outcome: ExperimentOutcome) -> Claim:
 def _last_of_segments(outcome: ExperimentOutcome, variant: Variant) -> list[float]:
     """Overshoot in the last cycle with each load."""
     experiment = outcome.experiment
-    ends = [*(change.time_s for change in experiment.changes), experiment.duration_s]
     found = {
         one.start_s + experiment.reference.period_s: one.overshoot
         for one in outcome.cycles[variant]
     }
-    return [found[end] for end in ends]
+    return [found[end] for end in experiment.ends_s]
 
 
 def _percents(values: list[float]) -> str:

@@ -8,7 +8,6 @@ import os
 import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 
@@ -26,7 +25,6 @@ from adaptdrive_sim.experiments.sweep import (
     try_settings,
 )
 from adaptdrive_sim.jobs import processes, progress
-from adaptdrive_sim.recorded import table_of
 
 VARIANTS: dict[str, tuple[Variant, ...]] = {
     "motor": ("fixed", "adaptive", "direct_rls"),
@@ -38,11 +36,6 @@ _OTHER_STEPS = 4
 
 class OutputError(AdaptdriveError):
     """The results cannot be written."""
-
-    def __init__(self, folder: Path, problem: OSError) -> None:
-        self.folder = folder
-        self.problem = problem
-        super().__init__(f"{folder}: {problem.strerror or problem}")
 
 
 class RunError(AdaptdriveError):
@@ -88,9 +81,11 @@ def run_request(request: ReproduceRequest, folder: Path) -> list[Claim]:
         for variant in outcome.records:
             _write_record(folder / f"{variant}.parquet", outcome, variant)
         found = [dataclasses.asdict(one) for one in verdicts]
-        _write_summary(folder, summary(outcome, found, time.perf_counter() - started_s))
+        told = summary(outcome, found, time.perf_counter() - started_s)
+        text = json.dumps(told, indent=1, ensure_ascii=False, allow_nan=False)
+        (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     except OSError as problem:
-        raise OutputError(folder, problem) from problem
+        raise OutputError(f"{folder}: {problem.strerror or problem}") from problem
     except BrokenProcessPool as problem:
         raise RunError(str(problem)) from problem
     return verdicts
@@ -130,11 +125,6 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
     return outcome
 
 
-def _write_summary(folder: Path, found: dict[str, Any]) -> None:
-    text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-
-
 def _write_record(path: Path, outcome: ExperimentOutcome, variant: Variant) -> None:
     """Write a row for each slow period; what a run was made with is in the file's metadata."""
     disturbance = outcome.disturbance
@@ -147,5 +137,5 @@ def _write_record(path: Path, outcome: ExperimentOutcome, variant: Variant) -> N
         "dropped_at_rest": str(outcome.experiment.dropped).lower(),
         "spikes": f"{disturbance.spike_share!r},{disturbance.spike_noise!r}",
     }
-    table = table_of(outcome.records[variant]).replace_schema_metadata(metadata)
+    table = outcome.records[variant].table().replace_schema_metadata(metadata)
     pq.write_table(table, path, compression="zstd")

@@ -244,10 +244,9 @@ def _speed(experiment: Experiment, estimates: Array) -> float | None:
 
 def _spread(heard: Heard, quiet: Array, noisy: list[Array]) -> float:
     experiment = heard.case.experiment
-    ends = [*(change.time_s for change in experiment.changes), experiment.duration_s]
     periods = round(experiment.reference.period_s / experiment.period_s)
     chosen = np.concatenate(
-        [np.arange(-periods, 0) + round(end / experiment.period_s) for end in ends]
+        [np.arange(-periods, 0) + round(end / experiment.period_s) for end in experiment.ends_s]
     )
     relative = np.array([(one[chosen] - quiet[chosen]) / quiet[chosen] for one in noisy])
     return float(np.sqrt(np.mean(relative * relative)))

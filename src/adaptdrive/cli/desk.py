@@ -22,7 +22,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
 from adaptdrive.household.ports import HOST, Ports, is_listening
 from adaptdrive.household.processes import BROKER, Household, ProcessDiedError
-from adaptdrive.watch.telling import tell_last
+from adaptdrive.watch.ending import ended_once, tell_last
 
 COMMISSION_KEY = "c"
 _CLI = "adaptdrive.cli"
@@ -142,8 +142,6 @@ class _Desk:
 
     async def commission(self) -> None:
         """Measure the load on this terminal."""
-        from adaptdrive.watch.ending import ended_once  # noqa: PLC0415 - the view is large
-
         words = ["commission", self._drive, "--config", str(self._path)]
         with ended_once():
             await self._household.run_in_front(_CLI, words)

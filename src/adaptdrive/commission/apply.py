@@ -10,8 +10,7 @@ from adaptdrive.errors import CommissionError
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import LIVE_S, read_status
 from adaptdrive.operation.sender import send_command
-from adaptdrive.watch.ending import ended_once, whole
-from adaptdrive.watch.telling import tell
+from adaptdrive.watch.ending import ended_once, tell, whole
 
 LONGEST_S = 60.0
 """Longest time for the daemon to begin another run, and for the drive to run in it."""

@@ -14,9 +14,8 @@ from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.picture import Picture, screen
 from adaptdrive.commission.readings import FastReading
 from adaptdrive.errors import CommissionError
-from adaptdrive.watch.ending import ended_once
+from adaptdrive.watch.ending import ended_once, tell
 from adaptdrive.watch.keys import QUIT, pressed_keys
-from adaptdrive.watch.telling import tell
 from adaptdrive.watch.terminal import draw
 
 

@@ -1,13 +1,25 @@
-"""The end of a view that commands a drive: once it is asked for, nothing cuts it short."""
+"""The end of a view that commands a drive: once it is asked for, nothing cuts it short.
+
+Whoever looks is told by lines on standard error; a terminal that is stopped takes none.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import functools
+import os
 import signal
+import sys
 from collections.abc import Coroutine, Iterator
-from contextlib import contextmanager
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
+
+from adaptdrive.aside import in_thread
+
+LONGEST_S = 1.0
+"""Longest wait for a terminal to take what is written last."""
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -64,3 +76,21 @@ async def whole(work: Coroutine[Any, Any, None], *, complete: bool) -> None:
     if cancelled and not complete:
         raise asyncio.CancelledError
     task.result()
+
+
+def tell(text: str) -> Future[None]:
+    """Write a line, in a thread that may hang."""
+    return in_thread(functools.partial(_write, f"{text}\n"), "adaptdrive-line")
+
+
+def tell_last(text: str) -> None:
+    """Write lines before the process ends, unless the terminal is gone or takes none."""
+    with suppress(OSError, TimeoutError):
+        tell(text).result(LONGEST_S)
+
+
+def _write(text: str) -> None:
+    """Write to a separate descriptor: at its end Python waits for a stream that is in use."""
+    encoding, errors = sys.stderr.encoding, sys.stderr.errors
+    with os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=encoding, errors=errors) as output:
+        output.write(text)

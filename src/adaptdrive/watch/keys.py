@@ -132,7 +132,11 @@ def pressed_keys(on_keys: Callable[[str], None]) -> Iterator[None]:
     loop, file = asyncio.get_running_loop(), sys.stdin.fileno()
     usual = termios.tcgetattr(file)
     tty.setcbreak(file, termios.TCSANOW)
-    _keep_from_sleep(file)
+    settings = termios.tcgetattr(file)
+    settings[6][termios.VSUSP] = (
+        b"\0"  # Ctrl-Z: after `fg` the shell has the keys wait for an Enter
+    )
+    termios.tcsetattr(file, termios.TCSANOW, settings)
 
     def read() -> None:
         keys = b""
@@ -151,10 +155,3 @@ def pressed_keys(on_keys: Callable[[str], None]) -> Iterator[None]:
         loop.remove_reader(file)
         with suppress(termios.error):
             termios.tcsetattr(file, termios.TCSANOW, usual)  # no wait for what was written
-
-
-def _keep_from_sleep(file: int) -> None:
-    """Make Ctrl-Z a key like any other: after `fg` the shell has the keys wait for an Enter."""
-    settings = termios.tcgetattr(file)
-    settings[6][termios.VSUSP] = b"\0"
-    termios.tcsetattr(file, termios.TCSANOW, settings)

@@ -140,21 +140,23 @@ class WatchRecord:
         A full queue discards at its other end, where the newest points are.
         """
         first_s = self.points[0].time_s if self.points else math.inf
-        rows = content.get("rows")
         found = (
             _point(row, row.get("reference"), str(row.get("controller")))
-            for row in (rows if isinstance(rows, list) else [])
-            if isinstance(row, dict)
+            for row in _tables(content.get("rows"))
         )
         older = [point for point in found if point is not None and point.time_s < first_s]
         room = POINTS - len(self.points)
         self.points.extendleft(islice(reversed(older), room))
 
 
+def _tables(content: object) -> list[Payload]:
+    """Return the tables in a list of a payload."""
+    return [one for one in content if isinstance(one, dict)] if isinstance(content, list) else []
+
+
 def _features(content: Payload) -> list[Payload]:
     """Return the disturbances that can be read, at most one for each digit."""
-    found = content.get("features")
-    offered = (one for one in (found if isinstance(found, list) else []) if isinstance(one, dict))
+    offered = _tables(content.get("features"))
     return [one for one in offered if isinstance(one.get("request"), dict)][:MOST_FEATURES]
 
 

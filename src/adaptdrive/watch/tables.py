@@ -16,7 +16,6 @@ _LONGEST = 1e6
 """Least number that is written with a power of ten."""
 
 STATE_STYLES = {"running": "bold green", "tripped": "bold white on red"}
-_SEVERITY_STYLES = {"info": "", "warning": "yellow", "alarm": "bold red"}
 
 
 def rows(*columns: str) -> Table:
@@ -66,9 +65,3 @@ def titled(title: str | Text, content: Table | Text) -> Table:
     grid.add_row(head)
     grid.add_row(content)
     return grid
-
-
-def event_line(time: str, kind: str, detail: str, severity: str) -> Text:
-    """Return an event in one line."""
-    style = _SEVERITY_STYLES.get(severity, "")
-    return Text.assemble((f" {time} ", DIM), (f"{kind:<11} ", "bold"), (detail, style))

@@ -16,7 +16,7 @@ from rich.live import Live
 
 from adaptdrive.aside import in_thread
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.watch.telling import LONGEST_S
+from adaptdrive.watch.ending import LONGEST_S
 
 REFRESH_S = 0.25
 

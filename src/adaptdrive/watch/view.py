@@ -18,7 +18,6 @@ from adaptdrive.watch.record import Payload, WatchRecord
 from adaptdrive.watch.tables import (
     DIM,
     STATE_STYLES,
-    event_line,
     figure,
     flow,
     lines,
@@ -35,6 +34,7 @@ _SHORTEST_WINDOW_S = 30.0
 _EVENTS, _WIDE = 6, 110
 _LEAST_PLOT = 9
 _TRIP_LINES = 2
+_SEVERITY_STYLES = {"warning": "yellow", "alarm": "bold red"}
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
 
 
@@ -219,16 +219,14 @@ def _health(record: WatchRecord) -> Iterator[str]:
 
 
 def _events(record: WatchRecord, count: int) -> Text:
-    shown = [
-        event_line(
-            printable(event.get("time"))[11:19],
-            printable(event.get("kind")),
-            printable(event.get("detail")),
-            str(event.get("severity")),
-        )
-        for event in list(record.events)[-count:]
-    ]
+    shown = [_event(one) for one in list(record.events)[-count:]]
     return lines(shown) if shown else Text(" no events yet", DIM)
+
+
+def _event(event: Payload) -> Text:
+    time, kind, detail = (printable(event.get(name)) for name in ("time", "kind", "detail"))
+    style = _SEVERITY_STYLES.get(str(event.get("severity")), "")
+    return Text.assemble((f" {time[11:19]} ", DIM), (f"{kind:<11} ", "bold"), (detail, style))
 
 
 def _footer(record: WatchRecord, around: Surroundings, width: int) -> list[Text]:

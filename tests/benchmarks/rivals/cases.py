@@ -18,7 +18,7 @@ from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive_sim.campaign.bath_bench import BathScenario, BathStand
 from adaptdrive_sim.campaign.battery_bench import ideal_current
 from adaptdrive_sim.campaign.bench import Scenario, Stand, at_rest
-from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Row, deploy, read_deployed
+from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Row, deploy
 from adaptdrive_sim.campaign.life import Life
 from adaptdrive_sim.course import Course
 from adaptdrive_sim.experiments.examples import example_tables
@@ -311,7 +311,7 @@ REAL_V = tuple(open_circuit_V(i / 200.0) for i in range(201))
 @cache
 def _charger() -> Deployed:
     """The controller of the charger, before the voltage limit."""
-    own = read_deployed("battery.toml")
+    own = deploy("battery.toml")
     return replace(own, load=replace(own.load, charging=None))
 
 
