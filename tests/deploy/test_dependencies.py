@@ -30,7 +30,6 @@ NOT_IMPORTED = {
     "import-linter": "a program",
     "msgpack": "python-can imports it for multicast",
     "mypy": "a program",
-    "pyserial": "pymodbus imports it for serial lines",
     "pytest-asyncio": "a plug-in",
     "pytest-timeout": "a plug-in",
     "pytest-xdist": "a plug-in",

@@ -1,8 +1,7 @@
-"""Replies on Modbus as pymodbus and the link take them: any bytes, and any function in a frame."""
+"""Replies on Modbus as the link takes them: any bytes, and any function in a frame."""
 
 from __future__ import annotations
 
-import asyncio
 import functools
 import struct
 from collections import Counter
@@ -12,27 +11,20 @@ from crccheck.crc import CrcModbus
 from adaptdrive.config import load_configuration
 from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.bus import Client, unconnected_client
 from adaptdrive.hardware.modbus.capacity import Exchange
+from adaptdrive.hardware.modbus.frames import TcpFrames, request
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from tests.fuzz.target import EXAMPLES, Target
 
 _EXCHANGE = Exchange(read=Block("input", 0, 2))
 _TRANSACTION = 7
-_LOOP = asyncio.new_event_loop()
-"""Makes futures; it never runs but to make the clients."""
 
 
 @functools.cache
-def _link(name: str) -> tuple[Client, ModbusConnection]:
+def _link(name: str) -> ModbusConnection:
     config = load_configuration(EXAMPLES / name).bus
     assert isinstance(config, TcpLink | RtuLink)
-
-    async def made() -> tuple[Client, ModbusConnection]:
-        connection = ModbusConnection(config, Counter(), lambda: 0.0)
-        return unconnected_client(config, connection._trace), connection
-
-    return _LOOP.run_until_complete(made())
+    return ModbusConnection(config, Counter(), lambda: 0.0)
 
 
 def tcp(data: bytes) -> object:
@@ -52,18 +44,20 @@ def rtu(data: bytes) -> object:
 
 
 def _taken(name: str, data: bytes) -> object:
-    client, connection = _link(name)
-    manager = client.ctx
-    manager.recv_buffer = b""
-    manager.request_dev_id, manager.request_transaction_id = 1, _TRANSACTION
-    connection._transaction = _TRANSACTION.to_bytes(2, "big")
-    manager.response_future = _LOOP.create_future()
+    connection = _link(name)
+    frames, stream, asked = connection._frames, connection._stream, request(_EXCHANGE, [])
+    if isinstance(frames, TcpFrames):
+        frames._transaction = _TRANSACTION - 1
+    frames.framed(asked, 1)
+    stream.received = b""
+    reply = None
     for piece in (data[:5], data[5:]):
-        if piece:
-            manager.datagram_received(piece, None)
-    if not manager.response_future.done():
-        return None
-    return connection._checked(manager.response_future.result(), _EXCHANGE)
+        if piece and reply is None:
+            stream.data_received(piece)
+            reply = frames.reply(stream.received)
+    if reply is None:
+        return frames.explain(stream.received)
+    return connection._checked(reply, asked, _EXCHANGE)
 
 
 def _pdus() -> tuple[bytes, ...]:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from pymodbus.constants import ExcCodes
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors, SensorRegister
-from adaptdrive.hardware.modbus.bus import describe_bus
+from adaptdrive.hardware.modbus.link import describe_bus
 from adaptdrive.hardware.modbus.codec import encode_count, encode_value
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.modbus_server import serving

@@ -7,6 +7,7 @@ import re
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,16 +18,18 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.file import parse_configuration
 from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.modbus.bus import open_client
+from adaptdrive.hardware.modbus.blocks import Block
+from adaptdrive.hardware.modbus.capacity import Exchange
+from adaptdrive.hardware.modbus.link import ModbusConnection
 from tests.config.modbus_documents import parse
 from tests.faults.course import EXAMPLES
 from tests.hardware.modbus.bench import TcpPeer
 
 
-def bus_at(host: str, port: int) -> ModbusTcp:
-    bus = parse(bus__host=f'"{host}"', bus__port=str(port)).bus
+def link_to(host: str, port: int) -> ModbusConnection:
+    bus = parse(bus__host=f'"{host}"', bus__port=str(port), bus__timeout_s="0.09").bus
     assert isinstance(bus, ModbusTcp)
-    return bus
+    return ModbusConnection(bus, Counter(), time.monotonic)
 
 
 @pytest.fixture
@@ -54,15 +57,16 @@ async def test_every_address_of_a_name_is_tried(
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
     peer = TcpPeer(free_tcp_port)
     await peer.start()
-    client = await open_client(bus_at("drive", free_tcp_port), lambda _, data: data)
-    assert client.connected
-    client.close()
+    link = link_to("drive", free_tcp_port)
+    await link.open()
+    assert await link.exchange(Exchange(read=Block("input", 0, 2)), []) == [30012, 1204]
+    link.close()
     await peer.stop()
 
 
 async def test_a_name_that_nobody_has_is_named(free_tcp_port: int) -> None:
     with pytest.raises(BusError, match=r"nowhere\.invalid:.*device 1: "):
-        await open_client(bus_at("nowhere.invalid", free_tcp_port), lambda _, data: data)
+        await link_to("nowhere.invalid", free_tcp_port).open()
 
 
 @pytest.mark.usefixtures("silent_name_server")
@@ -72,7 +76,7 @@ def test_a_silent_name_server_keeps_neither_the_helper_threads_nor_the_end(
     async def attempts() -> None:
         for _ in range(3):
             with pytest.raises(BusError, match="no name server answers within 1 s"):
-                await open_client(bus_at("drive", free_tcp_port), lambda _, data: data)
+                await link_to("drive", free_tcp_port).open()
         assert await asyncio.to_thread(lambda: True)
 
     started_s = time.monotonic()

@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.hardware.modbus import bus, port, sensors
+from adaptdrive.hardware.modbus import port, sensors
+from adaptdrive.hardware.polled import stream
 from adaptdrive.hardware.port import Reading
 from tests.hardware.modbus.bench import Ear, Peer, framed
 
@@ -78,6 +79,8 @@ class _Wire(asyncio.Transport):
 
     def close(self) -> None:
         """End the connection."""
+
+    abort = close
 
     def is_closing(self) -> bool:
         return False
@@ -151,6 +154,6 @@ async def _found(host: str, *_: object) -> tuple[str, ...]:
 
 def use_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no name server and no serial port be asked."""
-    monkeypatch.setattr(bus, "find", _found)
+    monkeypatch.setattr(stream, "find", _found)
     monkeypatch.setattr(port, "SerialPort", VirtualSerialPort)
     monkeypatch.setattr(sensors, "SerialPort", VirtualSerialPort)

@@ -13,7 +13,7 @@ from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, timeout_cautions
 from adaptdrive.hardware.demands import demands_of
-from adaptdrive.hardware.modbus.bus import describe_bus
+from adaptdrive.hardware.modbus.link import describe_bus
 from adaptdrive.hardware.modbus.mapping import map_drive
 from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors

@@ -10,29 +10,27 @@ anything is read again.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Awaitable, Callable
-from typing import Protocol
+from collections.abc import Callable
+from typing import TypeVar
 
-from pymodbus.exceptions import ModbusException
-from pymodbus.pdu import ModbusPDU
-
-from adaptdrive.config.modbus import RtuLink, TcpLink
-from adaptdrive.errors import AdaptdriveError
-from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.bus import (
-    Client,
-    drop_unsent,
-    is_connected,
-    open_client,
-    undelivered_bytes,
-)
+from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
+from adaptdrive.errors import AdaptdriveError, BusError
 from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
-from adaptdrive.hardware.modbus.replies import answers, explain_exception, explain_other
+from adaptdrive.hardware.modbus.frames import (
+    SerialFrames,
+    TcpFrames,
+    answer,
+    exception_code,
+    explain_exception,
+    request,
+)
 from adaptdrive.hardware.modbus.serial_port import SerialPort
+from adaptdrive.hardware.polled.stream import Stream
 
-_SHOWN_BYTES = 16
-"""Bytes of what came in place of a reply that a message shows."""
+Reply = TypeVar("Reply")
 
 _PATIENCE = 3
 """Replies that may be missing in a row before a TCP connection is taken to be half open."""
@@ -75,7 +73,7 @@ class OvertakenError(ExchangeError):
     """An exchange was not made, as it was no longer wanted: this says nothing of the device."""
 
 
-class PolledLink(Protocol):
+class PolledLink(ABC):
     """An open link to a device that answers each exchange.
 
     Attributes:
@@ -83,79 +81,25 @@ class PolledLink(Protocol):
         asked_s: When the last request was sent; monotonic.
     """
 
-    lost: str | None
-    asked_s: float
-
-    async def exchange(
-        self,
-        exchange: Exchange,
-        words: list[int],
-        *,
-        at_once: bool = False,
-        void: Callable[[], bool] = lambda: False,
-    ) -> list[int]:
-        """Ask for registers, or write some, as `ModbusConnection.exchange` does."""
-
-    def suspect(self) -> None:
-        """Take what comes next for what is left of something else."""
-
-    def close(self) -> None:
-        """Disconnect."""
-
-
-class ModbusConnection:
-    """An open link to one device, or to several that share it.
-
-    Attributes:
-        lost: Why the link can no longer be used, None while it can.
-        asked_s: When the last request was sent; monotonic.
-    """
-
     def __init__(
-        self,
-        config: TcpLink | RtuLink,
-        counts: Counter[str],
-        clock: Callable[[], float],
-        *,
-        shared: bool = False,
-        serial: SerialPort | None = None,
+        self, description: str, timeout_s: float, counts: Counter[str], clock: Callable[[], float]
     ) -> None:
         """Prepare a link; nothing is opened yet.
 
         Args:
-            config: Which link.
+            description: The link in one phrase.
+            timeout_s: Longest time from a request to its reply, in s.
             counts: What is counted on it.
-            clock: Monotonic clock in seconds.
-            shared: Whether the link is kept while one device is silent; its owner then calls
-                `note_silence` when none answers.
-            serial: Port of a serial link, kept by whoever opens the link again.
+            clock: Monotonic clock, in s.
         """
-        self._config = config
-        self._serial_port = serial
-        self._shared = shared
+        self._description = description
+        self._timeout_s = timeout_s
         self._counts = counts
         self._clock = clock
-        self._serial = isinstance(config, RtuLink)
-        self._numbered = config.numbered
-        self._client: Client | None = None
-        self._waiting = False
-        self._heard = b""
-        self._heard_s = 0.0
-        self._transaction = b""
-        self._strange = b""
-        self._suspect_s: float | None = None if self._numbered else clock()
-        self._missed = 0
-        self._patience_s = _FIRST_S
-        self._replied_s = clock()
-        self._commands = False
+        self._stream = Stream()
+        self._answered = False
         self.lost: str | None = None
         self.asked_s = clock()
-
-    @property
-    def miss_s(self) -> float:
-        """Time for which a missing reply keeps the link busy."""
-        silent_timeouts = 0.0 if self._numbered else _SILENT_TIMEOUTS
-        return (1.0 + silent_timeouts) * self._config.timeout_s
 
     async def open(self) -> None:
         """Connect.
@@ -163,16 +107,25 @@ class ModbusConnection:
         Raises:
             BusError: There is no connection.
         """
-        self._client = await open_client(self._config, self._trace, self._serial_port)
+        try:
+            await self._connect()
+        except (OSError, ValueError) as problem:
+            raise BusError(self._description, str(problem)) from problem
+
+    @abstractmethod
+    async def _connect(self) -> None:
+        """Connect the stream.
+
+        Raises:
+            OSError: There is no connection.
+            ValueError: The device has no such setting, or no such name.
+        """
 
     def close(self) -> None:
         """Disconnect; a command that a lost device has not received never reaches it."""
-        if self._client is not None:
-            if self.lost is None:
-                drop_unsent(self._client, drop=False)
-            self._client.close()
-            self._client = None
+        self._stream.close(drop=self.lost is not None)
 
+    @abstractmethod
     async def exchange(
         self,
         exchange: Exchange,
@@ -195,116 +148,176 @@ class ModbusConnection:
         Raises:
             ExchangeError: No reply, an exception reply, or one that does not fit; or it is void.
         """
+
+    @abstractmethod
+    def suspect(self) -> None:
+        """Take what comes next for what is left of something else."""
+
+    def _require(self) -> None:
+        """Refuse a request on a connection that is lost.
+
+        Raises:
+            ExchangeError: It is.
+        """
+        self._note_end()
+        if self.lost is not None:
+            raise ExchangeError(self.lost)
+
+    def _note_end(self) -> None:
+        """Take note that the connection has ended, if it has."""
+        if self.lost is None and not self._stream.is_open:
+            at_once = "" if self._answered else " at once"
+            self.lost = f"the device closed the connection{at_once}"
+
+    async def _reply(self, packet: bytes, found: Callable[[bytes], Reply | None]) -> Reply | None:
+        """Send a request; return what is found in what comes, None where that is not in time."""
+        stream = self._stream
+        stream.send(packet)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(self._timeout_s):
+                while (reply := found(stream.received)) is None and stream.is_open:
+                    await stream.more()
+                self._answered = self._answered or reply is not None
+                return reply
+        return None
+
+
+class ModbusConnection(PolledLink):
+    """An open link to one device, or to several that share it."""
+
+    def __init__(
+        self,
+        config: TcpLink | RtuLink,
+        counts: Counter[str],
+        clock: Callable[[], float],
+        *,
+        shared: bool = False,
+        serial: SerialPort | None = None,
+    ) -> None:
+        """Prepare a link; nothing is opened yet.
+
+        Args:
+            config: Which link.
+            counts: What is counted on it.
+            clock: Monotonic clock in seconds.
+            shared: Whether the link is kept while one device is silent; its owner then calls
+                `note_silence` when none answers.
+            serial: Port of a serial link, kept by whoever opens the link again.
+        """
+        super().__init__(describe_bus(config), config.timeout_s, counts, clock)
+        self._config = config
+        self._serial_port = serial
+        self._shared = shared
+        self._numbered = config.numbered
+        self._frames = TcpFrames() if config.numbered else SerialFrames()
+        self._stream.heard = self._hear
+        self._waiting = False
+        self._heard_s = 0.0
+        self._suspect_s: float | None = None if self._numbered else clock()
+        self._missed = 0
+        self._patience_s = _FIRST_S
+        self._replied_s = clock()
+
+    @property
+    def miss_s(self) -> float:
+        """Time for which a missing reply keeps the link busy."""
+        silent_timeouts = 0.0 if self._numbered else _SILENT_TIMEOUTS
+        return (1.0 + silent_timeouts) * self._timeout_s
+
+    async def _connect(self) -> None:
+        config, stream = self._config, self._stream
+        if isinstance(config, TcpLink):
+            await stream.connect(config.host, config.port)
+        else:
+            port = self._serial_port or SerialPort(config)
+            stream.transport, _ = await port.open(stream)
+
+    async def exchange(
+        self,
+        exchange: Exchange,
+        words: list[int],
+        *,
+        at_once: bool = False,
+        void: Callable[[], bool] = lambda: False,
+    ) -> list[int]:
+        """Ask for registers, or write some, or both, as every polled link does."""
         if not at_once:
             await self._await_silence(void)
-        client = self._require()
-        if exchange.write is not None and not self._commands:
-            self._commands = True
-            drop_unsent(client, drop=True)
+        self._require()
         hasty = self.unsettled_s() > 0.0
         self.asked_s = self._clock()
         if not at_once and void():  # asked last: the process may have stood still until here
             raise OvertakenError("not sent: the line was not silent in time")
-        reply = await self._reply_to(client, exchange, words)
+        asked = request(exchange, words)
+        reply = await self._reply_to(asked, exchange)
         await asyncio.sleep(silence_s(self._config))
-        registers = self._checked(reply, exchange)
+        registers = self._checked(reply, asked, exchange)
         if hasty:
             raise ExchangeError("a reply that may be one to an earlier request", doubtful=True)
         return registers
 
-    async def _reply_to(self, client: Client, exchange: Exchange, words: list[int]) -> ModbusPDU:
-        self._heard, self._waiting = b"", True
+    async def _reply_to(self, asked: bytes, exchange: Exchange) -> bytes:
+        """Return the reply to a request, without what frames it.
+
+        Raises:
+            ExchangeError: There is none.
+        """
+        device = self._config.device_id if exchange.device_id is None else exchange.device_id
+        self._waiting = True
         try:
-            return await self._request(client, exchange, words)
-        except ModbusException as problem:
-            self._miss(exchange)
-            silence = f"no reply within {self._config.timeout_s:g} s"
-            raise ExchangeError(f"{silence}{self._came_instead(exchange)}") from problem
+            reply = await self._reply(self._frames.framed(asked, device), self._frames.reply)
         finally:
             self._waiting = False
-
-    def _require(self) -> Client:
-        if self._client is None or not is_connected(self._client):
-            self.lost = self.lost or "the connection was closed"
-            raise ExchangeError(self.lost)
-        return self._client
-
-    def _request(
-        self, client: Client, exchange: Exchange, words: list[int]
-    ) -> Awaitable[ModbusPDU]:
-        read, write = exchange.read, exchange.write
-        device = self._device_of(exchange)
-        if read is None:
-            return _write(client, write, words, device)
-        if write is not None:
-            return client.readwrite_registers(
-                read_address=read.address,
-                read_count=read.count,
-                write_address=write.address,
-                values=words,
-                device_id=device,
-            )
-        ask = {
-            "coil": client.read_coils,
-            "discrete": client.read_discrete_inputs,
-            "holding": client.read_holding_registers,
-            "input": client.read_input_registers,
-        }[read.table]
-        return ask(read.address, count=read.count, device_id=device)
-
-    def _device_of(self, exchange: Exchange) -> int:
-        return self._config.device_id if exchange.device_id is None else exchange.device_id
+        self._counts["foreign"] += self._frames.foreign
+        if reply is not None:
+            return reply
+        self._miss(exchange)
+        heard = self._stream.received
+        instead = f"; {self._frames.explain(heard)}" if heard else ""
+        raise ExchangeError(f"no reply within {self._timeout_s:g} s{instead}")
 
     def _miss(self, exchange: Exchange) -> None:
         """Count a missing reply, and what came in its place."""
         self.suspect()
         self._missed += 1
         self._counts["timeouts"] += 1
-        if self._client is None or not is_connected(self._client):
-            self.lost = "the device closed the connection"
-        elif not self._numbered and self._heard:
-            short = len(self._heard) < exchange.reply_bytes + RTU_FRAME
+        heard = len(self._stream.received)
+        self._note_end()
+        if self.lost is not None:
+            return
+        if not self._numbered and heard:
+            short = heard < exchange.reply_bytes + RTU_FRAME
             self._counts["wrong_length" if short else "wrong_checksum"] += 1
         elif not self._shared:
             self.note_silence()
 
     def note_silence(self) -> None:
         """Take a TCP connection on which no device answers for half open, after some replies."""
-        if self.lost is not None or self._serial or self._missed < _PATIENCE:
+        serial = isinstance(self._config, RtuLink)
+        if self.lost is not None or serial or self._missed < _PATIENCE:
             return
-        stuck = self._client is not None and undelivered_bytes(self._client) > 0
+        stuck = self._stream.undelivered_bytes > 0
         if stuck or self._clock() - self._replied_s >= self._patience_s:
             self.lost = f"no reply to {self._missed} requests in a row"
 
-    def _came_instead(self, exchange: Exchange) -> str:
-        """Return what came in place of a reply, empty where nothing came."""
-        if not self._heard:
-            return ""
-        if not self._numbered:
-            more = "…" if len(self._heard) > _SHOWN_BYTES else ""
-            return f"; bytes that are no reply: {self._heard[:_SHOWN_BYTES].hex(' ')}{more}"
-        transaction = int.from_bytes(self._transaction)
-        return f"; {explain_other(self._heard, transaction, self._device_of(exchange))}"
+    def _checked(self, reply: bytes, asked: bytes, exchange: Exchange) -> list[int]:
+        """Return the registers of a reply.
 
-    def _checked(self, reply: ModbusPDU, exchange: Exchange) -> list[int]:
+        Raises:
+            ExchangeError: It is an exception reply, or one to another request.
+        """
         self._missed, self._replied_s, self._patience_s = 0, self._clock(), _PATIENCE_S
-        if self._numbered and reply.transaction_id != int.from_bytes(self._transaction):
-            self._counts["foreign"] += 1
-            raise ExchangeError("a reply with another transaction id")
-        if reply.isError():
+        code = exception_code(reply)
+        if code is not None:
             self._counts["exceptions"] += 1
-            code = getattr(reply, "exception_code", 0)
             raise ExchangeError(explain_exception(code, exchange), code)
-        if not answers(reply, exchange):
+        registers = answer(reply, asked, exchange)
+        if registers is None:
             self.suspect()
             self._counts["foreign"] += 1
             raise ExchangeError("a reply that belongs to another request")
         self._counts["received"] += 1
-        if exchange.read is None:
-            return []
-        if exchange.read.table in {"coil", "discrete"}:
-            return [int(bit) for bit in reply.bits[: exchange.read.count]]
-        return list(reply.registers)
+        return registers
 
     async def _await_silence(self, void: Callable[[], bool]) -> None:
         """Let what may still come from an earlier request pass by unread, while it is wanted.
@@ -312,7 +325,7 @@ class ModbusConnection:
         Raises:
             ExchangeError: The line is never silent.
         """
-        end_s = self._clock() + _NOISE_ROUNDS * _SILENT_TIMEOUTS * self._config.timeout_s
+        end_s = self._clock() + _NOISE_ROUNDS * _SILENT_TIMEOUTS * self._timeout_s
         while (left_s := self.unsettled_s()) > 0.0 and not void():
             if self._clock() > end_s:
                 raise ExchangeError("the line is never silent")
@@ -322,7 +335,7 @@ class ModbusConnection:
         """Return how much longer a serial line must be silent before a reply is its request's."""
         if self._suspect_s is None:
             return 0.0
-        silent_s = _SILENT_TIMEOUTS * self._config.timeout_s
+        silent_s = _SILENT_TIMEOUTS * self._timeout_s
         left_s = max(self._suspect_s, self._heard_s) + silent_s - self._clock()
         if left_s <= 0.0:
             self._suspect_s = None
@@ -333,35 +346,20 @@ class ModbusConnection:
         if not self._numbered:
             self._suspect_s = self._clock()
 
-    def _trace(self, sending: bool, packet: bytes) -> bytes:
-        """See every packet as pymodbus does."""
-        if sending:
-            self._transaction = packet[:2]
-        else:
-            self._heard, self._heard_s = packet, self._clock()
-            self._note_foreign(packet)
-        return packet
-
-    def _note_foreign(self, packet: bytes) -> None:
+    def _hear(self) -> None:
         """Count what no request waits for: noise, a late reply, another transaction."""
-        if not self._numbered:
-            if not self._waiting:
-                self.suspect()
-                self._counts["foreign"] += 1
-        elif packet[:2] != self._strange and not (
-            self._waiting and packet[:2] == self._transaction
-        ):
-            self._strange = packet[:2]
+        self._heard_s = self._clock()
+        if not self._waiting:
+            self.suspect()
             self._counts["foreign"] += 1
 
 
-def _write(
-    client: Client, block: Block | None, words: list[int], device: int
-) -> Awaitable[ModbusPDU]:
-    """Write a block, by the function that it is written by."""
-    address = 0 if block is None else block.address
-    if block is None or not block.single:
-        return client.write_registers(address, words, device_id=device)
-    if block.table == "coil":
-        return client.write_coil(address, bool(words[0]), device_id=device)
-    return client.write_register(address, words[0], device_id=device)
+def describe_bus(config: ModbusLink) -> str:
+    """The link in one phrase, such as `modbus-rtu /dev/ttyUSB0 9600 8E1 device 1`."""
+    medium = "modbus"
+    if isinstance(config, TcpLink):
+        medium = f"modbus-tcp {config.host}:{config.port}"
+    elif isinstance(config, RtuLink):
+        form = f"8{config.parity[0].upper()}{config.stop_bits}"
+        medium = f"modbus-rtu {config.device} {config.baud} {form}"
+    return f"{medium} device {config.device_id}"

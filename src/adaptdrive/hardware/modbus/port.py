@@ -20,18 +20,18 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.modbus.assembly import PollAssembly
-from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
+from adaptdrive.hardware.modbus.frames import are_alike
 from adaptdrive.hardware.modbus.heartbeat import STANDS_STILL, DriveHeartbeat
 from adaptdrive.hardware.modbus.link import (
     ExchangeError,
     ModbusConnection,
     OvertakenError,
     PolledLink,
+    describe_bus,
 )
 from adaptdrive.hardware.modbus.mapping import Poll, written
-from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.witness import PollWitness, look_limit_s
 from adaptdrive.hardware.port import Listener

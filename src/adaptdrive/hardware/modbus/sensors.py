@@ -22,11 +22,10 @@ from adaptdrive.hardware.binding import Source, sensor_entries
 from adaptdrive.hardware.counting import SensingPort
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.modbus.blocks import plan_blocks
-from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.frames import are_alike
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, describe_bus
 from adaptdrive.hardware.modbus.mapping import Named, RegisterCatalogue, inside, value_in
-from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
 from adaptdrive.hardware.port import SensorListener

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import termios
 from collections.abc import Awaitable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
 from pymodbus.transport.serialtransport import SerialTransport
+from serial import SerialException
 
 from adaptdrive.aside import in_thread
 from adaptdrive.config.modbus import RtuLink
@@ -52,9 +54,12 @@ class SerialPort:
         Raises:
             OSError: The port cannot be opened, or not in time.
             ValueError: It does not take a setting.
-            termios.error: As above.
         """
-        transport = await self._transport(protocol)
+        try:
+            transport = await self._transport(protocol)
+        except termios.error as problem:
+            refused = f"the serial port does not take these settings: {problem.args[-1]}"
+            raise OSError(refused) from problem
         transport.set_protocol(protocol)  # of this attempt, should the call be of an earlier one
         asyncio.get_running_loop().call_soon(transport.setup)
         return transport, protocol
@@ -70,6 +75,10 @@ class SerialPort:
         opening = self._opening
         try:
             transport = await _in_time(asyncio.wrap_future(opening), "opened")
+        except SerialException as problem:
+            why = "the serial port cannot be opened: no permission, or another process uses it"
+            gone = "there is no such serial port"
+            raise OSError(why if self._config.device.exists() else gone) from problem
         finally:
             if opening.done() and opening.exception() is not None:
                 self._opening = None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from adaptdrive.hardware.modbus.capacity import Exchange
+from adaptdrive.hardware.modbus.frames import EXCEPTIONS
 from adaptdrive.hardware.modbus.link import ExchangeError
-from adaptdrive.hardware.modbus.replies import EXCEPTIONS
 
 _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing."""

@@ -1,0 +1,1 @@
+"""Devices that are asked for their values: what Modbus and SCPI have in common."""
