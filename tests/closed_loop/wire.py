@@ -24,9 +24,8 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.hardware.link.bus import open_bus
-from adaptdrive.hardware.modbus.link import ModbusConnection
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.scpi.link import ScpiConnection
+from adaptdrive.hardware.polled.link import PolledLink
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import LoadReport, Report, State
@@ -77,12 +76,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 @contextlib.contextmanager
 def virtual_time() -> Iterator[asyncio.Runner]:
-    """Run coroutines in virtual time; what really takes time on Modbus holds it still."""
+    """Run coroutines in virtual time; what really takes time on a polled link holds it still."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ModbusConnection, "open", _held(ModbusConnection.open))
-        patch.setattr(ModbusConnection, "_request", _held(ModbusConnection._request))
-        patch.setattr(ScpiConnection, "open", _held(ScpiConnection.open))
-        patch.setattr(ScpiConnection, "_ask", _held(ScpiConnection._ask))
+        patch.setattr(PolledLink, "open", _held(PolledLink.open))
+        patch.setattr(PolledLink, "_reply", _held(PolledLink._reply))
         patch.setattr(SerialPort, "open", _held(SerialPort.open))
         with asyncio.Runner(loop_factory=VirtualLoop) as runner:
             yield runner

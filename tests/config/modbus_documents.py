@@ -6,7 +6,7 @@ from adaptdrive.config import Configuration, parse_configuration
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.demands import demands_of
-from adaptdrive.hardware.modbus.mapping import map_drive
+from adaptdrive.hardware.polled.mapping import map_drive
 from tests.config.documents import SOURCE
 
 MINIMAL = {

@@ -12,7 +12,7 @@ from adaptdrive.app.examine import examine_text
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.scpi import ScpiBus, scpi_flaws
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.modbus.mapping import map_drive
+from adaptdrive.hardware.polled.mapping import map_drive
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "deploy" / "examples" / "motor-scpi.toml"

@@ -10,10 +10,11 @@ from crccheck.crc import CrcModbus
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.modbus import RtuLink, TcpLink
-from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.frames import TcpFrames, request
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.link import ModbusConnection
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.link import ExchangeError
 from tests.fuzz.target import EXAMPLES, Target
 
 _EXCHANGE = Exchange(read=Block("input", 0, 2))

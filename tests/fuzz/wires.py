@@ -20,7 +20,7 @@ from adaptdrive.hardware.canopen.sdo import Server
 from adaptdrive.hardware.dbc.database import read_dbc
 from adaptdrive.hardware.link.codec import Decoded, MessageCodec
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.modbus.codec import decode_value
+from adaptdrive.hardware.polled.codec import decode_value
 from tests.fuzz.random_messages import random_message
 from tests.fuzz.target import EXAMPLES, Target
 

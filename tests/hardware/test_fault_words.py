@@ -7,8 +7,8 @@ import pytest
 from adaptdrive.hardware.dbc.assembly import StatusAssembly
 from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.fault_latch import FaultLatch, FaultWord
-from adaptdrive.hardware.modbus.assembly import PollAssembly
-from adaptdrive.hardware.modbus.mapping import map_drive as map_registers
+from adaptdrive.hardware.polled.assembly import PollAssembly
+from adaptdrive.hardware.polled.mapping import map_drive as map_registers
 from tests.config.modbus_documents import flaws, parse
 from tests.hardware.bench import MOTOR_BUS, TIMING, motor_signals
 from tests.hardware.canopen.documents import flaws as object_flaws

@@ -13,7 +13,7 @@ from adaptdrive.config.bus import COMMANDED, MEASURED, WORDS, Signals, SignalSou
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.field import Field, Raw
-from adaptdrive.hardware.modbus.codec import (
+from adaptdrive.hardware.polled.codec import (
     decode_value,
     encode_count,
     encode_value,

@@ -89,7 +89,7 @@ def _only_stop(configuration: Configuration) -> Iterator[Flaw]:
 
 def _absent(configuration: Configuration) -> Iterator[Flaw]:
     """A quantity that is not measured watches nothing."""
-    absent = absent_names(configuration.signals, configuration.sensor_bus, configuration.derived)
+    absent = absent_names(configuration)
     if "load_power_W" in absent:
         text = "is absent: drive.limits.load_power_max_W holds nothing back"
         yield Flaw("signals.load_power_W", f"{text}; the drive must limit its own power")

@@ -32,7 +32,7 @@ def trip_limits(configuration: Configuration) -> Limits:
         output_min=_output_min(configuration),
         voltage_name=configuration.drive.manipulated.name,
         voltage_unit=configuration.drive.manipulated.unit,
-        absent=absent_names(configuration.signals, configuration.sensor_bus, configuration.derived),
+        absent=absent_names(configuration),
     )
 
 

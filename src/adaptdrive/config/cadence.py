@@ -42,7 +42,7 @@ def _write_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]
     timeout_s, interval_s = bus.command_timeout_s, bus.command_interval_s
     if interval_s and bus.read_write:
         yield Flaw("bus.command_interval_s", "bus.read_write writes with each poll: leave it out")
-    reading_s = 0.5 * bus.poll_ticks / configuration.drive.line_frequency_Hz
+    reading_s = bus.poll_ticks * configuration.drive.half_cycle_s
     most_s = math.inf if timeout_s is None else max(0.0, timeout_s - LATE_READINGS * reading_s)
     if interval_s > most_s:
         longest = f"{most_s:.4g} s, that the drive sees a command in time"
@@ -98,8 +98,7 @@ def sync_flaws(bus: CanOpenBus, configuration: Configuration) -> Iterator[Flaw]:
         configuration: The other sections.
     """
     yield from _pace_flaws(1, configuration, "a half cycle, from one SYNC to the next")
-    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    given_s, lowest_s = bus.command_timeout_s, LATE_READINGS * half_cycle_s
+    given_s, lowest_s = bus.command_timeout_s, LATE_READINGS * configuration.drive.half_cycle_s
     if _is_below(given_s, lowest_s):
         lowest = f"bus.heartbeat_s = {bus.heartbeat_s} and {LATE_READINGS} half cycles"
         yield Flaw(
@@ -116,7 +115,7 @@ def _is_below(given_s: float, lowest_s: float) -> bool:
 
 def _pace_flaws(ticks: int, configuration: Configuration, reading: str) -> Iterator[Flaw]:
     """Yield the times that are too short for a drive that gives a reading every so many ticks."""
-    reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
+    reading_s = ticks * configuration.drive.half_cycle_s
     lowest_s = LATE_READINGS * reading_s
     lowest = f"{lowest_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
     if _is_below(configuration.interlocks.stale_s, lowest_s):
@@ -132,7 +131,7 @@ def _pace_flaws(ticks: int, configuration: Configuration, reading: str) -> Itera
 
 def _cycle_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
     load = configuration.load
-    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
+    half_cycle_s = configuration.drive.half_cycle_s
     poll_s = bus.poll_ticks * half_cycle_s
     poll = f"one poll of bus.poll_ticks = {bus.poll_ticks} half cycles"
     cycle = f"{poll} ({poll_s * 1e3:.4g} ms)"

@@ -82,6 +82,11 @@ class DriveSection(Section):
     manipulated: Manipulated = Field(default_factory=Manipulated)
 
     @property
+    def half_cycle_s(self) -> float:
+        """Half a line cycle at nominal frequency: one fast tick."""
+        return 0.5 / self.line_frequency_Hz
+
+    @property
     def current_scale_min_S(self) -> float:
         """Lowest line-current scale: 0, or negative for a bidirectional drive."""
         if self.kind == "unidirectional":

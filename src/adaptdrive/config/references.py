@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from adaptdrive.config.bus import COMMANDED, Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
-from adaptdrive.config.units import WANTED, Converted, stated_problem
 from adaptdrive.errors import Flaw
 
 
@@ -17,10 +16,9 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     for name, register in bus.registers.items():
         yield from register_flaws(f"bus.registers.{name}", register)
     yield from map_flaws("bus.registers", bus.registers, zero_based=bus.zero_based)
-    for place, name in (*measured_names(signals), *_heartbeat(bus, "drive")):
-        yield from _known(bus, place, name)
-    for place, name in _written(bus, signals):
-        yield from _known(bus, place, name)
+    written, read = _written(bus, signals), [*measured_names(signals), *_heartbeat(bus, "drive")]
+    yield from unknown_flaws([*read, *written], bus.registers, "[bus.registers] has no register")
+    for place, name in written:
         target = bus.registers.get(name)
         whole = target is None or target.bits is None or not place.startswith("bus.")
         if target is not None and (target.table in {"input", "discrete"} or not whole):
@@ -53,10 +51,19 @@ def _written(bus: ModbusBus, signals: Signals) -> list[tuple[str, str]]:
     return [*commanded_names(signals), *_heartbeat(bus, "daemon"), *setup]
 
 
-def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:
-    if name not in bus.registers:
-        hint = nearest(name, bus.registers)
-        yield Flaw(place, f"[bus.registers] has no register {name!r}{hint}")
+def unknown_flaws(
+    references: Iterable[tuple[str, str]], known: Mapping[str, object], problem: str
+) -> Iterator[Flaw]:
+    """Yield the references to names that are not there.
+
+    Args:
+        references: Place and name of each.
+        known: What is there, by name.
+        problem: What is said before the name.
+    """
+    for place, name in references:
+        if name not in known:
+            yield Flaw(place, f"{problem} {name!r}{nearest(name, known)}")
 
 
 def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
@@ -82,23 +89,6 @@ def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
         yield Flaw(f"{place}.mask", "is for several bits, and `bit` for one")
     if register.switches and (register.type != "uint16" or register.bits is not None):
         yield Flaw(f"{place}.type", f"a {register.table} is one bit: leave type, bit and mask out")
-
-
-def stated_unit_flaws(
-    place: str, sources: Mapping[str, Converted | None], output_unit: str
-) -> Iterator[Flaw]:
-    """Sources whose `unit` does not lead to their quantity, where no map says what they are in.
-
-    Args:
-        place: Where they stand in the configuration.
-        sources: By name; names that are no quantity may have any unit.
-        output_unit: Unit of the regulated quantity.
-    """
-    for name, wanted in {**WANTED, "output": output_unit}.items():
-        source = sources.get(name)
-        problem = None if source is None else stated_problem(source, wanted)
-        if problem:
-            yield Flaw(f"{place}.{name}", problem)
 
 
 def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool) -> Iterator[Flaw]:
@@ -156,9 +146,7 @@ def _label_flaws(place: str, register: Register) -> Iterator[Flaw]:
     for table, first in _LABELS.items():
         if not first <= register.address < first + _LABELS_OF_A_TABLE:
             continue
-        label = f"{register.address} looks like the label of an {table} register in a manual"
-        if table == "holding":
-            label = label.replace("an holding", "a holding")
+        label = f"{register.address} looks like a label of the {table} table in a manual"
         meant = f"address = {register.address - first}, table = {table!r}"
         advice = "or zero_based = true with the bus where the address is meant as it stands"
         yield Flaw(place, f"{label}; zero-based that is {meant}; {advice}")

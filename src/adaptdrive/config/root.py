@@ -14,22 +14,15 @@ from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.estimator import Estimator, Supervisor
 from adaptdrive.config.load import AnyLoad, BathSection, MotorSection, SimulatorSection
-from adaptdrive.config.references import stated_unit_flaws
 from adaptdrive.config.section import Section, inconsistent
-from adaptdrive.config.sensors import (
-    CanSensorSection,
-    ModbusRtuSensors,
-    ModbusTcpSensors,
-    sensor_flaws,
-)
+from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import line_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
+from adaptdrive.config.units import WANTED, stated_problem
 from adaptdrive.errors import Flaw
 
-SensorBus = Annotated[
-    CanSensorSection | ModbusTcpSensors | ModbusRtuSensors, Field(discriminator="type")
-]
+SensorBus = Annotated[AnySensorBus, Field(discriminator="type")]
 
 
 class Configuration(Section):
@@ -61,7 +54,7 @@ class Configuration(Section):
         in_daemon = self.voltage_loop.where == "daemon"
         voltage = ("boost_voltage_V",) if in_daemon else ()
         return Timing(
-            half_cycle_s=0.5 / self.drive.line_frequency_Hz,
+            half_cycle_s=self.drive.half_cycle_s,
             stale_s=self.interlocks.stale_s,
             ticks_per_reading=self.bus.ticks_per_reading,
             start_s=self.interlocks.start_s,
@@ -80,7 +73,7 @@ class Configuration(Section):
 
 def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
     load, ticks = configuration.load, configuration.ticks_per_period
-    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
+    half_cycle_s = configuration.drive.half_cycle_s
     if ticks < 1 or not math.isclose(load.period_s, ticks * half_cycle_s, rel_tol=1e-6):
         yield Flaw(
             "load.period_s",
@@ -100,35 +93,19 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
     yield from check(configuration.bus, configuration.signals)
 
 
-def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    yield from stated_unit_flaws("derived", configuration.derived, configuration.load.output_unit)
-
-
 def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """Does the pace of the drive fit what surrounds it?"""
     _, check = BUS_CHECKS[type(configuration.bus)]
     yield from check(configuration.bus, configuration)
 
 
-def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    buses = configuration.sensor_bus
-    optional: tuple[str, ...] = ()
-    if configuration.voltage_loop.where == "drive":
-        battery = configuration.load.type == "battery"
-        optional = ("line_voltage_V",) if battery else ("line_voltage_V", "load_power_W")
-    yield from supply_flaws(configuration.signals, buses, configuration.derived, optional)
-    for number, bus in enumerate(buses):
-        yield from sensor_flaws(bus, f"sensor_bus.{number}", configuration.load.period_s)
-
-
-def _voltage_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    if configuration.voltage_loop.where == "daemon":
-        yield from voltage_flaws(
-            0.5 / configuration.drive.line_frequency_Hz,
-            configuration.interlocks.stale_s,
-            configuration.sensor_bus,
-            configuration.derived,
-        )
+def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    """Yield the derived quantities whose `unit` does not lead to theirs."""
+    for name, wanted in {**WANTED, "output": configuration.load.output_unit}.items():
+        source = configuration.derived.get(name)
+        problem = None if source is None else stated_problem(source, wanted)
+        if problem:
+            yield Flaw(f"derived.{name}", problem)
 
 
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -218,12 +195,12 @@ def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
 _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     _rate_flaws: "drive load",
     _bus_flaws: "bus signals",
-    lambda whole: line_flaws(whole.bus, whole.sensor_bus): "bus sensor_bus",
+    line_flaws: "bus sensor_bus",
     _converted_flaws: "derived load",
     _pace_flaws: "drive bus signals load interlocks voltage_loop",
-    _sensor_flaws: "bus signals sensor_bus derived load voltage_loop",
+    supply_flaws: "bus signals sensor_bus derived load voltage_loop",
     _lowest_flaws: "drive voltage_loop load",
-    _voltage_flaws: "drive voltage_loop interlocks sensor_bus derived",
+    voltage_flaws: "drive voltage_loop interlocks sensor_bus derived",
     _command_flaws: "bus signals voltage_loop drive",
     _lag_flaws: "voltage_loop load",
     _bath_flaws: "load",

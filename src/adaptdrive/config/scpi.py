@@ -11,8 +11,12 @@ from pydantic import Field, model_validator
 
 from adaptdrive.config.bus import PolledBus, Signals, TcpHost
 from adaptdrive.config.modbus import ModbusTcp, Register, RegisterRange
-from adaptdrive.config.proposals import nearest
-from adaptdrive.config.references import commanded_names, measured_names, register_flaws
+from adaptdrive.config.references import (
+    commanded_names,
+    measured_names,
+    register_flaws,
+    unknown_flaws,
+)
 from adaptdrive.config.section import Section, key
 from adaptdrive.errors import Flaw
 
@@ -119,10 +123,6 @@ class ScpiBus(PolledBus, TcpHost):
             },
         )
 
-    def value_at(self, address: int) -> ScpiValue:
-        """Return the value that begins at an address of the registers."""
-        return [*self.values.values()][address // _STEP]
-
 
 def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
     """Yield the errors in the values of a supply, and in references to them.
@@ -133,12 +133,9 @@ def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
     """
     for name, register in bus.as_registers().registers.items():
         yield from register_flaws(f"bus.values.{name}", register)
-    setup = [(f"bus.setup.{name}", name) for name in bus.setup]
-    written = [*commanded_names(signals), *setup]
+    written = [*commanded_names(signals), *((f"bus.setup.{name}", name) for name in bus.setup)]
     for line, references in (("query", measured_names(signals)), ("write", written)):
+        yield from unknown_flaws(references, bus.values, "[bus.values] has no value")
         for place, name in references:
-            if name not in bus.values:
-                hint = nearest(name, bus.values)
-                yield Flaw(place, f"[bus.values] has no value {name!r}{hint}")
-            elif getattr(bus.values[name], line) is None:
+            if name in bus.values and getattr(bus.values[name], line) is None:
                 yield Flaw(place, f"bus.values.{name} has no `{line}`")

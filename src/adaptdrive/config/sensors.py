@@ -9,8 +9,7 @@ from pydantic import Field
 
 from adaptdrive.config.bus import WORDS, CanDescription, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
-from adaptdrive.config.proposals import nearest
-from adaptdrive.config.references import map_flaws, register_flaws
+from adaptdrive.config.references import map_flaws, register_flaws, unknown_flaws
 from adaptdrive.config.section import PositiveFloat, Section, key
 from adaptdrive.errors import Flaw
 
@@ -121,10 +120,7 @@ def _modbus_flaws(bus: ModbusSensorSection, place: str) -> Iterator[Flaw]:
     for device in {register.device_id for register in bus.registers.values()}:
         registers = {name: one for name, one in bus.registers.items() if one.device_id == device}
         yield from map_flaws(f"{place}.registers", registers, zero_based=bus.zero_based)
-    for name, source in bus.signals.items():
-        if source.signal not in bus.registers:
-            hint = nearest(source.signal, bus.registers)
-            problem = f"[sensor_bus.registers] has no register {source.signal!r}{hint}"
-            yield Flaw(f"{place}.signals.{name}.signal", problem)
+    named = [(f"{place}.signals.{name}.signal", one.signal) for name, one in bus.signals.items()]
+    yield from unknown_flaws(named, bus.registers, "[sensor_bus.registers] has no register")
     if bus.timeout_s >= bus.cycle_s:
         yield Flaw(f"{place}.timeout_s", f"{bus.timeout_s} must be below cycle_s = {bus.cycle_s}")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from adaptdrive.config.bus import MEASURED, WORDS, Signals
 from adaptdrive.config.derived import Derived, cycle_flaws, rule_flaws
 from adaptdrive.config.modbus import RtuLink
-from adaptdrive.config.section import Section
-from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.config.sensors import sensor_flaws
 from adaptdrive.errors import Flaw
+
+if TYPE_CHECKING:
+    from adaptdrive.config.root import Configuration
 
 VOLTAGE_TICKS = 3.0
 """Half cycles from one value of v_bst to the next for a voltage loop in the daemon: it overshoots
@@ -19,52 +22,54 @@ by a fiftieth then, with 12 it charges the capacitor past the trip of `boost_vol
 _DRIVE = (*MEASURED, *WORDS, "heartbeat")
 
 
-def supply_flaws(
-    signals: Signals,
-    buses: Sequence[AnySensorBus],
-    derived: Mapping[str, Derived],
-    optional: Collection[str] = (),
-) -> Iterator[Flaw]:
-    """Names that are given twice, needed and not given, or derived from nothing.
+def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
+    """Yield the names that are given twice, needed and not given, or derived from nothing.
 
     Args:
-        signals: `[signals]`.
-        buses: `[[sensor_bus]]`.
-        derived: `[derived]`.
-        optional: Quantities that nobody needs to give.
+        whole: The configuration.
     """
-    givers: dict[str, str] = {}
-    for name, place in _givers(signals, buses, derived):
+    derived, givers = whole.derived, dict[str, str]()
+    for name, place in _givers(whole):
         if name in givers:
             yield Flaw(place, f"{name!r} is given by {givers[name]} already")
         givers.setdefault(name, place)
     for name in MEASURED:
-        if name not in givers and name not in optional:
+        if name not in givers and name not in _optional(whole):
             yield Flaw(
                 f"signals.{name}",
                 "Field required: neither [signals], nor a [[sensor_bus]], nor [derived] gives it",
             )
-    yield from _reserved(signals, derived)
+    yield from _reserved(whole.signals, derived)
     for name, one in derived.items():
         yield from rule_flaws(name, one)
         for part in one.of:
             if part not in givers:
                 yield Flaw(f"derived.{name}.of", f"no source gives {part!r}")
     yield from cycle_flaws(derived)
-    yield from _name_flaws(buses)
+    names: dict[str, str] = {}
+    for number, bus in enumerate(whole.sensor_bus):
+        place = f"sensor_bus.{number}"
+        yield from sensor_flaws(bus, place, whole.load.period_s)
+        if names.setdefault(bus.name, place) != place:
+            problem = f"{bus.name!r} is the name of {names[bus.name]} already"
+            yield Flaw(f"{place}.name", problem)
 
 
-def absent_names(
-    signals: Signals, buses: Sequence[AnySensorBus], derived: Mapping[str, Derived]
-) -> frozenset[str]:
+def _optional(whole: Configuration) -> tuple[str, ...]:
+    """Return the quantities that nobody needs to give."""
+    if whole.voltage_loop.where == "daemon":
+        return ()
+    battery = whole.load.type == "battery"
+    return ("line_voltage_V",) if battery else ("line_voltage_V", "load_power_W")
+
+
+def absent_names(whole: Configuration) -> frozenset[str]:
     """Return the quantities that nobody gives.
 
     Args:
-        signals: `[signals]`.
-        buses: `[[sensor_bus]]`.
-        derived: `[derived]`.
+        whole: The configuration.
     """
-    return frozenset(MEASURED) - {name for name, _ in _givers(signals, buses, derived)}
+    return frozenset(MEASURED) - {name for name, _ in _givers(whole)}
 
 
 def needed_names(derived: Mapping[str, Derived], names: Iterable[str] = MEASURED) -> set[str]:
@@ -84,24 +89,18 @@ def needed_names(derived: Mapping[str, Derived], names: Iterable[str] = MEASURED
     return needed
 
 
-def voltage_flaws(
-    half_cycle_s: float,
-    stale_s: float,
-    buses: Sequence[AnySensorBus],
-    derived: Mapping[str, Derived],
-) -> Iterator[Flaw]:
+def voltage_flaws(whole: Configuration) -> Iterator[Flaw]:
     """Yield the sensor buses whose v_bst is too old for a voltage loop in the daemon.
 
     Args:
-        half_cycle_s: Half a line cycle.
-        stale_s: `interlocks.stale_s`, in s.
-        buses: `[[sensor_bus]]`.
-        derived: `[derived]`.
+        whole: The configuration.
     """
-    parts = needed_names(derived, ("boost_voltage_V",))
-    longest_s = VOLTAGE_TICKS * half_cycle_s
+    if whole.voltage_loop.where == "drive":
+        return
+    parts, stale_s = needed_names(whole.derived, ("boost_voltage_V",)), whole.interlocks.stale_s
+    longest_s = VOLTAGE_TICKS * whole.drive.half_cycle_s
     problem = "is too long for boost_voltage_V with voltage_loop.where = 'daemon': at most"
-    for number, bus in enumerate(buses):
+    for number, bus in enumerate(whole.sensor_bus):
         if parts.isdisjoint(bus.signals):
             continue
         if bus.cycle_s > longest_s:
@@ -112,21 +111,20 @@ def voltage_flaws(
             yield Flaw(f"sensor_bus.{number}.stale_s", f"{bus.oldest_s:.4g} s {problem} {limit}")
 
 
-def _givers(
-    signals: Signals, buses: Sequence[AnySensorBus], derived: Mapping[str, Derived]
-) -> Iterator[tuple[str, str]]:
+def _givers(whole: Configuration) -> Iterator[tuple[str, str]]:
     """Name and place of every value that is given."""
+    signals = whole.signals
     for name in MEASURED:
         if getattr(signals, name) is not None:
             yield name, f"signals.{name}"
-    for kind in ("other", "stated"):
-        for name in getattr(signals, kind):
-            yield name, f"signals.{kind}.{name}"
-    for number, bus in enumerate(buses):
-        for name in bus.signals:
-            yield name, f"sensor_bus.{number}.signals.{name}"
-    for name in derived:
-        yield name, f"derived.{name}"
+    tables: dict[str, Iterable[str]] = {
+        "signals.other": signals.other,
+        "signals.stated": signals.stated,
+        **{f"sensor_bus.{i}.signals": bus.signals for i, bus in enumerate(whole.sensor_bus)},
+        "derived": whole.derived,
+    }
+    for place, table in tables.items():
+        yield from ((name, f"{place}.{name}") for name in table)
 
 
 def _reserved(signals: Signals, derived: Mapping[str, Derived]) -> Iterator[Flaw]:
@@ -140,28 +138,15 @@ def _reserved(signals: Signals, derived: Mapping[str, Derived]) -> Iterator[Flaw
                 yield Flaw(f"{place}.{name}", "comes from the drive alone")
 
 
-def _name_flaws(buses: Sequence[AnySensorBus]) -> Iterator[Flaw]:
-    """Buses of the same name."""
-    seen: dict[str, int] = {}
-    for number, bus in enumerate(buses):
-        if bus.name in seen:
-            yield Flaw(
-                f"sensor_bus.{number}.name",
-                f"{bus.name!r} is the name of sensor_bus.{seen[bus.name]} already",
-            )
-        seen.setdefault(bus.name, number)
-
-
-def line_flaws(bus: Section, buses: Sequence[AnySensorBus]) -> Iterator[Flaw]:
+def line_flaws(whole: Configuration) -> Iterator[Flaw]:
     """Yield the links on a serial line that another one has already: it has one master.
 
     Args:
-        bus: `[bus]`, with its device from the folder of the file.
-        buses: `[[sensor_bus]]`, with theirs.
+        whole: The configuration, with its devices from the folder of the file.
     """
-    links = [("bus", bus), *((f"sensor_bus.{number}", one) for number, one in enumerate(buses))]
+    buses = [("bus", whole.bus), *((f"sensor_bus.{i}", b) for i, b in enumerate(whole.sensor_bus))]
     seen: dict[Path, str] = {}
-    for place, link in links:
+    for place, link in buses:
         if not isinstance(link, RtuLink):
             continue
         line = link.device.absolute()

@@ -1,10 +1,10 @@
-"""Counts of a port, answers that most drives have in common, and the presence of sensors."""
+"""Counts of a port, answers that most drives have in common, and the presence of a bus."""
 
 from __future__ import annotations
 
 from collections import Counter
 
-from adaptdrive.hardware.port import PortStatistics, SensorListener
+from adaptdrive.hardware.port import Listener, PortStatistics, SensorListener
 
 
 class CountedPort:
@@ -52,7 +52,7 @@ class CountingPort(CountedPort):
 
 
 class SensingPort(CountedPort):
-    """The part of a port of sensors that is the same on each kind of bus.
+    """The part of a port that is the same for sensors on each kind of bus and for a polled drive.
 
     Attributes:
         description: The bus in one phrase.
@@ -67,7 +67,7 @@ class SensingPort(CountedPort):
         """Count a bus that is open, unless it is so for the first time."""
         self._counts["reconnects"] += self._up is not None
 
-    def _report(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
+    def _report(self, listener: Listener | SensorListener, *, up: bool, problem: str = "") -> None:
         """Report a change of presence; a bus that is present at the start is none."""
         if up is self._up:
             return

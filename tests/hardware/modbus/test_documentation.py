@@ -14,9 +14,9 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.modbus import ModbusBus, ModbusRtu
-from adaptdrive.hardware.modbus.blocks import plan_blocks
-from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws, exchange_bytes, exchange_s
-from adaptdrive.hardware.modbus.mapping import map_drive
+from adaptdrive.hardware.polled.blocks import plan_blocks
+from adaptdrive.hardware.polled.capacity import Exchange, capacity_flaws, exchange_bytes, exchange_s
+from adaptdrive.hardware.polled.mapping import map_drive
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
-from adaptdrive.hardware.modbus.capacity import Exchange, exchange_bytes, exchange_s
-from adaptdrive.hardware.modbus.mapping import Poll, block_words, map_drive
+from adaptdrive.hardware.polled.blocks import Block, plan_blocks
+from adaptdrive.hardware.polled.capacity import Exchange, exchange_bytes, exchange_s
+from adaptdrive.hardware.polled.mapping import Poll, block_words, map_drive
 from tests.config.modbus_documents import parse
 
 HALF_CYCLE_s = 1.0 / 120.0

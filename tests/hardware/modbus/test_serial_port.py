@@ -18,10 +18,11 @@ import serial as pyserial
 
 from adaptdrive.config.modbus import ModbusRtu
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.link import ModbusConnection
 from adaptdrive.hardware.modbus.serial_port import SerialPort
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.link import ExchangeError
 from tests.config.modbus_documents import parse
 from tests.hardware.modbus.bench import RtuPeer, bench, serial, until
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
 
-from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.turns import SELDOM_CYCLES, SensorBlock, Turns
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.capacity import Exchange
 
 Asked = list[tuple[int | None, int]]
 

@@ -10,10 +10,10 @@ import pytest
 
 from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.mapping import Poll, block_words, map_drive
-from adaptdrive.hardware.modbus.pace import WritePace
 from adaptdrive.hardware.modbus.port import ModbusPort
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.mapping import Poll, block_words, map_drive
+from adaptdrive.hardware.polled.pace import WritePace
 from tests.config.modbus_documents import flaws, parse
 from tests.devices.modbus_node import ILLEGAL_VALUE, ModbusNode, RefusalError
 from tests.hardware.modbus.bench import Ear, build, until

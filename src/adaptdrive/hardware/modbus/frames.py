@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pymodbus.framer import FramerRTU
 
 from adaptdrive.config.modbus import RtuLink, TcpLink
-from adaptdrive.hardware.modbus.capacity import Exchange
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.link import EXCEPTIONS
 
 _HEADER = struct.Struct(">HHHB")
 """Head of a packet on TCP: transaction, protocol, length of all that follows it, device."""
@@ -23,17 +24,6 @@ _READS = frozenset({*_READ.values(), _READ_WRITE})
 _WRITES = frozenset({_WRITE_COIL, _WRITE_REGISTER, 15, _WRITE})
 _ERROR = 0x80
 """Bit of the function code of an exception reply."""
-
-EXCEPTIONS = {
-    1: "illegal function",
-    2: "illegal address",
-    3: "illegal value",
-    4: "device failure",
-    5: "acknowledged, not done yet",
-    6: "busy",
-    10: "gateway without a path",
-    11: "gateway: no reply of the device",
-}
 
 
 def function_of(exchange: Exchange) -> int:

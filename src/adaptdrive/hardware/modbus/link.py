@@ -10,15 +10,10 @@ anything is read again.
 from __future__ import annotations
 
 import asyncio
-import contextlib
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
-from typing import TypeVar
 
-from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
-from adaptdrive.errors import AdaptdriveError, BusError
-from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
+from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.hardware.modbus.frames import (
     SerialFrames,
     TcpFrames,
@@ -28,9 +23,8 @@ from adaptdrive.hardware.modbus.frames import (
     request,
 )
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.polled.stream import Stream
-
-Reply = TypeVar("Reply")
+from adaptdrive.hardware.polled.capacity import RTU_FRAME, Exchange, silence_s
+from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
 
 _PATIENCE = 3
 """Replies that may be missing in a row before a TCP connection is taken to be half open."""
@@ -50,136 +44,6 @@ _NOISE_ROUNDS = 10
 
 _LOOK_S = 0.005
 """Time between two looks, while a line is not silent, whether the exchange is still wanted."""
-
-
-class ExchangeError(AdaptdriveError):
-    """An exchange gave nothing that may be used."""
-
-    def __init__(self, problem: str, code: int | None = None, *, doubtful: bool = False) -> None:
-        """Keep the reason.
-
-        Args:
-            problem: What went wrong.
-            code: Exception code of the device, None where it gave none.
-            doubtful: Whether a reply came that may be one to an earlier request.
-        """
-        self.problem = problem
-        self.code = code
-        self.doubtful = doubtful
-        super().__init__(problem)
-
-
-class OvertakenError(ExchangeError):
-    """An exchange was not made, as it was no longer wanted: this says nothing of the device."""
-
-
-class PolledLink(ABC):
-    """An open link to a device that answers each exchange.
-
-    Attributes:
-        lost: Why the link can no longer be used, None while it can.
-        asked_s: When the last request was sent; monotonic.
-    """
-
-    def __init__(
-        self, description: str, timeout_s: float, counts: Counter[str], clock: Callable[[], float]
-    ) -> None:
-        """Prepare a link; nothing is opened yet.
-
-        Args:
-            description: The link in one phrase.
-            timeout_s: Longest time from a request to its reply, in s.
-            counts: What is counted on it.
-            clock: Monotonic clock, in s.
-        """
-        self._description = description
-        self._timeout_s = timeout_s
-        self._counts = counts
-        self._clock = clock
-        self._stream = Stream()
-        self._answered = False
-        self.lost: str | None = None
-        self.asked_s = clock()
-
-    async def open(self) -> None:
-        """Connect.
-
-        Raises:
-            BusError: There is no connection.
-        """
-        try:
-            await self._connect()
-        except (OSError, ValueError) as problem:
-            raise BusError(self._description, str(problem)) from problem
-
-    @abstractmethod
-    async def _connect(self) -> None:
-        """Connect the stream.
-
-        Raises:
-            OSError: There is no connection.
-            ValueError: The device has no such setting, or no such name.
-        """
-
-    def close(self) -> None:
-        """Disconnect; a command that a lost device has not received never reaches it."""
-        self._stream.close(drop=self.lost is not None)
-
-    @abstractmethod
-    async def exchange(
-        self,
-        exchange: Exchange,
-        words: list[int],
-        *,
-        at_once: bool = False,
-        void: Callable[[], bool] = lambda: False,
-    ) -> list[int]:
-        """Ask for registers, or write some, or both.
-
-        Args:
-            exchange: What is read and written.
-            words: The registers that are written.
-            at_once: Send it whatever may still be on the line.
-            void: Whether the exchange is not wanted any more, asked until it is sent.
-
-        Returns:
-            The registers that were read.
-
-        Raises:
-            ExchangeError: No reply, an exception reply, or one that does not fit; or it is void.
-        """
-
-    @abstractmethod
-    def suspect(self) -> None:
-        """Take what comes next for what is left of something else."""
-
-    def _require(self) -> None:
-        """Refuse a request on a connection that is lost.
-
-        Raises:
-            ExchangeError: It is.
-        """
-        self._note_end()
-        if self.lost is not None:
-            raise ExchangeError(self.lost)
-
-    def _note_end(self) -> None:
-        """Take note that the connection has ended, if it has."""
-        if self.lost is None and not self._stream.is_open:
-            at_once = "" if self._answered else " at once"
-            self.lost = f"the device closed the connection{at_once}"
-
-    async def _reply(self, packet: bytes, found: Callable[[bytes], Reply | None]) -> Reply | None:
-        """Send a request; return what is found in what comes, None where that is not in time."""
-        stream = self._stream
-        stream.send(packet)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(self._timeout_s):
-                while (reply := found(stream.received)) is None and stream.is_open:
-                    await stream.more()
-                self._answered = self._answered or reply is not None
-                return reply
-        return None
 
 
 class ModbusConnection(PolledLink):
@@ -233,20 +97,15 @@ class ModbusConnection(PolledLink):
             stream.transport, _ = await port.open(stream)
 
     async def exchange(
-        self,
-        exchange: Exchange,
-        words: list[int],
-        *,
-        at_once: bool = False,
-        void: Callable[[], bool] = lambda: False,
+        self, exchange: Exchange, words: list[int], void: Void | None = never
     ) -> list[int]:
         """Ask for registers, or write some, or both, as every polled link does."""
-        if not at_once:
+        if void is not None:
             await self._await_silence(void)
         self._require()
         hasty = self.unsettled_s() > 0.0
         self.asked_s = self._clock()
-        if not at_once and void():  # asked last: the process may have stood still until here
+        if void is not None and void():  # asked last: the process may have stood still until here
             raise OvertakenError("not sent: the line was not silent in time")
         asked = request(exchange, words)
         reply = await self._reply_to(asked, exchange)
@@ -319,7 +178,7 @@ class ModbusConnection(PolledLink):
         self._counts["received"] += 1
         return registers
 
-    async def _await_silence(self, void: Callable[[], bool]) -> None:
+    async def _await_silence(self, void: Void) -> None:
         """Let what may still come from an earlier request pass by unread, while it is wanted.
 
         Raises:
@@ -354,12 +213,9 @@ class ModbusConnection(PolledLink):
             self._counts["foreign"] += 1
 
 
-def describe_bus(config: ModbusLink) -> str:
+def describe_bus(config: TcpLink | RtuLink) -> str:
     """The link in one phrase, such as `modbus-rtu /dev/ttyUSB0 9600 8E1 device 1`."""
-    medium = "modbus"
     if isinstance(config, TcpLink):
-        medium = f"modbus-tcp {config.host}:{config.port}"
-    elif isinstance(config, RtuLink):
-        form = f"8{config.parity[0].upper()}{config.stop_bits}"
-        medium = f"modbus-rtu {config.device} {config.baud} {form}"
-    return f"{medium} device {config.device_id}"
+        return f"modbus-tcp {config.host}:{config.port} device {config.device_id}"
+    form = f"8{config.parity[0].upper()}{config.stop_bits}"
+    return f"modbus-rtu {config.device} {config.baud} {form} device {config.device_id}"

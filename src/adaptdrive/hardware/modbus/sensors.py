@@ -7,8 +7,6 @@ it. Nothing is ever written.
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import math
 from collections.abc import Callable, Iterator
 from itertools import combinations, groupby
@@ -16,22 +14,19 @@ from pathlib import Path
 
 from adaptdrive.config.modbus import RtuLink
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
-from adaptdrive.errors import BusError, ConfigurationError
-from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.binding import Source, sensor_entries
-from adaptdrive.hardware.counting import SensingPort
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
-from adaptdrive.hardware.modbus.blocks import plan_blocks
-from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
 from adaptdrive.hardware.modbus.frames import are_alike
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, describe_bus
-from adaptdrive.hardware.modbus.mapping import Named, RegisterCatalogue, inside, value_in
+from adaptdrive.hardware.modbus.link import ModbusConnection, describe_bus
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
+from adaptdrive.hardware.polled.blocks import plan_blocks
+from adaptdrive.hardware.polled.capacity import Exchange, cycle_flaws
+from adaptdrive.hardware.polled.link import ExchangeError
+from adaptdrive.hardware.polled.mapping import Named, RegisterCatalogue, inside, value_in
+from adaptdrive.hardware.polled.polling import Polling
 from adaptdrive.hardware.port import SensorListener
-
-_SILENT_CYCLES = 3
-"""Cycles without any reply after which the modules are reported lost."""
 
 _GATEWAY_CODES = frozenset({10, 11})
 """Exception codes with which a gateway says that the device behind it does not answer."""
@@ -59,14 +54,14 @@ def build_modbus_sensors(
     catalogue = RegisterCatalogue(bus.registers)
     sources = catalogue.sources(sensor_entries(bus, place), demands)
     blocks = tuple(_blocks(bus, sources))
-    exchanges = (one.exchange for one in blocks)
+    exchanges = [one.exchange for one in blocks]
     flaws = [*catalogue.flaws, *cycle_flaws(bus, exchanges, bus.cycle_s, place)]
     if flaws:
         raise ConfigurationError(source, flaws)
     return ModbusSensorPort(bus, blocks, clock)
 
 
-class ModbusSensorPort(SensingPort):
+class ModbusSensorPort(Polling[ModbusConnection]):
     """One connection to the modules on one link."""
 
     def __init__(
@@ -75,14 +70,11 @@ class ModbusSensorPort(SensingPort):
         blocks: tuple[SensorBlock, ...],
         clock: Callable[[], float],
     ) -> None:
-        super().__init__(describe_bus(config))
-        self._config = config
+        super().__init__(describe_bus(config), clock)
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
+        self._config = config
         self._blocks = blocks
-        self._clock = clock
-        self._closing = asyncio.Event()
-        self._silent = 0
-        self._foreign = 0
+        self._listener: SensorListener | None = None
         pairs = combinations([block.exchange for block in blocks], 2)
         self._alike = any(are_alike(config, pair) for pair in pairs)  # their order may change
         self._patience = math.ceil(config.oldest_s / config.cycle_s - 1e-6)
@@ -93,52 +85,34 @@ class ModbusSensorPort(SensingPort):
         Args:
             listener: Receiver of values and of the state of the bus.
         """
-        worker = asyncio.create_task(self._work(listener), name="modbus sensors")
-        try:
-            await asyncio.shield(worker)
-        finally:
-            self._closing.set()  # an exchange on a serial line is never cut short
-            await worker
+        self._listener = self._hears = listener
+        await self._run(*await self._try())
 
-    async def _work(self, listener: SensorListener) -> None:
-        """Serve one link after the other until the port is closed."""
-        backoff = BusBackoff(lambda: self._counts["received"])
-        while not self._closing.is_set():
-            self._report(listener, up=False, problem=await self._try(listener))
-            await self._sleep(backoff.next_s())
-
-    async def _try(self, listener: SensorListener) -> str:
-        """Open the link and poll it until it is lost; why it was."""
-        link = ModbusConnection(
+    def _new_link(self) -> ModbusConnection:
+        return ModbusConnection(
             self._config, self._counts, self._clock, shared=True, serial=self._serial
         )
-        try:
-            await link.open()
-        except BusError as problem:
-            return problem.problem
-        self._count_reopened()
-        try:
-            return await self._serve(link, listener)
-        finally:
-            link.close()
 
-    async def _serve(self, link: ModbusConnection, listener: SensorListener) -> str:
+    async def _serve(self, link: ModbusConnection) -> str:
         next_s = self._clock()
         turns = Turns(self._blocks, self._patience)
-        while link.lost is None and not self._closing.is_set():
-            await self._poll(link, turns, listener)
-            late_s = max(0.0, self._clock() - next_s)
-            next_s += (1 + int(late_s / self._config.cycle_s)) * self._config.cycle_s
-            await self._sleep(next_s - self._clock())
+        try:
+            while link.lost is None and not self._closing:
+                await self._poll(link, turns)
+                late_s = max(0.0, self._clock() - next_s)
+                next_s += (1 + int(late_s / self._config.cycle_s)) * self._config.cycle_s
+                await self._sleep(next_s - self._clock())
+        finally:
+            link.close()
         return link.lost or "closed"
 
-    async def _poll(self, link: ModbusConnection, turns: Turns, listener: SensorListener) -> None:
+    async def _poll(self, link: ModbusConnection, turns: Turns) -> None:
         """Ask for the blocks that are due; one that does not come leaves the others alone."""
         end_s = self._clock() + self._config.cycle_s
         heard, problem = False, ""
-        known, self._foreign = self._foreign, self._counts["foreign"]
+        self._begin_cycle()
         for turn in turns.due(lambda: end_s - self._clock() - link.unsettled_s(), link.miss_s):
-            if link.lost is not None or self._closing.is_set():
+            if link.lost is not None or self._closing:
                 return
             try:
                 words = await self._ask(link, turns, turn)
@@ -146,22 +120,15 @@ class ModbusSensorPort(SensingPort):
                 problem = failure.problem
                 continue
             heard = True
-            self._report(listener, up=True)
-            if not self._is_mixed_up(known):
-                listener.on_values(self._values(turn.block, words), link.asked_s)
-        if self._is_mixed_up(known):
+            self._note_bus(up=True)
+            if self._listener is not None and not self._is_mixed_up:
+                self._listener.on_values(self._values(turn.block, words), link.asked_s)
+        if self._is_mixed_up:
             link.suspect()  # the replies that are left would answer the next cycle
-        self._silent = 0 if heard else self._silent + 1
-        if self._silent >= _SILENT_CYCLES:
-            self._report(listener, up=False, problem=problem)
-
-    def _is_mixed_up(self, known: int) -> bool:
-        """Return whether replies came that nothing asked for, and may be taken for others.
-
-        Args:
-            known: How many there were when the last cycle began.
-        """
-        return self._alike and self._counts["foreign"] > known
+        if heard:
+            self._silent = 0
+        else:
+            self._note_silence(problem)
 
     async def _ask(self, link: ModbusConnection, turns: Turns, turn: Turn) -> list[int]:
         """Return the registers of a block, and note whether its device answers.
@@ -170,7 +137,7 @@ class ModbusSensorPort(SensingPort):
             ExchangeError: They did not come.
         """
         try:
-            words = await link.exchange(turn.block.exchange, [], void=self._closing.is_set)
+            words = await link.exchange(turn.block.exchange, [], lambda: self._closing)
         except ExchangeError as failure:
             silent = failure.code is None or failure.code in _GATEWAY_CODES
             turns.note(turn, answered=not silent)
@@ -188,16 +155,6 @@ class ModbusSensorPort(SensingPort):
         good = {name: value for name, value in values.items() if value is not None}
         self._counts["out_of_range"] += len(values) - len(good)
         return good
-
-    def _report(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
-        if not self._closing.is_set():
-            super()._report(listener, up=up, problem=problem)
-
-    async def _sleep(self, seconds: float) -> None:
-        """Sleep, unless the port is closed."""
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(max(0.0, seconds)):
-                await self._closing.wait()
 
 
 def _blocks(

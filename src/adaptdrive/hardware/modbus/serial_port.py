@@ -88,18 +88,9 @@ class SerialPort:
     def _opened(
         self, loop: asyncio.AbstractEventLoop, protocol: asyncio.BaseProtocol
     ) -> _Transport:
-        config = self._config
-        return _Transport(
-            self,
-            loop,
-            protocol,
-            str(config.device),
-            config.baud,
-            _BYTE_BITS,
-            config.parity[0].upper(),
-            config.stop_bits,
-            0.0,
-        )
+        one = self._config
+        settings = (one.baud, _BYTE_BITS, one.parity[0].upper(), one.stop_bits, 0.0)
+        return _Transport(self, loop, protocol, str(one.device), *settings)
 
     def close(self, port: Any) -> None:  # noqa: ANN401 - pyserial has no types
         """Close an open port of pyserial, without waiting for it."""

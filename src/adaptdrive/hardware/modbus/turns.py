@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from adaptdrive.hardware.binding import Source
-from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.mapping import Named
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.mapping import Named
 
 SELDOM_CYCLES = 10
 """Cycles between two requests to silent blocks that do not fit: one in ten may be late."""

@@ -26,7 +26,7 @@ _COUNT = struct.Struct("i")
 
 
 class Stream(asyncio.Protocol):
-    """What has come from a device, and the way to it.
+    """Bytes that have come from a device, and the way to it.
 
     Attributes:
         received: Bytes that nobody has taken yet.
@@ -72,7 +72,7 @@ class Stream(asyncio.Protocol):
 
     @property
     def undelivered_bytes(self) -> int:
-        """What was sent on TCP and has not reached the device's end of the connection."""
+        """Bytes sent on TCP that have not reached the device's end of the connection."""
         link = self._socket
         with contextlib.suppress(OSError):  # a connection that has just ended
             if link is not None:

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-from adaptdrive.config.modbus import Register
 from adaptdrive.config.scpi import ScpiBus
-from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.codec import count, encode_count
-from adaptdrive.hardware.modbus.link import ExchangeError, OvertakenError, PolledLink
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.codec import count, encode_count
+from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
 
 _DONE = "*OPC?"
 """Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
@@ -26,7 +25,6 @@ class ScpiConnection(PolledLink):
     def __init__(
         self,
         config: ScpiBus,
-        registers: dict[str, Register],
         counts: Counter[str],
         clock: Callable[[], float],
         replies: dict[str, str],
@@ -35,14 +33,14 @@ class ScpiConnection(PolledLink):
 
         Args:
             config: Which supply.
-            registers: The values as registers, by name.
             counts: What is counted on it.
             clock: Monotonic clock, in s.
             replies: The last reply to each question is kept here.
         """
         super().__init__(describe_supply(config), config.timeout_s, counts, clock)
         self._config = config
-        self._registers = {one.address: one for one in registers.values()}
+        registers = config.as_registers().registers
+        self._values = {one.address: (config.values[name], one) for name, one in registers.items()}
         self._replies = replies
 
     async def _connect(self) -> None:
@@ -53,27 +51,22 @@ class ScpiConnection(PolledLink):
         self.lost = self.lost or "a reply came that nothing asked for"
 
     async def exchange(
-        self,
-        exchange: Exchange,
-        words: list[int],
-        *,
-        at_once: bool = False,  # noqa: ARG002 - no line has to be silent first
-        void: Callable[[], bool] = lambda: False,
+        self, exchange: Exchange, words: list[int], void: Void | None = never
     ) -> list[int]:
         """Ask for a value, or set one and wait until the supply has done so."""
         if exchange.read is not None:
             return await self._read(exchange.read, void)
         if exchange.write is not None:
-            register = self._registers[exchange.write.address]
-            line = self._config.value_at(register.address).line(count(register, words))
+            value, register = self._values[exchange.write.address]
+            line = value.line(count(register, words))
             reply = await self._ask(f"{line}\n{_DONE}", void)
             if reply.lstrip("+") != "1":
                 raise ExchangeError(f"{reply!r} came in reply to {line!r} and {_DONE}")
         return []
 
-    async def _read(self, block: Block, void: Callable[[], bool]) -> list[int]:
+    async def _read(self, block: Block, void: Void | None) -> list[int]:
         """Return the registers of a value; one that is no number is NaN, or fails."""
-        value, register = self._config.value_at(block.address), self._registers[block.address]
+        value, register = self._values[block.address]
         question = value.query or ""
         reply = self._replies[question] = await self._ask(question, void)
         try:
@@ -81,7 +74,7 @@ class ScpiConnection(PolledLink):
         except ValueError as problem:
             raise ExchangeError(f"{reply!r} came in reply to {question!r}") from problem
 
-    async def _ask(self, line: str, void: Callable[[], bool]) -> str:
+    async def _ask(self, line: str, void: Void | None) -> str:
         """Send a line, and return the line that answers it.
 
         Raises:
@@ -93,7 +86,7 @@ class ScpiConnection(PolledLink):
             self.suspect()
         self._require()
         self.asked_s = self._clock()
-        if void():  # asked last: the process may have stood still until here
+        if void is not None and void():  # asked last: the process may have stood still until here
             raise OvertakenError("not sent: it was no longer wanted")
         reply = await self._reply(f"{line}\n".encode(), _first_line)
         if reply is None:

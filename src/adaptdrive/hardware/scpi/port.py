@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.timing import Timing
-from adaptdrive.hardware.modbus.link import PolledLink
-from adaptdrive.hardware.modbus.mapping import Poll
-from adaptdrive.hardware.modbus.port import ModbusPort
+from adaptdrive.hardware.polled.link import PolledLink
+from adaptdrive.hardware.polled.mapping import Poll
+from adaptdrive.hardware.polled.port import PolledPort
 from adaptdrive.hardware.scpi.link import ScpiConnection, describe_supply
 
 
-class ScpiPort(ModbusPort):
+class ScpiPort(PolledPort):
     """One connection to one supply."""
 
     def __init__(
@@ -26,14 +26,9 @@ class ScpiPort(ModbusPort):
             timing: Times of the drive.
             clock: Monotonic clock, in s.
         """
-        super().__init__(supply.as_registers(), poll, timing, clock)
+        super().__init__(describe_supply(supply), supply.as_registers(), poll, timing, clock)
         self._supply = supply
         self._replies: dict[str, str] = {}
-
-    @property
-    def description(self) -> str:
-        """The bus in one phrase, such as `scpi 10.0.0.7:5025`."""
-        return describe_supply(self._supply)
 
     def details(self) -> list[str]:
         """The last reply to each question, and what was refused."""
@@ -50,8 +45,5 @@ class ScpiPort(ModbusPort):
                 reply = self._replies[question]
                 self._failure = f"{refused}: {question} gives {reply!r}, no number in its range"
 
-    async def _open(self) -> PolledLink:
-        registers = self._config.registers
-        link = ScpiConnection(self._supply, registers, self._counts, self._clock, self._replies)
-        await link.open()
-        return link
+    def _new_link(self) -> PolledLink:
+        return ScpiConnection(self._supply, self._counts, self._clock, self._replies)

@@ -1,10 +1,9 @@
-"""Commands in a row that a drive on Modbus has not taken, and the word on them."""
+"""Commands in a row that a polled drive has not taken, and the word on them."""
 
 from __future__ import annotations
 
-from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.frames import EXCEPTIONS
-from adaptdrive.hardware.modbus.link import ExchangeError
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.link import EXCEPTIONS, ExchangeError
 
 _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+from adaptdrive.config.modbus import Heartbeat
 from adaptdrive.hardware.binding import BRIDGE, Source
 from adaptdrive.hardware.fault_latch import FaultLatch
-from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Named, Poll, explain, value_in, word_in
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in, word_in
 from adaptdrive.hardware.port import Reading, composed, confirming
+
+STANDS_STILL = "the drive's heartbeat register stands still: its controller hangs"
 
 
 class PollAssembly:
@@ -78,23 +82,19 @@ class PollAssembly:
                 report its bridge is assumed to follow it.
             stopped: Whether the safe command is in force.
         """
-        if self._refused:
-            reading = self._stop(arrival_s, start_s) if stopped else None
-        else:
-            reading = self._whole(arrival_s, start_s, bridge_sent=bridge_sent)
+        reading = self._stop(arrival_s, start_s) if self._refused and stopped else None
+        if not self._refused:
+            bridge = self._values.get(BRIDGE, bridge_sent)
+            reading = composed(
+                self._values,
+                self._poll.other,
+                self.faults,
+                arrival_s=arrival_s,
+                oldest_s=start_s,
+                bridge=bridge != 0,
+            )
         self._handed_out = reading or self._handed_out
         return reading
-
-    def _whole(self, arrival_s: float, start_s: float, *, bridge_sent: bool) -> Reading:
-        bridge = self._values.get(BRIDGE)
-        return composed(
-            self._values,
-            self._poll.other,
-            self.faults,
-            arrival_s=arrival_s,
-            oldest_s=start_s,
-            bridge=bridge_sent if bridge is None else bridge != 0,
-        )
 
     def _stop(self, arrival_s: float, start_s: float) -> Reading | None:
         """Return the last reading with the bridge of this poll."""
@@ -112,3 +112,34 @@ class PollAssembly:
                     word = word_in(source, block, self.raw[block])
                     return None if word is None else word != 0
         return None
+
+
+class DriveHeartbeat:
+    """Judges from poll to poll whether a drive's heartbeat advances."""
+
+    def __init__(self, config: Heartbeat) -> None:
+        self._watched = config.drive is not None
+        self._patience_s = config.drive_timeout_s or 0.0
+        self._known: float | None = None
+        self._advanced_s = -math.inf
+
+    def forget(self) -> None:
+        """Forget the last value: the link was opened again."""
+        self._known, self._advanced_s = None, -math.inf
+
+    def beats(self, value: float | None, now_s: float) -> bool | None:
+        """Return whether the drive is alive, None while that is not known.
+
+        Args:
+            value: Heartbeat of a poll, None where it must not be used.
+            now_s: When the poll began, monotonic clock.
+        """
+        if not self._watched:
+            return True
+        known, self._known = self._known, value
+        if known is None:
+            return None  # one value alone shows no life, and neither does the same one again
+        if value != known:
+            self._advanced_s = now_s
+            return True
+        return now_s - self._advanced_s <= self._patience_s

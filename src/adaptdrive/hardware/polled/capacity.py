@@ -6,12 +6,12 @@ around each. On TCP the bytes cost next to nothing; the drive's turnaround is wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from adaptdrive.config.modbus import ModbusBus, ModbusLink, RtuLink
 from adaptdrive.errors import Flaw
-from adaptdrive.hardware.modbus.blocks import Block
+from adaptdrive.hardware.polled.blocks import Block
 
 USABLE_SHARE = 0.8
 """Share of the poll cycle that exchanges may take: a safe command must find the line free."""
@@ -79,7 +79,7 @@ def exchange_s(bus: ModbusLink, exchange: Exchange) -> float:
 
 
 def capacity_flaws(
-    bus: ModbusBus, exchanges: Iterable[Exchange], half_cycle_s: float
+    bus: ModbusBus, exchanges: Sequence[Exchange], half_cycle_s: float
 ) -> Iterator[Flaw]:
     """Yield why the wanted rate does not fit on the link, with the link's figures.
 
@@ -88,18 +88,17 @@ def capacity_flaws(
         exchanges: The exchanges of one poll.
         half_cycle_s: Half a line cycle.
     """
-    poll_s = bus.poll_ticks * half_cycle_s
+    poll_s, ticks = bus.poll_ticks * half_cycle_s, bus.poll_ticks
     rate = f"a poll every {poll_s * 1e3:.1f} ms ({1.0 / poll_s:.3g} per second)"
-    wanted = "bus.poll_ticks", f"{bus.poll_ticks} half cycles ask for {rate}"
-
-    def fitting(usable_s: float) -> str:
-        return f"poll_ticks = {int(usable_s / half_cycle_s) + 1}"
-
-    yield from _time_flaws(bus, [*exchanges], poll_s, wanted, fitting)
+    needed_s, problem = _excess(bus, exchanges, poll_s)
+    if problem:
+        fitting = f"poll_ticks = {int(needed_s / half_cycle_s) + 1} fits"
+        yield Flaw("bus.poll_ticks", f"{ticks} half cycles ask for {rate}; {problem}: {fitting}")
+    yield from _reply_flaws(bus, exchanges, "bus")
 
 
 def cycle_flaws(
-    bus: ModbusLink, exchanges: Iterable[Exchange], cycle_s: float, place: str
+    bus: ModbusLink, exchanges: Sequence[Exchange], cycle_s: float, place: str
 ) -> Iterator[Flaw]:
     """Yield why the exchanges of one cycle do not fit into it, with the link's figures.
 
@@ -109,33 +108,30 @@ def cycle_flaws(
         cycle_s: The wanted cycle time.
         place: Where the link stands in the configuration.
     """
-    wanted = f"{place}.cycle_s", f"{cycle_s:g} s is too short"
-    yield from _time_flaws(bus, [*exchanges], cycle_s, wanted, lambda s: f"{s:.3g} s")
+    needed_s, problem = _excess(bus, exchanges, cycle_s)
+    if problem:
+        too_short = f"{cycle_s:g} s is too short; {problem}: {needed_s:.3g} s fits"
+        yield Flaw(f"{place}.cycle_s", too_short)
+    yield from _reply_flaws(bus, exchanges, place)
 
 
-def _time_flaws(
-    bus: ModbusLink,
-    exchanges: list[Exchange],
-    cycle_s: float,
-    wanted: tuple[str, str],
-    fitting: Callable[[float], str],
-) -> Iterator[Flaw]:
-    """Yield a cycle, and a time-out, that is too short; `fitting` names a cycle that is not."""
-    times_s = [exchange_s(bus, exchange) for exchange in exchanges]
-    (key, asked), needed_s = wanted, sum(times_s)
-    if needed_s > USABLE_SHARE * cycle_s:
-        takes = f"{asked}; {_figures(bus, exchanges)} take {needed_s * 1e3:.1f} ms"
-        fits = f"{fitting(needed_s / USABLE_SHARE)} fits"
-        yield Flaw(key, f"{takes}, and {USABLE_SHARE:.0%} of the cycle may be used: {fits}")
-    slowest_s = max(times_s, default=0.0)
+def _excess(bus: ModbusLink, exchanges: Sequence[Exchange], cycle_s: float) -> tuple[float, str]:
+    """Return the shortest cycle for exchanges, and why one does not fit, empty where it does."""
+    took_s = sum(exchange_s(bus, exchange) for exchange in exchanges)
+    takes = f"{_figures(bus, exchanges)} take {took_s * 1e3:.1f} ms"
+    problem = f"{takes}, and {USABLE_SHARE:.0%} of the cycle may be used"
+    return took_s / USABLE_SHARE, problem if took_s > USABLE_SHARE * cycle_s else ""
+
+
+def _reply_flaws(bus: ModbusLink, exchanges: Sequence[Exchange], place: str) -> Iterator[Flaw]:
+    """Yield a time-out that the slowest exchange does not keep."""
+    slowest_s = max((exchange_s(bus, exchange) for exchange in exchanges), default=0.0)
     if bus.timeout_s <= slowest_s:
         slowest = f"the slowest exchange, {slowest_s * 1e3:.1f} ms"
-        yield Flaw(
-            f"{key.rpartition('.')[0]}.timeout_s", f"{bus.timeout_s} s must be above {slowest}"
-        )
+        yield Flaw(f"{place}.timeout_s", f"{bus.timeout_s} s must be above {slowest}")
 
 
-def _figures(bus: ModbusLink, exchanges: list[Exchange]) -> str:
+def _figures(bus: ModbusLink, exchanges: Sequence[Exchange]) -> str:
     total = sum(exchange_bytes(bus, exchange) for exchange in exchanges)
     wire = ""
     if isinstance(bus, RtuLink):

@@ -12,7 +12,6 @@ from typing import NamedTuple, TypeVar
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusBus, Register
-from adaptdrive.config.proposals import nearest
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import (
@@ -27,9 +26,9 @@ from adaptdrive.hardware.binding import (
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.field import Field
-from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
-from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws
-from adaptdrive.hardware.modbus.codec import (
+from adaptdrive.hardware.polled.blocks import Block, plan_blocks
+from adaptdrive.hardware.polled.capacity import Exchange, capacity_flaws
+from adaptdrive.hardware.polled.codec import (
     decode,
     decode_value,
     encode_count,
@@ -57,7 +56,7 @@ class Named(NamedTuple):
 
 
 class RegisterCatalogue(Catalogue[Named]):
-    """Finds registers by name, and collects an error for each that is not there."""
+    """Finds registers by name."""
 
     on = None
 
@@ -65,14 +64,9 @@ class RegisterCatalogue(Catalogue[Named]):
         super().__init__()
         self._registers = registers
 
-    def find(self, reference: str, place: str) -> Named | None:
-        """The register that a reference names, or None and a flaw at `place`."""
-        register = self._registers.get(reference)
-        if register is None:
-            hint = nearest(reference, self._registers)
-            self.note(place, f"the map has no register {reference!r}{hint}")
-            return None
-        return Named(reference, register)
+    def find(self, reference: str, place: str) -> Named | None:  # noqa: ARG002 - none is missing
+        """The register that a reference of a validated configuration names."""
+        return Named(reference, self._registers[reference])
 
     def field(self, item: Named, use: Use) -> Field:
         """Return how a register is coded."""
@@ -113,9 +107,8 @@ def explain(source: Source[Named], block: Block, words: list[int]) -> str:
     """Return why a quantity must not be used: its name, its place and what is there."""
     register, taken = source.item.register, _words(source, block, words)
     place = f"{source.quantity}: {Block(register.table, register.address, register.words)}"
-    if _is_blank(source, taken):
-        return f"{place} holds {' '.join(f'{word:04x}' for word in taken)}, its word for no value"
-    return f"{place} {refusal(register, source.field, taken)}"
+    blank = _is_blank(source, taken)
+    return f"{place} {refusal(register, source.field, taken, blank=blank)}"
 
 
 def _is_blank(source: Source[Named], taken: list[int]) -> bool:
@@ -275,7 +268,7 @@ def map_drive(
         faults=fault_words(bound, signals),
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
-    flaws += [] if flaws else capacity_flaws(bus, poll.exchanges(), half_cycle_s)
+    flaws += [] if flaws else capacity_flaws(bus, [*poll.exchanges()], half_cycle_s)
     if flaws:
         raise ConfigurationError(source, flaws)
     return poll

@@ -88,18 +88,19 @@ def _lowest(mask: int | None) -> int:
     return 1 if mask is None else mask & -mask
 
 
-def refusal(register: Register, field: Field, words: Sequence[int]) -> str:
-    """Return what registers hold that `decode` refuses, and why.
+def refusal(register: Register, field: Field, words: Sequence[int], *, blank: bool) -> str:
+    """Return what registers hold that must not be used, and why.
 
     Args:
         register: How the value is coded.
         field: The same.
         words: Its registers.
+        blank: Whether they say nothing although `decode` takes them.
     """
     found, bounds = count(register, words), register.range
     raw = " ".join(f"{word:04x}" for word in words)
     held = f"holds {raw}, {found * register.scale:.10g} {register.unit}".strip()
-    if found in field.unknown or found in field.blanks:
+    if blank or found in field.unknown or found in field.blanks:
         return f"holds {raw}, its word for no value"
     if bounds is None or not math.isfinite(found):
         return f"{held}: no finite number"

@@ -9,12 +9,13 @@ from collections.abc import Callable
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.doubts import Obedience
-from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.link import ExchangeError, OvertakenError, PolledLink
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, block_words
-from adaptdrive.hardware.modbus.pace import WritePace, has_switch
-from adaptdrive.hardware.modbus.untaken import UntakenCommands
-from adaptdrive.hardware.modbus.witness import PollWitness
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void
+from adaptdrive.hardware.polled.mapping import HEARTBEAT, Poll, block_words
+from adaptdrive.hardware.polled.pace import WritePace, has_switch
+from adaptdrive.hardware.polled.untaken import UntakenCommands
+from adaptdrive.hardware.polled.witness import PollWitness
 
 
 class Commander:
@@ -114,10 +115,6 @@ class Commander:
         self._safe = False
         self._begun_s = self._clock()
 
-    def note_step(self) -> None:
-        """Note that the port does its work; a command from before a standstill is void."""
-        self._witness.note_step()
-
     def note_read(self, *, answered: bool) -> None:
         """Note the end of a poll, which gives no reading unless its bridge is noted next.
 
@@ -177,13 +174,11 @@ class Commander:
         """
         block, _ = self._poll.writes[0]
         words = self._words(command)[0]
-        at_once = self._at_once
+        void = None if self._at_once else lambda: not self._may_join(command)
         self._doubt(command)
         both = Exchange(exchange.read, block)
         try:
-            registers = await self._exchange(
-                link, both, words, at_once=at_once, void=lambda: not self._may_join(command)
-            )
+            registers = await self._exchange(link, both, words, void)
         except OvertakenError:
             return await self._read(link, exchange)
         except ExchangeError as failure:
@@ -204,7 +199,7 @@ class Commander:
         if command is None or not self._may_follow(command):
             self._count_withheld()
             return
-        at_once = self._at_once
+        void = None if self._at_once else lambda: not self._may_follow(command)
         parts = [*zip(self._poll.writes, self._words(command), strict=True)]
         if not command.bridge:
             parts.sort(key=lambda part: not has_switch(part[0][1]))
@@ -218,8 +213,7 @@ class Commander:
                 continue
             sent = True
             if taken or (command == SAFE_COMMAND and link.lost is None):
-                exchange = Exchange(write=block)
-                taken &= await self._wrote(link, exchange, registers, command, at_once=at_once)
+                taken &= await self._wrote(link, block, registers, command, void)
         if taken:
             self.refused_write = ""
             self._confirm(command, link.asked_s, sent=sent)
@@ -238,51 +232,38 @@ class Commander:
         known = self.urgent
 
         def overtaken() -> bool:
-            self.note_step()
+            self._witness.note_step()
             return self.urgent and not known
 
-        return await self._exchange(link, exchange, [], void=overtaken)
+        return await self._exchange(link, exchange, [], overtaken)
 
     async def _exchange(
-        self,
-        link: PolledLink,
-        exchange: Exchange,
-        words: list[int],
-        *,
-        at_once: bool = False,
-        void: Callable[[], bool],
+        self, link: PolledLink, exchange: Exchange, words: list[int], void: Void | None
     ) -> list[int]:
         """Ask the link, and note that the process runs.
 
         Raises:
             ExchangeError: As the link does.
         """
-        self.note_step()
+        self._witness.note_step()
         try:
-            return await link.exchange(exchange, words, at_once=at_once, void=void)
+            return await link.exchange(exchange, words, void)
         finally:
-            self.note_step()
+            self._witness.note_step()
 
     async def _wrote(
         self,
         link: PolledLink,
-        exchange: Exchange,
+        block: Block,
         registers: list[int],
         command: Command,
-        *,
-        at_once: bool,
+        void: Void | None,
     ) -> bool:
         """Write one block of a command; whether the drive has taken it."""
-        if exchange.write is not None:
-            self._pace.doubt(exchange.write)
+        self._pace.doubt(block)
+        exchange = Exchange(write=block)
         try:
-            await self._exchange(
-                link,
-                exchange,
-                registers,
-                at_once=at_once,
-                void=lambda: not self._may_follow(command),
-            )
+            await self._exchange(link, exchange, registers, void)
         except ExchangeError as failure:
             if self._is_void(command):
                 self._count_withheld()
@@ -291,8 +272,7 @@ class Commander:
             self.refused_write = f"command: {failure.problem}"
             self._untaken.note(exchange, failure, silent=self._witness.silent)
             return False
-        if exchange.write is not None:
-            self._pace.note(exchange.write, registers)
+        self._pace.note(block, registers)
         return True
 
     def _count_withheld(self) -> None:

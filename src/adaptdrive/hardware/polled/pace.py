@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable
 
 from adaptdrive.config.cadence import DAY_S
 from adaptdrive.hardware.binding import BRIDGE, Sink
-from adaptdrive.hardware.modbus.blocks import Block
-from adaptdrive.hardware.modbus.mapping import Named, Poll
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.mapping import Named, Poll
 
 
 class WritePace:

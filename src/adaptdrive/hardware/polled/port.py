@@ -1,0 +1,266 @@
+"""Port of a drive that is polled: polls it on an absolute grid, and writes the newest command.
+
+A poll that gives every value makes one reading, as old as the first of its requests; one that does
+not gives none, so that the values in use grow old until they trip the drive. A drive at rest has a
+reading of the old values then, with its bridge, so that it can confirm its stop. A command waits
+for the end of the poll under way, the safe command only for the end of the exchange under way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+
+from adaptdrive.config.modbus import ModbusBus
+from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.counting import CountingPort
+from adaptdrive.hardware.polled.assembly import STANDS_STILL, DriveHeartbeat, PollAssembly
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.commander import Commander
+from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink
+from adaptdrive.hardware.polled.mapping import Poll, written
+from adaptdrive.hardware.polled.polling import Polling
+from adaptdrive.hardware.polled.witness import PollWitness, look_limit_s
+from adaptdrive.hardware.port import Listener
+
+_MIXED_UP = (
+    "replies come that nothing asked for, and one read of this map may be taken for the next: two "
+    "devices with the same id, or a line that repeats"
+)
+
+
+class PolledPort(Polling[PolledLink], CountingPort):
+    """One connection to one drive that is polled."""
+
+    must_open = False
+    """True where a link that cannot be opened at the first attempt is an error."""
+
+    def __init__(
+        self,
+        description: str,
+        bus: ModbusBus,
+        poll: Poll,
+        timing: Timing,
+        clock: Callable[[], float],
+    ) -> None:
+        super().__init__(description, clock)
+        self._timeout_s = bus.timeout_s
+        self._poll = poll
+        self.stop_slack_s = 0.0 if poll.reports_bridge else None
+        self._poll_s = timing.reading_s
+        look_s = look_limit_s(bus.timeout_s, len(poll.writes))
+        self._witness = PollWitness(poll.reports_bridge, timing, look_s, clock)
+        self._commander = Commander(poll, self._witness, self._counts, clock, timing)
+        self._listener: Listener | None = None
+        self._link: PolledLink | None = None
+        self._assembly = PollAssembly(poll)
+        self._heartbeat = DriveHeartbeat(bus.heartbeat)
+        self._failure = ""
+
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive: it does not accept its commands, or had a fault."""
+        return self._commander.complaint or self._assembly.faults.complaint
+
+    @property
+    def safe_s(self) -> float:
+        """Time at which the drive acknowledged the safe command, infinite without one in force."""
+        return self._commander.safe_s
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Open the link, call `opened`, and poll until cancelled; reconnect when it is lost.
+
+        A drive on TCP that is not there yet is waited for, like one that is switched off.
+
+        Args:
+            listener: Receiver of readings and of the state of the bus.
+            opened: Called once, when the port is ready.
+
+        Raises:
+            BusError: The serial port cannot be opened at the first attempt.
+        """
+        self._listener = self._hears = listener
+        link, problem = await self._try()
+        if link is None and self.must_open:
+            raise BusError(self.description, problem)
+        opened()
+        await self._run(link, problem)
+
+    def send(self, command: Command) -> bool:
+        """Give the drive a command with the next exchange; a later one takes its place.
+
+        Args:
+            command: Command to the drive; it must have passed the guard.
+
+        Returns:
+            Whether there is a link to send it on; False is counted.
+
+        Raises:
+            ValueError: A value is not finite, or its register cannot hold it.
+        """
+        self._commander.set(command)
+        if self._link is None:
+            self._counts["send_drops"] += 1
+            return False
+        if self._commander.urgent:
+            self._wake.set()
+        return True
+
+    def explain_age(self) -> str:
+        """Return the missing registers of the last poll; every value is as old as its poll."""
+        none = (
+            "no reply has come since the last reading"
+            if self._assembly.raw
+            else "no reply has come yet"
+        )
+        return f"the polls give no reading: {self._failure or none}"
+
+    def details(self) -> list[str]:
+        """The registers of the last poll, raw, and what was refused."""
+        read = [
+            f"registers {block} = [{' '.join(f'{word:04x}' for word in words)}]"
+            for block, words in self._assembly.raw.items()
+        ]
+        problems = (self._failure, self._commander.refused_write)
+        return [*read, *(f"refused: {one}" for one in problems if one)]
+
+    async def _serve(self, link: PolledLink) -> str:
+        """Poll over an open link until it is lost or the port is closed; why it was lost."""
+        self._link = link
+        self._heartbeat.forget()
+        self._commander.begin()
+        next_s, hurried = self._clock(), False
+        try:
+            await self._set_up(link)
+            while link.lost is None and not self._closing:
+                self._witness.note_step()
+                start_s = self._clock()
+                await self._poll_once(link)
+                hurried = not hurried and self._commander.is_starved(start_s)
+                due_s = self._next(next_s)
+                if hurried:  # once, before the drive's own time-out ends
+                    due_s = min(due_s, start_s + self._timeout_s)
+                else:
+                    next_s = due_s
+                await self._idle(link, due_s)
+            await self._commander.leave_safe(link)
+        except Exception:
+            with contextlib.suppress(Exception):  # the first problem counts
+                await self._commander.leave_safe(link)
+            raise
+        finally:
+            self._link = None
+            link.close()
+        return link.lost or "closed"
+
+    async def _set_up(self, link: PolledLink) -> None:
+        """Write what the drive needs before it is commanded; a link without that is lost."""
+        for block, sink, reads in self._poll.setup:
+            words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
+            try:
+                if reads and await self._ask(link, Exchange(read=block), []) == words:
+                    continue
+                await self._ask(link, Exchange(write=block), words)
+                held = await self._ask(link, Exchange(read=block), []) if reads else words
+            except ExchangeError as failure:
+                await self._commander.leave_safe(link)
+                link.lost = link.lost or f"set-up of {name!r}: {failure.problem}"
+                return
+            if held != words:
+                await self._commander.leave_safe(link)
+                found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
+                link.lost = f"set-up of {name!r}: {block} holds {found} after {wanted} was written"
+                return
+
+    async def _ask(self, link: PolledLink, exchange: Exchange, words: list[int]) -> list[int]:
+        """Exchange one part of the set-up; a safe command that is urgent goes before it."""
+        if self._commander.urgent:
+            await self._commander.write(link)
+        self._witness.note_step()
+        return await link.exchange(exchange, words)
+
+    def _next(self, last_s: float) -> float:
+        """The next point of the grid, or the last one that was missed: that poll begins at once."""
+        late = max(0.0, self._clock() - last_s)
+        return last_s + max(1, int(late / self._poll_s)) * self._poll_s
+
+    async def _idle(self, link: PolledLink, until_s: float) -> None:
+        """Wait for the next poll; a safe command goes out at once."""
+        while link.lost is None and not self._closing and self._clock() < until_s:
+            self._wake.clear()
+            if self._commander.urgent:
+                await self._commander.write(link)
+            await self._sleep(until_s - self._clock())
+
+    async def _poll_once(self, link: PolledLink) -> None:
+        """Read all registers, pass the reading on, and write the resulting command."""
+        start_s = self._clock()
+        self._begin_cycle()
+        try:
+            await self._read(link)
+        except OvertakenError:
+            pass  # the drive was not asked
+        except ExchangeError as failure:
+            self._failure = failure.problem
+            self._commander.note_read(answered=False)
+            self._note_silence(failure.problem)
+        else:
+            if self._was_silent:  # it may have started anew
+                self._silent = 0
+                await self._set_up(link)
+            self._commander.note_read(answered=True)
+            if self._is_mixed_up:
+                self._failure = _MIXED_UP
+                link.suspect()  # the replies that are left would answer the next poll
+            else:
+                self._take(start_s)
+        if link.lost is None and self._commander.pending:
+            await self._commander.write(link)
+
+    async def _read(self, link: PolledLink) -> None:
+        """Read every block.
+
+        Raises:
+            ExchangeError: The drive did not give one of the blocks.
+        """
+        assembly = self._assembly
+        assembly.begin()
+        joined = self._commander.begin_poll()
+        for block, sources in self._poll.reads if joined else self._poll.bridge_last:
+            if self._commander.urgent:
+                await self._commander.write(link)
+            words = await self._commander.read(link, Exchange(read=block), joined=joined)
+            joined = False
+            assembly.take(block, sources, words)
+        self._failure = assembly.refusal
+        self._counts["out_of_range"] += bool(assembly.refusal)
+
+    def _take(self, start_s: float) -> None:
+        """Hand out the reading of a poll, unless it has none or the drive stands still."""
+        commander, assembly = self._commander, self._assembly
+        if not self._is_alive(start_s):
+            self._witness.note_refused(powered=assembly.powered_beside_refused)
+            return
+        stopped = commander.safe_s < math.inf
+        reading = assembly.reading(
+            self._clock(), start_s, bridge_sent=self._witness.bridge, stopped=stopped
+        )
+        if reading is None:
+            self._witness.note_refused(powered=assembly.powered_beside_refused)
+            return
+        self._silent = 0
+        self._note_bus(up=True)
+        self._witness.note_bridge(powered=reading.bridge)
+        if self._listener is not None:
+            assembly.faults.clear(reading.fault)
+            self._listener.on_reading(reading)
+
+    def _is_alive(self, start_s: float) -> bool:
+        alive = self._heartbeat.beats(self._assembly.heartbeat, start_s)
+        if alive is False:
+            self._counts["counter_stuck"] += 1
+            self._failure = STANDS_STILL
+        return alive is True
