@@ -152,7 +152,7 @@ class DaemonByHand:
         with contextlib.suppress(asyncio.QueueEmpty):
             while True:
                 snapshot = slow._snapshots.get_nowait()
-                slow._deliver(snapshot, self.revise(slow._decider.decide(snapshot)))
+                slow._deliver(snapshot, self.revise(slow._decide(snapshot)))
                 made += 1
         return made
 

@@ -76,7 +76,7 @@ async def keeping(folder: Path, hub: Hub) -> AsyncIterator[Ledger]:
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
     recalled = recall(folder, datetime.now(UTC))
     recorder = Recorder(Place(folder, None), Header(INFO, ""), hub, clocks, recalled=recalled)
-    hub.keep_with(recorder.kept)
+    hub.kept = recorder.kept
     running = asyncio.create_task(recorder.run())
     try:
         yield ledger_of(recalled, recorder)

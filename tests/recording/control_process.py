@@ -34,7 +34,7 @@ async def main(sessions: Path) -> None:
     pace = RecordingPace(flush_s=0.1, keep_s=60.0)
     place = Place(sessions.with_name("motor.log"), sessions)
     recorder = Recorder(place, Header(INFO, ""), hub, clocks, pace)
-    hub.keep_with(recorder.kept)
+    hub.kept = recorder.kept
     events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:
         group.create_task(recorder.run())

@@ -23,9 +23,8 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.hardware.port import Reading
-from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.loop_interface import FastLoopSettings
+from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable, Request

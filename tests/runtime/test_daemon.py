@@ -19,8 +19,8 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurem
 from adaptdrive.errors import BusError, RefusedError
 from adaptdrive.hardware.port import Listener
 from adaptdrive.runtime.daemon import Daemon
-from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.loop_interface import DaemonSettings
 from adaptdrive.runtime.reports import (
     DriveReport,
     Event,

@@ -108,10 +108,10 @@ async def test_a_tick_half_a_period_late_feeds_no_watchdog() -> None:
 
 async def test_a_command_that_is_held_to_a_limit_is_counted() -> None:
     async with running_bench() as bench:
-        assert bench.loop.limited == 0
+        assert bench.loop.guard.limited == 0
         bench.controller.replace_tick = lambda *_: Command(0.1, 1e6, bridge=True)
         bench.frames(3)
-        assert bench.loop.limited == 3
+        assert bench.loop.guard.limited == 3
         assert bench.loop.command.boost_reference_V == FAST.command.boost_reference_max_V
 
 

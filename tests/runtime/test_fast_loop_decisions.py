@@ -54,7 +54,7 @@ async def test_a_decision_takes_effect_at_its_fixed_tick(delivered_after: int) -
         references = boost_references(bench)
         assert references[due - 1] != 333.0
         assert all(references[tick] == 333.0 for tick in range(due, due + 3))
-        assert bench.loop.counts.late_decisions == 0
+        assert bench.loop._schedule.late_decisions == 0
 
 
 async def test_a_late_decision_takes_effect_at_the_next_tick_and_is_flagged() -> None:
@@ -64,7 +64,7 @@ async def test_a_late_decision_takes_effect_at_the_next_tick_and_is_flagged() ->
         bench.loop.deliver(taken, decision(taken.k, 333.0))
         bench.frames(5)
         assert applied(bench) == {taken.tick + 8: taken.k}
-        assert bench.loop.counts.late_decisions == 1
+        assert bench.loop._schedule.late_decisions == 1
 
 
 async def test_a_decision_is_applied_on_a_stand_in_tick_too() -> None:

@@ -92,7 +92,7 @@ async def test_a_decision_takes_effect_at_its_poll() -> None:
         poll(bench)
         assert bench.reports[-1].applied_k == taken.k
         assert bench.sent[-1].boost_reference_V == 301.0
-        assert bench.loop.counts.late_decisions == 0
+        assert bench.loop._schedule.late_decisions == 0
 
 
 async def test_a_bridge_that_stays_off_has_three_polls_to_close() -> None:

@@ -39,7 +39,7 @@ def delivered() -> list[tuple[Snapshot, Decision]]:
 
 @pytest.fixture
 def slow(delivered: list[tuple[Snapshot, Decision]]) -> SlowLoop:
-    return SlowLoop(Decider(), lambda *pair: delivered.append(pair))
+    return SlowLoop(Decider().decide, lambda *pair: delivered.append(pair))
 
 
 async def test_snapshots_are_decided_in_their_order(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from adaptdrive.control.signals import Mode
+from adaptdrive.runtime.accounts import status_line
 from adaptdrive.runtime.reports import State, StateReport
-from adaptdrive.runtime.status import status_line
 
 TRIP = "over-voltage: v_bst = 431.0 V, limit 430 V"
 LOST = "socketcan can0: [Errno 100] Network is down"

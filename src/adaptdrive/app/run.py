@@ -203,7 +203,7 @@ def _build(
     controller = controller_from(settings, load, learnt)
     rehearsal = Rehearsal(configuration, build_port(configuration, now_s, path))
     recorder = build_recorder(configuration, given.text, hub, recalled, learnt, start_thread)
-    hub.keep_with(recorder.kept)
+    hub.kept = recorder.kept
     publish_samples(port, hub.publish, now_s)
     keeper = None
     if is_kept(settings):

@@ -26,10 +26,9 @@ from adaptdrive.control.settings import (
 )
 from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.runtime.collector import COLLECT_TICKS
-from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.guard import CommandLimits
-from adaptdrive.runtime.loop_interface import FastLoopSettings
+from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.machine_limits import MachineLimits
 
 _LOWEST_LINE = 0.5

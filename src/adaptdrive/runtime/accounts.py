@@ -1,4 +1,4 @@
-"""Periodic reports of a daemon, collected from its parts."""
+"""Reports of a daemon, collected from its parts, and its state in one line."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ from adaptdrive.runtime.reports import (
 _NAMES = tuple(field.name for field in fields(PortStatistics))
 
 
-def state_report(machine: Machine, decision: Decision | None, stop: StopWord) -> StateReport:
+def state_report(
+    machine: Machine, decision: Decision | None, stop: StopWord, *, shutting_down: bool = False
+) -> StateReport:
     """Return state and mode of a drive, for operators.
 
     Args:
         machine: The state machine.
         decision: The decision in force, None while there is none.
         stop: Confirmation of the stop by the drive.
+        shutting_down: Whether the daemon ends.
     """
     return StateReport(
         state=machine.state,
@@ -41,6 +44,7 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
         waveform=machine.waveform,
         pole=machine.pole,
         trip=machine.trip,
+        shutting_down=shutting_down,
         stop=stop if machine.commanded_off else None,
         voltage_V=machine.manual.target_V if machine.mode is Mode.MANUAL else None,
         reach=machine.reach,
@@ -73,6 +77,42 @@ def _source(mode: Mode, decision: Decision | None) -> Mode:
     return Mode.FIXED if decided is Mode.MANUAL else decided
 
 
+def status_line(
+    report: StateReport, bus_problem: str | None, cause: str | None, *, recorded: bool = True
+) -> str:
+    """Return the state of a drive and what it waits for, and whether recording has failed.
+
+    Args:
+        report: The state.
+        bus_problem: Why the bus is lost, None while it is there.
+        cause: Interlock that is active now, None for none. Only what comes before its colon is
+            returned: the figures behind it change all the time.
+        recorded: Whether all that is to be recorded is.
+    """
+    line = _state_line(report, bus_problem, cause)
+    return line if recorded else f"{line}; recording has failed"
+
+
+def _state_line(report: StateReport, bus_problem: str | None, cause: str | None) -> str:
+    obstacle = bus_problem or (cause and cause.partition(":")[0])
+    match report.state:
+        case State.STANDBY:
+            awaited = f"the drive ({obstacle})" if obstacle else "enable"
+            return f"standby, waiting for {awaited}"
+        case State.STARTING:
+            return "starting, waiting for the boost voltage"
+        case State.TRIPPED:
+            awaited = f"its cause to go ({obstacle})" if obstacle else "reset"
+            return f"tripped, waiting for {awaited}: {report.trip}"
+        case State.STOPPING:
+            return "stopping, waiting for the drive to confirm that its bridge is off"
+        case State.RUNNING if report.coasting:
+            return f"running, {report.reason}"
+        case State.RUNNING:
+            why = f": {report.reason}" if report.reason else ""
+            return f"running, {report.controller} controller{why}"
+
+
 def drive_report(
     fast: FastLoop, bus: PortStatistics, sensors: tuple[SensorReport, ...], now_s: float
 ) -> DriveReport:
@@ -91,7 +131,7 @@ def drive_report(
         ticks=fast.counts.ticks,
         missed=fast.counts.missed,
         held=fast.counts.held,
-        limited=fast.limited,
+        limited=fast.guard.limited,
         lateness_us=fast.lateness.take(),
         turnaround_us=fast.turnaround.take(),
         bus={**_counts(bus), "withheld_commands": bus.withheld_commands + fast.counts.withheld},

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from adaptdrive.control.signals import Decision, Mode
-from adaptdrive.runtime.accounts import state_report
+from adaptdrive.runtime.accounts import state_report, status_line
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import Event, Severity, StateReport
-from adaptdrive.runtime.status import status_line
 from adaptdrive.runtime.watchdog import ServiceManager
 
 
@@ -60,8 +58,8 @@ class Announcer:
     def publish_state(self) -> None:
         """Publish the state if it has changed, and the event of its change."""
         last = self.published
-        report = state_report(self._machine, self.decision, self._fast.stop)
-        report = replace(report, shutting_down=self.shutting_down)
+        ends, stop = self.shutting_down, self._fast.stop
+        report = state_report(self._machine, self.decision, stop, shutting_down=ends)
         if report == last:
             return
         self.published = report

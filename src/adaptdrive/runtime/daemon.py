@@ -15,9 +15,9 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.announcer import Announcer
-from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.loop_interface import DaemonSettings
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.refused_share import RefusedShares
 from adaptdrive.runtime.reports import (
@@ -83,7 +83,7 @@ class Daemon:
         self._manager = manager
         self._machine = Machine(settings.machine, settings.pole)
         self._fast = FastLoop(port, controller, self._machine, settings.fast, self)
-        self._slow = SlowLoop(controller, self._fast.deliver)
+        self._slow = SlowLoop(controller.decide, self._fast.deliver)
         self._timer: TickTimer | None = None
         self._support: TickSupport | None = None
         self._failure: asyncio.Future[None] | None = None
@@ -103,7 +103,9 @@ class Daemon:
         loop = asyncio.get_running_loop()
         self._failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
-        self._support = self._support_ticks(loop)
+        self._support = TickSupport(
+            self._settings, self._port, self._announcer, self._rehearse, self._clock
+        )
         self._hub.publish(self._announcer.published)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -118,22 +120,6 @@ class Daemon:
             self._timer.close()
             self._support.close()
             self._manager.close()
-
-    def _support_ticks(self, loop: asyncio.AbstractEventLoop) -> TickSupport:
-        return TickSupport(
-            loop,
-            self._settings,
-            self._port,
-            rehearse=self._rehearse,
-            report_late=lambda detail: self._announcer.publish_event(
-                "latency", Severity.WARNING, detail
-            ),
-            report_unrehearsed=lambda problem: self._announcer.publish_event(
-                "realtime", Severity.WARNING, f"rehearse_us has no effect any more: {problem}"
-            ),
-            is_idle=lambda: not self._machine.energised,
-            clock=self._clock,
-        )
 
     async def _work(self, stop: asyncio.Event) -> None:
         """Everything that needs the port; it ends before the port does."""

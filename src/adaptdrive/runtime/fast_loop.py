@@ -39,7 +39,20 @@ _RUN: Final[Stage] = Stage.RUN
 
 
 class FastLoop:
-    """Runs the ticks of one drive. Listens to the port; is called by the timer."""
+    """Runs the ticks of one drive. Listens to the port; is called by the timer.
+
+    Attributes:
+        tick: Latest tick, -1 before the first.
+        stop_limit_s: Longest time from a stop to its confirmation.
+        reading: Latest reading.
+        measurement: That of the latest tick.
+        command: Last command that was given to the port.
+        guard: Holds the commands to their limits.
+        counts: Counts of ticks and commands.
+        lateness: Times from due to begun.
+        turnaround: Times from a frame to its command.
+        tick_time: Times that ticks took.
+    """
 
     def __init__(
         self,
@@ -64,7 +77,7 @@ class FastLoop:
         timing = settings.timing
         tick_s, stride = timing.half_cycle_s, timing.ticks_per_reading
         self._half_cycles = HalfCycles(port.counter_modulus, tick_s, stride, timing.stale_s)
-        self._guard = Guard(settings.command)
+        self.guard = Guard(settings.command)
         self._settings = settings
         self._surroundings = surroundings
         self._interlocks = InterlockBoard(settings, port, self._half_cycles)
@@ -75,6 +88,7 @@ class FastLoop:
         self._sequence = 0
         self._deadline_s = math.inf
         self.tick = -1
+        self.stop_limit_s: Final = self._stopping.watch.limit_s
         self.reading: Reading | None = None
         self.measurement: Measurement | None = None
         self.command = SAFE_COMMAND
@@ -94,11 +108,6 @@ class FastLoop:
         if cause or self._machine.energised or reading is None or not reading.bridge:
             return cause
         return "the drive's bridge is on although it is commanded off"
-
-    @property
-    def limited(self) -> int:
-        """Commands that were held to a limit since the start."""
-        return self._guard.limited
 
     @property
     def reading_period_s(self) -> float:
@@ -182,7 +191,7 @@ class FastLoop:
         """Send the safe command now, outside any tick, to a drive that is commanded off."""
         if self.command.bridge:  # the last tick may have been the first to command it on
             self._stopping.release(self.reading, bridge=True)
-        self.command = self._guard.check(SAFE_COMMAND)
+        self.command = self.guard.check(SAFE_COMMAND)
         self._port.send(self.command)
         self._stopping.judge(self.reading, self._surroundings.now_s())
 
@@ -191,15 +200,10 @@ class FastLoop:
         """Confirmation of the stop by the drive."""
         return self._stopping.word
 
-    @property
-    def stop_limit_s(self) -> float:
-        """Longest time from a stop to its confirmation."""
-        return self._stopping.watch.limit_s
-
     def _send(self, command: Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
         try:
-            self.command = self._guard.check(command)
+            self.command = self.guard.check(command)
             self._port.send(self.command)
         except ValueError as problem:
             self._machine.latch(f"command cannot be sent: {problem}")
@@ -234,7 +238,6 @@ class FastLoop:
     def _count(self, passed: int) -> None:
         """Count a tick, and the readings that should have had one since the last."""
         self.counts.ticks += 1
-        self.counts.late_decisions = self._schedule.late_decisions
         if passed:
             self.counts.missed += passed // self._settings.timing.ticks_per_reading - 1
 
@@ -245,7 +248,21 @@ class FastLoop:
         self.tick_time.add(tick_us)
         if fresh:
             self.turnaround.add(turnaround_us)
-        self._report(lateness_us, turnaround_us, tick_us, ended_s)
+        if self.measurement is None or self._order is None:
+            return
+        report = TickReport(
+            sequence=self._sequence,
+            measurement=self.measurement,
+            order=self._order,
+            applied_k=self._schedule.applied_k,
+            command=self._wanted,
+            lateness_us=lateness_us,
+            turnaround_us=turnaround_us,
+            tick_us=tick_us,
+            time_s=ended_s,
+        )
+        self._sequence += 1
+        self._surroundings.ticked(report)
 
     def _watch_interlocks(self, now_s: float) -> None:
         machine, reading, interlocks = self._machine, self.reading, self._interlocks
@@ -338,23 +355,3 @@ class FastLoop:
             self._surroundings.run_ended()
         self._order = Order(stage, reference, machine.mode, machine.pole, manual_V, steady, told)
         return self._order
-
-    def _report(
-        self, lateness_us: float, turnaround_us: float, tick_us: float, time_s: float
-    ) -> None:
-        if self.measurement is None or self._order is None:
-            return
-        self._surroundings.ticked(
-            TickReport(
-                sequence=self._sequence,
-                measurement=self.measurement,
-                order=self._order,
-                applied_k=self._schedule.applied_k,
-                command=self._wanted,
-                lateness_us=lateness_us,
-                turnaround_us=turnaround_us,
-                tick_us=tick_us,
-                time_s=time_s,
-            )
-        )
-        self._sequence += 1

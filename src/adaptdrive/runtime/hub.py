@@ -62,28 +62,23 @@ Keep = Callable[[], Awaitable[None]]
 """Waits until all that was published is in a file, for a short bounded time at most."""
 
 
+async def _wait_for_nothing() -> None:
+    pass
+
+
 class Hub:
-    """Hands each report to every subscriber of its kind."""
+    """Hands each report to every subscriber of its kind.
+
+    Attributes:
+        kept: Waits until all that was published so far is recorded; at once where nothing is.
+            Subscribers call it before an event leaves the process, so that no kill can leave an
+            event with an operator and not in the session. A disk that hangs delays it by a bounded
+            time.
+    """
 
     def __init__(self) -> None:
         self._queues: dict[type[Report], list[Subscription]] = {}
-        self._keep: Keep = _wait_for_nothing
-
-    def keep_with(self, keep: Keep) -> None:
-        """Name the recorder of what is published.
-
-        Args:
-            keep: Waits for the recorder.
-        """
-        self._keep = keep
-
-    async def kept(self) -> None:
-        """Wait until all that was published so far is recorded; at once where nothing is.
-
-        Subscribers call it before an event leaves the process, so that no kill can leave an event
-        with an operator and not in the session. A disk that hangs delays it by a bounded time.
-        """
-        await self._keep()
+        self.kept: Keep = _wait_for_nothing
 
     def subscribe(self, *kinds: type[Report], size: int) -> Subscription:
         """Open a queue for the given kinds of report.
@@ -101,7 +96,3 @@ class Hub:
         """Offer a report to its subscribers. Never blocks, never fails."""
         for subscription in self._queues.get(type(report), ()):
             subscription.put(report)
-
-
-async def _wait_for_nothing() -> None:
-    pass

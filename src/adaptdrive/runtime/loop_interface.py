@@ -1,7 +1,8 @@
-"""Settings of the fast loop, and its interface to the rest of the runtime."""
+"""Settings of the runtime of one drive, and the interface of its fast loop to the rest."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,6 +11,7 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.interlocks import Limits, Watch
+from adaptdrive.runtime.machine_limits import MachineLimits
 from adaptdrive.runtime.reports import TickReport
 
 
@@ -21,14 +23,12 @@ class TickCounts:
         ticks: Ticks run.
         missed: Half cycles that passed without a tick.
         held: Stand-in ticks.
-        late_decisions: Decisions that were not ready at their tick.
         withheld: Commands that were not given to the port: the drive must report first.
     """
 
     ticks: int = 0
     missed: int = 0
     held: int = 0
-    late_decisions: int = 0
     withheld: int = 0
 
 
@@ -55,6 +55,33 @@ class FastLoopSettings:
     timer_standin: bool
     watches: tuple[Callable[[], Watch], ...] = ()
     drive_clocks: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonSettings:
+    """Settings of the runtime.
+
+    Attributes:
+        machine: Operator's limits.
+        pole: Closed-loop pole at start.
+        fast: The fast loop.
+        report_s: Time between two drive reports.
+        late_us: Lateness from which a tick is reported as an event.
+        spin_s: Busy wait before a frame of the drive is due, and before a deadline of the timer.
+        rehearse_s: How long before a frame of the drive is due a tick is rehearsed, 0 for never.
+        collect_ticks: Ticks between two collections of garbage, 0 to leave that to Python.
+        refused_share: Share of refused frames that trips the drive, 0 for none.
+    """
+
+    machine: MachineLimits
+    pole: float
+    fast: FastLoopSettings
+    report_s: float
+    late_us: float = math.inf
+    spin_s: float = 0.0
+    rehearse_s: float = 0.0
+    collect_ticks: int = 0
+    refused_share: float = 0.0
 
 
 class LoopSurroundings(Protocol):

@@ -16,6 +16,12 @@ FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
 
 
+def _outside(  # noqa: PLR0913, PLR0917 - the parts of one sentence
+    what: str, value: float, low: float, high: float, unit: str = "", why: str = ""
+) -> RefusedError:
+    return RefusedError(f"{what} = {value:.12g}{unit} is outside {low:g}…{high:g}{unit}{why}")
+
+
 @dataclass(frozen=True, slots=True)
 class MachineLimits:
     """Limits of an operator's requests, and of the time to start.
@@ -74,10 +80,7 @@ class MachineLimits:
             RefusedError: The value is out of range or not finite.
         """
         if not (math.isfinite(value) and self.reference_min <= value <= self.reference_max):
-            raise RefusedError(
-                f"{what} = {value:.12g} {self.unit} is outside "
-                f"{self.reference_min:g}…{self.reference_max:g} {self.unit}"
-            )
+            raise _outside(what, value, self.reference_min, self.reference_max, f" {self.unit}")
 
     def require_reach(self, what: str, value: float, reach: Reach) -> None:
         """Refuse a set-point that V_c cannot hold, unless it is governed.
@@ -85,10 +88,8 @@ class MachineLimits:
         Arguments as of `require_reference`.
         """
         if not (self.govern or reach.holds(value)):
-            raise RefusedError(
-                f"{what} = {value:.12g} {self.unit} is outside {reach.low:g}…{reach.high:g} "
-                f"{self.unit}, which V_c can hold"
-            )
+            unit = f" {self.unit}"
+            raise _outside(what, value, reach.low, reach.high, unit, ", which V_c can hold")
 
     def require_period(self, what: str, value: float) -> None:
         """Refuse a period of a waveform, in s, that is too short."""
@@ -98,17 +99,13 @@ class MachineLimits:
     def require_pole(self, value: float) -> None:
         """Refuse a closed-loop pole that is too fast or too slow."""
         if not self.pole_min <= value <= self.pole_max:
-            raise RefusedError(
-                f"pole = {value:.12g} is outside {self.pole_min:g}…{self.pole_max:g}"
-            )
+            raise _outside("pole", value, self.pole_min, self.pole_max)
 
     def require_voltage(self, value: float, hold_s: float | None) -> None:
         """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
         if not self.floor_V <= value <= self.ceiling_V:
-            raise RefusedError(
-                f"voltage = {value:.12g} {self.voltage_unit} is outside "
-                f"{self.floor_V:g}…{self.ceiling_V:g} {self.voltage_unit}"
-            )
+            unit = f" {self.voltage_unit}"
+            raise _outside("voltage", value, self.floor_V, self.ceiling_V, unit)
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
             raise RefusedError(
                 f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from adaptdrive.runtime.reports import DriveReport
 
@@ -35,14 +34,6 @@ _CAUSES = {
     "timeouts": "are the baud rate, the device id and the cable right, and the time-out long "
     "enough?",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class _Mark:
-    """Counts of a port at a time, by name."""
-
-    time_s: float
-    counts: Mapping[str, int]
 
 
 class RefusedShares:
@@ -85,7 +76,7 @@ class RefusedShare:
         """
         self._name = name
         self._limit = limit
-        self._marks: deque[_Mark] = deque()
+        self._marks: deque[tuple[float, Mapping[str, int]]] = deque()
         self._noted = False
         self.cause: str | None = None
 
@@ -100,26 +91,21 @@ class RefusedShare:
             What is to be reported, None for nothing new.
         """
         marks = self._marks
-        marks.append(_Mark(now_s, counts))
-        while len(marks) > 1 and now_s - marks[1].time_s >= WINDOW_S:
+        marks.append((now_s, counts))
+        while len(marks) > 1 and now_s - marks[1][0] >= WINDOW_S:
             marks.popleft()
-        first = marks[0].counts
+        since_s, first = marks[0]
         judged = _judged(first, counts)
-        if now_s - marks[0].time_s < WINDOW_S or judged < _LEAST_FRAMES:
+        if now_s - since_s < WINDOW_S or judged < _LEAST_FRAMES:
             self.cause = None
             return None
         refused = _refused(first, counts)
-        return self._judge(min(1.0, sum(refused.values()) / judged), judged, refused)
-
-    def _judge(self, share: float, judged: int, refused: Mapping[str, int]) -> str | None:
+        share = min(1.0, sum(refused.values()) / judged)
         text = self._text(share, judged, refused)
         self.cause = self._problem(share, text)
-        if share < _FORGOTTEN_SHARE:
-            self._noted = False
-        if share < _NOTED_SHARE or self._noted:
-            return None
-        self._noted = True
-        return text
+        noted, least = self._noted, _FORGOTTEN_SHARE if self._noted else _NOTED_SHARE
+        self._noted = share >= least
+        return text if self._noted and not noted else None
 
     def _problem(self, share: float, text: str) -> str | None:
         if not self._limit or share < self._limit:

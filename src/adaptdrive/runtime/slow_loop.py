@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from typing import Protocol
 
 from adaptdrive.control.signals import Decision, Snapshot
 
@@ -12,24 +11,21 @@ _WAITING_AT_MOST = 3
 """Snapshots that may wait for a decision; the drive trips at the next one."""
 
 
-class Decider(Protocol):
-    """The slow half of a controller."""
-
-    def decide(self, snapshot: Snapshot) -> Decision:
-        """Make a decision of a snapshot."""
-
-
 class SlowLoop:
     """Decides on every snapshot, in order, outside the tick that took it."""
 
-    def __init__(self, decider: Decider, deliver: Callable[[Snapshot, Decision], None]) -> None:
+    def __init__(
+        self,
+        decide: Callable[[Snapshot], Decision],
+        deliver: Callable[[Snapshot, Decision], None],
+    ) -> None:
         """Join the slow half of the controller to the fast loop.
 
         Args:
-            decider: The controller.
+            decide: Makes a decision of a snapshot: the slow half of the controller.
             deliver: Where each decision goes, with the snapshot it was made of.
         """
-        self._decider = decider
+        self._decide = decide
         self._deliver = deliver
         self._snapshots: asyncio.Queue[Snapshot] = asyncio.Queue(maxsize=_WAITING_AT_MOST)
 
@@ -50,4 +46,4 @@ class SlowLoop:
         """Decide until cancelled."""
         while True:
             snapshot = await self._snapshots.get()
-            self._deliver(snapshot, self._decider.decide(snapshot))
+            self._deliver(snapshot, self._decide(snapshot))

@@ -76,14 +76,11 @@ class StopWatch:
             return self._denied(reading, now_s)
         elif reading is not None and not reading.bridge:
             self._on.clear()
-            self._confirmed = self._confirmed or reading.bridge_reported_s > self._due_s(safe_s)
+            due_s = max(safe_s, self._commanded_s, self._come_s)
+            self._confirmed = self._confirmed or reading.bridge_reported_s > due_s
         if self._confirmed:
             return Stop.CONFIRMED
         return Stop.OVERDUE if now_s - self._commanded_s > self.limit_s else Stop.AWAITED
-
-    def _due_s(self, safe_s: float) -> float:
-        """Return the time after which a report of the bridge off confirms the stop."""
-        return max(safe_s, self._commanded_s, self._come_s)
 
     def judge_start(self, reading: Reading, now_s: float) -> Stop:
         """Return what is known of the bridge of a drive that only raises its boost voltage.
@@ -121,17 +118,6 @@ class StopWatch:
     def doubt(self, now_s: float) -> None:
         """Wait for a confirmation again."""
         self._confirmed, self._commanded_s = False, now_s
-
-    def is_silent(self, reading: Reading | None, now_s: float) -> bool:
-        """Return whether a drive that reports its bridge has not done so for a stop's time.
-
-        It may have been switched on meanwhile: what it has confirmed is no word on it now.
-
-        Args:
-            reading: The latest reading, None before the first.
-            now_s: Monotonic time.
-        """
-        return reading is None or now_s - reading.bridge_reported_s > self.limit_s
 
     def why_not(self, reading: Reading | None, safe_s: float, now_s: float) -> str:
         """Return why the stop is not confirmed, and the likeliest remedy."""

@@ -84,11 +84,16 @@ class Stopping:
             self._miss(f"the drive does not stop: {self.watch.why_not(reading, now_s, now_s)}")
 
     def _confirmation(self, reading: Reading | None, now_s: float) -> StopWord:
-        """Return the word on a stop that is complete."""
+        """Return the word on a stop that is complete.
+
+        A drive that has been silent for a stop's time may have been switched on meanwhile: what it
+        has confirmed is no word on it now.
+        """
         if self._port.stop_slack_s is None:
             return StopWord.IMPOSSIBLE
-        silent = self.watch.is_silent(reading, now_s)
-        return StopWord.AWAITED if silent else StopWord.CONFIRMED
+        if reading is None or now_s - reading.bridge_reported_s > self.watch.limit_s:
+            return StopWord.AWAITED
+        return StopWord.CONFIRMED
 
     def _is_settled(self, verdict: Stop, now_s: float) -> bool:
         """Return whether a tripped drive that denied its stop has stayed off for a stop's time.

@@ -6,50 +6,43 @@ import asyncio
 from collections.abc import Callable, Iterator
 
 from adaptdrive.hardware.port import Port
+from adaptdrive.runtime.announcer import Announcer
 from adaptdrive.runtime.collector import IdleCollector
-from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
-from adaptdrive.runtime.reports import TickReport
+from adaptdrive.runtime.loop_interface import DaemonSettings
+from adaptdrive.runtime.reports import Severity, TickReport
 
 
 class TickSupport:
     """Shortens the ticks of one drive, and explains the late ones."""
 
-    def __init__(  # noqa: PLR0913 - one parameter for each interface
+    def __init__(
         self,
-        loop: asyncio.AbstractEventLoop,
         settings: DaemonSettings,
         port: Port,
-        *,
+        announcer: Announcer,
         rehearse: Callable[[], None],
-        report_late: Callable[[str], None],
-        report_unrehearsed: Callable[[str], None],
-        is_idle: Callable[[], bool],
         clock: Callable[[], float],
     ) -> None:
-        """Begin to note garbage collections, and expect no frame yet.
+        """Begin to note garbage collections in the running loop, and expect no frame yet.
 
         Args:
-            loop: Event loop of the port.
             settings: Times and thresholds.
             port: The drive.
+            announcer: Publishes causes of late ticks, and the error that has ended the rehearsals.
             rehearse: Does what a tick does, and nothing that can be noticed.
-            report_late: Receives the cause of a late tick.
-            report_unrehearsed: Receives the error that has ended the rehearsals.
-            is_idle: Returns whether the drive is off, so that a late tick does no harm.
             clock: Monotonic clock in seconds.
         """
-        self._loop = loop
+        self._loop = loop = asyncio.get_running_loop()
         self._settings = settings
         self._port = port
+        self._announcer = announcer
         self._rehearse = rehearse
-        self._report_unrehearsed = report_unrehearsed
-        self._is_idle = is_idle
         self._clock = clock
         self._collector = IdleCollector(settings.collect_ticks)
         ring = loop.ring if isinstance(loop, WatchedLoop) else None
-        self._detector = LatencyDetector(settings.late_us, report_late, clock, ring)
+        self._detector = LatencyDetector(settings.late_us, self._report_late, clock, ring)
         self._detector.open()
         self._expectant = list(self._get_ready())
 
@@ -59,7 +52,7 @@ class TickSupport:
             one.expect(due_s)
 
     def ticked(self, report: TickReport) -> None:
-        """Look at a tick that has just ended."""
+        """Look at a tick that has just ended; the next one is far."""
         self._detector.ticked(report.lateness_us, report.tick_us)
         if self._collector.is_due():
             self._loop.call_soon(self._collect)
@@ -84,5 +77,12 @@ class TickSupport:
             yield FrameWatch(self._loop, look, settings.spin_s, self._clock)
 
     def _collect(self) -> None:
-        """Collect garbage now that a tick has ended and the next one is far."""
-        self._collector.collect(idle=self._is_idle())
+        """Collect garbage; a late tick does no harm while the drive is off."""
+        self._collector.collect(idle=not self._announcer.published.enabled)
+
+    def _report_late(self, detail: str) -> None:
+        self._announcer.publish_event("latency", Severity.WARNING, detail)
+
+    def _report_unrehearsed(self, problem: str) -> None:
+        detail = f"rehearse_us has no effect any more: {problem}"
+        self._announcer.publish_event("realtime", Severity.WARNING, detail)
