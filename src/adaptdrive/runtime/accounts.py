@@ -55,18 +55,13 @@ def state_report(
 def _reason(machine: Machine, decision: Decision | None) -> str:
     """Return why adaptive is not in force, or may not fit the load any more, and any probe."""
     adaptive = machine.mode is Mode.ADAPTIVE
-    if decision is None:
-        return _undecided(machine) if adaptive else ""
+    if decision is None:  # a run has none before its first slow period
+        running = machine.state is State.RUNNING
+        undecided = "waiting for the first slow period of this run" if running else "not running"
+        return undecided if adaptive else ""
     waiting = adaptive and _source(machine.mode, decision) is Mode.FIXED
     informed = not math.isnan(decision.probe) or (adaptive and decision.accepted)
     return decision.reason if waiting or (machine.energised and informed) else ""
-
-
-def _undecided(machine: Machine) -> str:
-    """Return why no decision is in force: a run has none before its first slow period."""
-    if machine.state is State.RUNNING:
-        return "waiting for the first slow period of this run"
-    return "not running"
 
 
 def _source(mode: Mode, decision: Decision | None) -> Mode:
@@ -175,11 +170,6 @@ def sensor_sample(buses: Sequence[SensorBus], now_s: float) -> SensorSample:
         buses: The sensor buses.
         now_s: Monotonic time.
     """
-    values: dict[str, float] = {}
-    age_s: dict[str, float] = {}
-    for bus in buses:
-        for name, value in bus.values.items():
-            column = f"{bus.name}.{name}"
-            values[column] = value
-            age_s[column] = now_s - bus.taken_s[name]
-    return SensorSample(now_s, values, age_s)
+    found = [(f"{bus.name}.{name}", bus, name) for bus in buses for name in bus.values]
+    values = {column: bus.values[name] for column, bus, name in found}
+    return SensorSample(now_s, values, {column: now_s - bus.taken_s[n] for column, bus, n in found})

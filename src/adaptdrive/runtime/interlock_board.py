@@ -58,14 +58,10 @@ class InterlockBoard:
         )
         if cause is not None or self._rate is None:
             return cause
-        return self._standing_count(self._rate.standing_s) or self._rate.cause
-
-    def _standing_count(self, standing_s: float) -> str | None:
-        """Return why the readings may be one reading, repeated: its count does not move."""
-        limit_s = self._stale_s
+        standing_s, limit_s = self._rate.standing_s, self._stale_s
         if standing_s <= limit_s:
-            return None
-        return (
+            return self._rate.cause
+        return (  # the readings may be one reading, repeated
             f"half-cycle counter: the drive's count has stood for {standing_s * 1e3:.0f} ms while "
             f"frames come, limit {limit_s * 1e3:g} ms: its control hangs, or its last frame is "
             "repeated"

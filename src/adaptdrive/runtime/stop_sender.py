@@ -11,7 +11,6 @@ from adaptdrive.hardware.port import FAREWELL_GAP_S, FAREWELLS
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable
 
 _STOP_GAP_S = 0.004
 """Least time between the safe commands of a flood of stops: half a tick, for the bus's sake."""
@@ -35,7 +34,7 @@ class StopSender:
 
     def stop(self) -> None:
         """Send only safe commands from now on, and the first one at once."""
-        self._machine.carry_out(Disable(), self._fast.tick, math.nan, None)
+        self._machine.disable()
         self._fast.send_safe()
 
     def stop_again(self) -> None:
