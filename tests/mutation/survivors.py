@@ -96,13 +96,10 @@ RUNTIME: dict[str, str] = {
     "self._gap_s = self._silent_s = 1.0": _SET_BEFORE_USE,
     f"{_BRIDGE}__init__: self._gap_end_s = self._silence_end_s = -math.inf -> "
     "self._gap_end_s = self._silence_end_s = math.inf": _SET_BEFORE_USE,
-    f"{_BRIDGE}awaits_report: return self._been_on and unheard_s > SHORTEST_TIMEOUT_S -> "
-    "return self._been_on and unheard_s >= SHORTEST_TIMEOUT_S": _TIME_BOUND,
     f"{_BRIDGE}_see_on: if _heard_s(reading) > self._silence_end_s: -> "
     "if _heard_s(reading) >= self._silence_end_s:": _TIME_BOUND,
     f"{_BRIDGE}_is_overdue: return False -> return None": _FALSE,
-    f"{_BRIDGE}_hidden: if self._gap_s > SHORTEST_TIMEOUT_S: -> "
-    "if self._gap_s >= SHORTEST_TIMEOUT_S:": _TIME_BOUND,
+    f"{_BRIDGE}_note_silence: if silent_s <= limit_s: -> if silent_s < limit_s:": _TIME_BOUND,
     f"{_BRIDGE}find_cause: if unwatched_s > self._gap_limit_s: -> "
     "if unwatched_s >= self._gap_limit_s:": _TIME_BOUND,
     f"{_BRIDGE}_is_overdue: return reported_s - self._off_s > self._grace_s "

@@ -31,7 +31,10 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.manual": ("tests/runtime/test_machine_limits.py",),
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
     "adaptdrive.runtime.interlock_board": ("tests/runtime/test_interlock_board.py", *_LOOP),
-    "adaptdrive.runtime.bridge_watch": ("tests/runtime/test_bridge_watch.py",),
+    "adaptdrive.runtime.bridge_watch": (
+        "tests/runtime/test_bridge_watch.py",
+        "tests/runtime/test_fast_loop.py",
+    ),
     "adaptdrive.runtime.counter_watch": (
         "tests/runtime/test_restart_watch.py",
         *_RATE,

@@ -62,10 +62,6 @@ Keep = Callable[[], Awaitable[None]]
 """Waits until all that was published is in a file, for a short bounded time at most."""
 
 
-Keep = Callable[[], Awaitable[None]]
-"""Waits until all that was published is in a file, for a short bounded time at most."""
-
-
 async def _wait_for_nothing() -> None:
     pass
 
