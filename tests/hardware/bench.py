@@ -124,6 +124,13 @@ class Drive:
         self.send_status()
         self.send_load()
 
+    async def reports(self, ear: Ear, **status: float) -> None:
+        """Send what a drive sends each half cycle, and wait for the reading of it."""
+        known = len(ear.readings)
+        self.send_status(**status)
+        self.send_load()
+        await ear.hears(known + 1)
+
 
 class Ear:
     """Listens to a port."""
@@ -164,12 +171,14 @@ class WallClock:
         return time.time() + self.step_s
 
 
-def build_port(config: CanBus, clock: Clock | None = None, **signals: object) -> CanPort:
+def build_port(
+    config: CanBus, clock: Clock | None = None, timing: Timing = TIMING, **signals: object
+) -> CanPort:
     """A port; with a clock of the test, arrivals are exactly what that clock says."""
-    chosen = motor_signals(**signals)
+    mapping = map_drive(config, motor_signals(**signals), timing)
     if clock is None:
-        return CanPort(config, map_drive(config, chosen, TIMING), time.monotonic)
-    return CanPort(config, map_drive(config, chosen, TIMING), clock, lambda: 0.0)
+        return CanPort(config, mapping, time.monotonic)
+    return CanPort(config, mapping, clock, lambda: 0.0)
 
 
 @contextlib.asynccontextmanager

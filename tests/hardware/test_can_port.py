@@ -1,9 +1,10 @@
 import asyncio
+import contextlib
 import itertools
 import math
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -91,6 +92,28 @@ def ear() -> Ear:
     return Ear()
 
 
+@contextlib.asynccontextmanager
+async def heard(
+    port: CanPort, drive: Drive, ear: Ear, *commands: Command, **status: float
+) -> AsyncIterator[None]:
+    """Run a port until the block ends, from a report of its drive and the commands after it on."""
+    async with running(port, ear):
+        await drive.reports(ear, **status)
+        for command in commands:
+            assert port.send(command)
+        yield
+
+
+def edited(config: CanBus, folder: Path, old: str, new: str) -> CanBus:
+    """The bus of a drive whose DBC says something else in one place."""
+    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    text, count = re.subn(old, new, text)
+    assert count == 1
+    database = folder / "edited.dbc"
+    database.write_text(text, encoding="utf-8")
+    return config.model_copy(update={"database": database})
+
+
 async def heard_by(port: CanPort, count: int) -> None:
     await until(lambda: port.statistics.received >= count)
 
@@ -98,8 +121,7 @@ async def heard_by(port: CanPort, count: int) -> None:
 async def test_a_reading_holds_what_the_drive_sent(port: CanPort, drive: Drive, ear: Ear) -> None:
     async with running(port, ear):
         drive.half_cycle = 65535
-        drive.send_both()
-        await ear.hears(1)
+        await drive.reports(ear)
     assert asdict(ear.readings[0]) == {
         "arrival_s": 1000.0,
         "oldest_s": 1000.0,
@@ -136,9 +158,7 @@ async def test_the_clock_message_alone_makes_readings(
 async def test_values_age_while_their_message_is_missing(
     port: CanPort, drive: Drive, ear: Ear, clock: Clock
 ) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         for count in (2, 3, 4):
             clock.now_s += 0.25
             drive.send_load()
@@ -149,12 +169,10 @@ async def test_values_age_while_their_message_is_missing(
 
 def rarely_clocked(config: CanBus, folder: Path, clock: Clock) -> CanPort:
     """A port whose clock comes every 100 ms, and the other message every half cycle."""
-    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
-    database = folder / "rare.dbc"
-    database.write_text(text.replace("BO_ 257 8;", "BO_ 257 100;"), encoding="utf-8")
-    bus = config.model_copy(update={"database": database, "clock_ticks": 12})
+    bus = edited(config, folder, "BO_ 257 8;", "BO_ 257 100;")
+    bus = bus.model_copy(update={"clock_ticks": 12})
     timing = replace(TIMING, stale_s=0.15, voltage_parts=frozenset())
-    return CanPort(bus, map_drive(bus, motor_signals(), timing), clock, lambda: 0.0)
+    return build_port(bus, clock, timing)
 
 
 async def test_a_rare_clock_may_lose_a_frame_and_is_named_once_it_is_gone(
@@ -162,9 +180,7 @@ async def test_a_rare_clock_may_lose_a_frame_and_is_named_once_it_is_gone(
 ) -> None:
     port, limits = rarely_clocked(config, tmp_path, clock), Limits(430.0, 5.0, "V")
     causes: list[str | None] = []
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         for count in range(2, 33):  # one frame of the clock is lost, then all of them
             clock.now_s += 0.01
             drive.send_status()
@@ -223,9 +239,7 @@ async def test_a_frame_that_fails_a_check_changes_nothing_and_is_counted(  # noq
     spoil: Callable[[Drive, str], bytes],
     counts: dict[str, int],
 ) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         clock.now_s += 1.0
         drive.put(name, spoil(drive, name))
         await heard_by(port, 3)
@@ -240,38 +254,27 @@ async def test_a_frame_that_fails_a_check_changes_nothing_and_is_counted(  # noq
 
 
 async def test_good_frames_follow_bad_ones(port: CanPort, drive: Drive, ear: Ear) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         for spoil in (flipped, leapt, short, unavailable):
             for name in ("DriveStatus", "DriveLoad"):
                 drive.put(name, spoil(drive, name))
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
     assert ear.readings[1].boost_voltage_V == pytest.approx(300.12)
 
 
 async def test_a_small_jump_is_believed_and_counted(port: CanPort, drive: Drive, ear: Ear) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         drive.frame("DriveLoad")
         drive.frame("DriveLoad")
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
         assert port.statistics.counter_lost == 2
 
 
 async def test_the_fault_word_and_the_bridge_are_passed_on(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
-    async with running(port, ear):
-        drive.send_status(Fault=9, BridgeOn=0)
-        drive.send_load()
-        await ear.hears(1)
-        drive.send_status(Fault=127)
-        drive.send_load()
-        await ear.hears(2)
+    async with heard(port, drive, ear, Fault=9, BridgeOn=0):
+        await drive.reports(ear, Fault=127)
     assert [(reading.fault, reading.bridge) for reading in ear.readings] == [
         (9, False),
         (127, True),
@@ -292,8 +295,7 @@ async def test_of_readings_that_piled_up_only_the_newest_is_handed_out(
         assert [reading.counter for reading in ear.readings] == [39]
         assert ear.readings[0].output == pytest.approx(0.39)
         assert port.statistics.counter_lost == 0
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
 
 
 async def test_a_fault_among_readings_that_piled_up_is_not_forgotten(
@@ -305,8 +307,7 @@ async def test_a_fault_among_readings_that_piled_up_is_not_forgotten(
             drive.send_load()
         time.sleep(0.01)  # noqa: ASYNC251 - the loop must not look
         await ear.hears(1)
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
     assert [reading.fault for reading in ear.readings] == [4, 0]
 
 
@@ -328,9 +329,7 @@ async def test_what_waits_is_handed_out_when_it_is_asked_for(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
     port.catch_up()
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         drive.send_both()
         port.catch_up()  # without a turn of the event loop in between
         assert len(ear.readings) == 2
@@ -353,12 +352,8 @@ async def test_what_the_drive_does_not_send_has_its_default(
     config: CanBus, drive: Drive, ear: Ear
 ) -> None:
     port = build_port(config, counter=None, fault=None, bridge=None)
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        assert port.send(COMMAND)
-        drive.send_both()
-        await ear.hears(2)
+    async with heard(port, drive, ear, COMMAND):
+        await drive.reports(ear)
     found = [(reading.counter, reading.fault, reading.bridge) for reading in ear.readings]
     assert found == [(None, 0, False), (None, 0, True)]
 
@@ -385,8 +380,7 @@ async def test_a_command_reaches_the_drive(port: CanPort, drive: Drive, ear: Ear
 async def test_our_own_commands_are_no_strangers(port: CanPort, drive: Drive, ear: Ear) -> None:
     async with running(port, ear):
         port.send(COMMAND)
-        drive.send_both()
-        await ear.hears(1)
+        await drive.reports(ear)
         assert port.statistics.foreign == 0
         assert port.statistics.received == 2
 
@@ -397,8 +391,7 @@ async def test_a_command_of_another_sender_is_a_complaint(
     port = build_port(config, clock)
     async with running(port, ear):
         port.send(COMMAND)
-        drive.send_both()
-        await ear.hears(1)
+        await drive.reports(ear)
         assert port.complaint is None
         drive.put("DriveCommand", bytes(8))
         await until(lambda: port.complaint is not None)
@@ -425,14 +418,12 @@ async def test_what_is_not_mapped_is_sent_as_zero(
 
 def spread_over_messages(config: CanBus, folder: Path) -> CanPort:
     """The port of a drive whose bridge has a message of its own."""
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    extra = 'BO_ 129 Switch: 8 Controller\n SG_ On : 0|1@1+ (1,0) [0|1] "" Drive\n\nBO_ 256'
-    database = folder / "two.dbc"
-    database.write_text(text.replace("BO_ 256", extra, 1))
+    extra = 'BO_ 129 Switch: 8 Controller\n SG_ On : 0|1@1+ (1,0) [0|1] "" Drive\n\nBO_ 256 Drive'
+    bus = edited(config, folder, "BO_ 256 Drive", extra)
     command = CommandSignals.model_validate(
         {"current_scale_S": "DriveCommand.CurrentScale", "bridge": "Switch.On"}
     )
-    return build_port(config.model_copy(update={"database": database}), command=command)
+    return build_port(bus, command=command)
 
 
 async def test_a_command_may_be_spread_over_messages(
@@ -516,9 +507,7 @@ async def answer(port: CanPort, drive: Drive, ear: Ear, command: Command, count:
     """Command the drive after each of its readings; whether there was a complaint after each."""
     found = []
     for _ in range(count):
-        known = len(ear.readings)
-        drive.send_both()
-        await ear.hears(known + 1)
+        await drive.reports(ear)
         port.send(command)
         found.append(port.complaint is not None)
     return found
@@ -573,9 +562,7 @@ async def test_commands_into_a_silent_or_a_lost_bus_are_no_complaint(
 async def test_a_bus_closed_under_the_reader_is_reported_and_opened_again(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         assert port._connection.bus is not None
         port._connection.bus.shutdown()
         assert not port.send(COMMAND)
@@ -585,18 +572,9 @@ async def test_a_bus_closed_under_the_reader_is_reported_and_opened_again(
         drive.send_load()
         await heard_by(port, 3)
         assert len(ear.readings) == 1  # what was heard before the loss is not used after it
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
         assert port.send(COMMAND)
         assert port.statistics.reconnects == 1
-
-
-async def command_on(port: CanPort, drive: Drive, ear: Ear) -> None:
-    """Command a drive on that has reported its bridge off."""
-    drive.send_status(BridgeOn=0)
-    drive.send_load()
-    await ear.hears(1)
-    assert port.send(COMMAND)
 
 
 async def lose_the_bus(port: CanPort, ear: Ear) -> None:
@@ -611,27 +589,15 @@ async def lose_the_bus(port: CanPort, ear: Ear) -> None:
 async def test_a_drive_that_was_on_when_its_bus_was_lost_is_heard_before_it_is_driven_on(
     port: CanPort, drive: Drive, ear: Ear, *, stopped: bool
 ) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+    async with heard(port, drive, ear, COMMAND):
         for _ in range(2):
             await lose_the_bus(port, ear)
             assert not port.send(COMMAND)
-        drive.send_status(BridgeOn=int(not stopped))
-        drive.send_load()
-        await ear.hears(2)
+        await drive.reports(ear, BridgeOn=int(not stopped))
         assert port.send(COMMAND) is not stopped
         assert ("the bus was lost meanwhile" in str(port.complaint)) is stopped
         assert port.send(SAFE_COMMAND)
         assert port.complaint is None
-
-
-async def send_readings(drive: Drive, ear: Ear, count: int) -> None:
-    """Send both messages so many times; each pair gives a reading."""
-    for number in range(len(ear.readings) + 1, len(ear.readings) + count + 1):
-        drive.send_both()
-        await ear.hears(number)
 
 
 async def repeat_in_turn(port: CanPort, drive: Drive, held: int) -> None:
@@ -650,15 +616,15 @@ async def test_last_frames_that_are_repeated_are_none_when_the_bus_is_open_again
 ) -> None:
     """The drive may have stopped since: a gateway repeats its bridge, which is on."""
     async with running(port, ear):
-        await send_readings(drive, ear, 4)
+        for _ in range(4):
+            await drive.reports(ear)
         assert port.send(COMMAND)
         await lose_the_bus(port, ear)
         await repeat_in_turn(port, drive, held)
         assert len(ear.readings) == 4
         assert not port.send(COMMAND)
         clock.now_s += 0.01
-        drive.send_both()
-        await ear.hears(5)
+        await drive.reports(ear)
         assert port.send(COMMAND)
 
 
@@ -667,23 +633,22 @@ async def test_last_frames_that_are_repeated_in_turn_make_no_value_newer(
     port: CanPort, drive: Drive, ear: Ear, clock: Clock, held: int
 ) -> None:
     async with running(port, ear):
-        await send_readings(drive, ear, 4)
+        for _ in range(4):
+            await drive.reports(ear)
         clock.now_s += 0.1
         await repeat_in_turn(port, drive, held)
         assert len(ear.readings) == 4
-        await send_readings(drive, ear, 2)
+        for _ in range(2):
+            await drive.reports(ear)
 
 
 async def test_a_drive_that_lost_its_bus_before_it_started_is_driven_on(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
-    async with running(port, ear):
-        await command_on(port, drive, ear)
+    async with heard(port, drive, ear, COMMAND, BridgeOn=0):
         await lose_the_bus(port, ear)
         assert not port.send(COMMAND)
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(2)
+        await drive.reports(ear, BridgeOn=0)
         assert port.complaint is None
         assert port.send(COMMAND)
 
@@ -693,15 +658,12 @@ async def test_a_drive_that_came_on_just_before_its_bus_was_lost_is_not_driven_o
     port: CanPort, drive: Drive, ear: Ear, losses: int
 ) -> None:
     """No reading carries a report that comes between the last clock and the loss."""
-    async with running(port, ear):
-        await command_on(port, drive, ear)
+    async with heard(port, drive, ear, COMMAND, BridgeOn=0):
         drive.send_status(BridgeOn=1)
         await heard_by(port, 3)
         for _ in range(losses):
             await lose_the_bus(port, ear)
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(2)
+        await drive.reports(ear, BridgeOn=0)
         assert "drive stopped" in str(port.complaint)
         assert not port.send(COMMAND)
         assert port.send(SAFE_COMMAND)
@@ -714,10 +676,7 @@ async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on
     port: CanPort, clock: Clock, drive: Drive, ear: Ear, message: str, *, stopped: bool
 ) -> None:
     """Of a drive that starts anew the first frame is refused, and shows that its bridge is off."""
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+    async with heard(port, drive, ear, COMMAND):
         drive.alive[message] = 9
         drive.send_both()
         await heard_by(port, 4)
@@ -743,19 +702,13 @@ async def test_a_stop_in_the_frame_whose_alive_counter_stands_or_leaps_is_believ
 
     The counter of a drive that starts anew may by chance stand where it stood.
     """
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+    async with heard(port, drive, ear, COMMAND):
         clock.now_s += 1.0 / 120.0
         drive.alive["DriveStatus"] = alive
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(2)
+        await drive.reports(ear, BridgeOn=0)
         assert ear.readings[1].bridge_s == ear.readings[0].bridge_s
         clock.now_s += 1.0 / 120.0
-        drive.send_both()
-        await ear.hears(3)
+        await drive.reports(ear)
         assert [reading.bridge for reading in ear.readings] == [True, False, True]
 
 
@@ -765,19 +718,13 @@ async def test_an_old_frame_confirms_no_stop(
 ) -> None:
     """A gateway repeats one from before the drive came on, which does not obey the safe command."""
     watch = StopWatch(TIMING, port.stop_slack_s)
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+    async with heard(port, drive, ear, COMMAND):
         assert port.send(SAFE_COMMAND)
         watch.command(clock.now_s)
         clock.now_s += 0.01
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
         known, drive.alive["DriveStatus"] = drive.alive["DriveStatus"], alive
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(3)
+        await drive.reports(ear, BridgeOn=0)
         assert watch.judge(ear.readings[-1], port.safe_s, clock.now_s) is Stop.AWAITED
         drive.alive["DriveStatus"] = known
         for _ in range(2):  # the first one after a leap is refused
@@ -796,40 +743,29 @@ async def test_a_repeated_frame_reports_no_stop(port: CanPort, drive: Drive, ear
         drive.send_load()
         await ear.hears(1)
         drive.put("DriveStatus", off)
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
         assert [reading.bridge for reading in ear.readings] == [False, True]
 
 
 @pytest.mark.parametrize(
-    ("unstated", "cycle_s"), [(256, math.inf), (257, 1.0 / 120.0), (0, 1.0 / 120.0)]
+    ("message", "cycle_ms", "cycle_s"),
+    [(256, 0, math.inf), (257, 0, 1.0 / 120.0), (257, 8, 1.0 / 120.0)],
 )
 def test_the_cycle_of_the_bridge_is_known_where_the_dbc_or_the_clock_states_it(
-    config: CanBus, clock: Clock, tmp_path: Path, unstated: int, cycle_s: float
+    config: CanBus, tmp_path: Path, message: int, cycle_ms: int, cycle_s: float
 ) -> None:
     """`bus.clock_ticks` states that of the clock."""
-    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
-    database = tmp_path / "unstated.dbc"
-    database.write_text(text.replace(f"BO_ {unstated} 8;", f"BO_ {unstated} 0;"), encoding="utf-8")
-    bus = config.model_copy(update={"database": database})
-    port = CanPort(bus, map_drive(bus, motor_signals(), TIMING), clock, lambda: 0.0)
-    assert port.bridge_cycle_s == pytest.approx(cycle_s)
+    bus = edited(config, tmp_path, f"BO_ {message} 8;", f"BO_ {message} {cycle_ms};")
+    assert build_port(bus).bridge_cycle_s == pytest.approx(cycle_s)
 
 
 @pytest.mark.parametrize("stopped", [False, True])
 async def test_a_rare_report_of_the_bridge_is_waited_for_too(
     config: CanBus, drive: Drive, ear: Ear, clock: Clock, tmp_path: Path, *, stopped: bool
 ) -> None:
-    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
-    database = tmp_path / "seldom.dbc"
-    database.write_text(text.replace("BO_ 256 8;", "BO_ 256 500;"), encoding="utf-8")
-    bus = config.model_copy(update={"database": database})
-    timing = replace(TIMING, voltage_parts=frozenset())
-    port = CanPort(bus, map_drive(bus, motor_signals(), timing), clock, lambda: 0.0)
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+    bus = edited(config, tmp_path, "BO_ 256 8;", "BO_ 256 500;")
+    port = build_port(bus, clock, replace(TIMING, voltage_parts=frozenset()))
+    async with heard(port, drive, ear, COMMAND):
         drive.alive["DriveStatus"] = 9
         drive.send_both()
         await heard_by(port, 4)
@@ -839,9 +775,7 @@ async def test_a_rare_report_of_the_bridge_is_waited_for_too(
             drive.send_load()
             await ear.hears(count)
             assert not port.send(COMMAND)
-        drive.send_status(BridgeOn=int(not stopped))
-        drive.send_load()
-        await ear.hears(6)
+        await drive.reports(ear, BridgeOn=int(not stopped))
         assert port.send(COMMAND) is not stopped
 
 
@@ -850,21 +784,16 @@ async def test_a_stop_that_the_drive_reports_between_two_readings_is_not_missed(
     port: CanPort, drive: Drive, ear: Ear, spoil: Callable[[Drive, str], bytes] | None
 ) -> None:
     """Its clock is lost or refused at the stop, and a command might have it on again by then."""
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+    async with heard(port, drive, ear, COMMAND):
         drive.send_status(BridgeOn=0)
         if spoil is not None:
             drive.put("DriveLoad", spoil(drive, "DriveLoad"))
         await heard_by(port, 3 + (spoil is not None))
         assert not port.send(COMMAND)
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
         assert (ear.readings[0].bridge, ear.readings[1].bridge) == (True, False)
         assert port.send(COMMAND)
-        drive.send_both()
-        await ear.hears(3)
+        await drive.reports(ear)
         assert ear.readings[2].bridge
 
 
@@ -872,16 +801,11 @@ async def test_a_drive_that_came_on_and_stopped_between_two_readings_is_shown_to
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
     """By the newest of its frames alone it is yet to come on, and may be commanded on."""
-    async with running(port, ear):
-        await command_on(port, drive, ear)
+    async with heard(port, drive, ear, COMMAND, BridgeOn=0):
         drive.send_status(BridgeOn=1)
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(2)
+        await drive.reports(ear, BridgeOn=0)
         assert not port.send(COMMAND)
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(3)
+        await drive.reports(ear, BridgeOn=0)
         assert [reading.bridge for reading in ear.readings] == [False, True, False]
         assert port.send(COMMAND)
 
@@ -890,24 +814,18 @@ async def test_a_drive_that_came_on_and_stopped_between_two_readings_is_shown_to
 async def test_a_bridge_that_goes_off_while_it_is_not_commanded_on_is_off(
     port: CanPort, drive: Drive, ear: Ear, last: Command | None
 ) -> None:
-    async with running(port, ear):
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(1)
+    async with heard(port, drive, ear, BridgeOn=0):
         if last is not None:
             assert port.send(last)
         drive.send_status(BridgeOn=1)
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(2)
+        await drive.reports(ear, BridgeOn=0)
         assert not ear.readings[1].bridge
 
 
 async def test_a_bridge_that_bounces_between_two_readings_has_not_stopped(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
-    async with running(port, ear):
-        await command_on(port, drive, ear)
+    async with heard(port, drive, ear, COMMAND, BridgeOn=0):
         for bridge in (1, 0, 1):
             drive.send_status(BridgeOn=bridge)
         for count in (2, 3):
@@ -921,31 +839,23 @@ async def test_a_bridge_that_bounces_between_two_readings_has_not_stopped(
 async def test_a_drive_that_was_off_when_its_bus_was_lost_may_be_off_after_it(
     port: CanPort, drive: Drive, ear: Ear, last: Command
 ) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+    async with heard(port, drive, ear, COMMAND):
         assert port.send(last)
         await lose_the_bus(port, ear)
         assert port.send(COMMAND)
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(2)
+        await drive.reports(ear, BridgeOn=0)
         assert port.complaint is None
 
 
 async def test_a_controller_that_goes_bus_off_is_reported_and_opened_again(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         drive.bus.send(can.Message(arbitration_id=0x40, is_error_frame=True, dlc=8, data=bytes(8)))
         await until(lambda: len(ear.bus) == 2)
         assert [up for up, _ in ear.bus] == [False, True]
         assert "bus-off" in ear.bus[0][1]
-        drive.send_both()
-        await ear.hears(2)
+        await drive.reports(ear)
 
 
 async def lose_by_errors(drive: Drive, ear: Ear) -> None:
@@ -962,9 +872,7 @@ async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
 ) -> None:
     """A shorted bus whose controller restarts by itself: each time, warnings precede bus-off."""
     delays_s = noted_delays("adaptdrive.hardware.link.connection", monkeypatch)
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         for _ in range(3):
             await lose_by_errors(drive, ear)
     assert delays_s == [0.1, 0.2, 0.4]
@@ -1081,9 +989,8 @@ async def test_a_stamp_that_fits_no_clock_cannot_age_a_frame(
 ) -> None:
     mapping = map_drive(config, motor_signals(), TIMING)
     port = CanPort(config, mapping, clock, lambda: time.time() + 3600.0)
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
+        pass
     assert ear.readings[0].arrival_s == 1000.0
 
 
@@ -1115,8 +1022,7 @@ async def test_the_oldest_value_is_named_with_its_cause(
     async with running(port, ear):
         assert "(0x100 (DriveStatus), " in port.explain_age()
         assert "has never come: no message comes" in port.explain_age()
-        drive.send_both()
-        await ear.hears(1)
+        await drive.reports(ear)
         clock.now_s += 0.1
         drive.send_load()
         await ear.hears(2)
@@ -1131,9 +1037,7 @@ async def test_the_oldest_value_is_named_with_its_cause(
         assert refused in port.explain_age()
         assert any("wrong_checksum 1 x, last [00 00" in line for line in port.details())
         clock.now_s += 0.1
-        drive.send_status()
-        drive.send_load()
-        await ear.hears(3)
+        await drive.reports(ear)
         clock.now_s += 0.1
         assert "no message comes" in port.explain_age()
 
@@ -1168,9 +1072,7 @@ async def test_a_fault_is_kept_when_the_clocking_frame_is_lost(
 ) -> None:
     """One frame shows it; the next frames say that all is well again."""
     port = build_port(config, clock)
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         for lost in range(10):
             drive.send_status(Fault=1 << (lost % 7))
             await until(lambda: port.complaint is not None)
@@ -1180,22 +1082,14 @@ async def test_a_fault_is_kept_when_the_clocking_frame_is_lost(
             await ear.hears(lost + 2)
             assert ear.readings[-1].fault == 1 << (lost % 7)
             assert port.complaint is None
-        drive.send_both()
-        await ear.hears(12)
+        await drive.reports(ear)
         assert ear.readings[-1].fault == 0
 
 
 def with_fault_codes(config: CanBus, folder: Path) -> CanBus:
     """The bus of a drive whose fault word holds one code, as its value table says."""
-    text, count = re.subn(
-        "VAL_ 256 Fault .*;",
-        'VAL_ 256 Fault 0 "None" 1 "Overcurrent" 2 "Overtemperature" 3 "Earth fault" ;',
-        (EXAMPLES / "adaptdrive.dbc").read_text(),
-    )
-    assert count == 1
-    database = folder / "codes.dbc"
-    database.write_text(text)
-    return config.model_copy(update={"database": database})
+    codes = 'VAL_ 256 Fault 0 "None" 1 "Overcurrent" 2 "Overtemperature" 3 "Earth fault" ;'
+    return edited(config, folder, "VAL_ 256 Fault .*;", codes)
 
 
 async def test_of_two_fault_codes_between_two_readings_the_first_is_told(
@@ -1203,9 +1097,7 @@ async def test_of_two_fault_codes_between_two_readings_the_first_is_told(
 ) -> None:
     """Added up they would name a fault that never was."""
     port = build_port(with_fault_codes(config, tmp_path), clock)
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         drive.send_status(Fault=1)
         drive.send_status(Fault=2)
         await heard_by(port, 4)
@@ -1223,9 +1115,7 @@ async def test_of_two_fault_codes_between_two_readings_the_first_is_told(
 async def test_the_words_beside_a_value_that_is_not_available_are_used(
     port: CanPort, drive: Drive, ear: Ear, clock: Clock
 ) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+    async with heard(port, drive, ear):
         clock.now_s += 0.01
         spoilt = drive.frame("DriveStatus", **{**STATUS, "Fault": 2, "BridgeOn": 0})
         drive.put("DriveStatus", with_crc(b"\xff\xff" + spoilt[2:]))
@@ -1244,16 +1134,13 @@ async def test_a_clock_message_without_values_is_a_reading_for_a_drive_at_rest_o
     port: CanPort, drive: Drive, ear: Ear, clock: Clock
 ) -> None:
     """A drive at rest may confirm its stop; one that runs is not controlled by old values."""
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        port.send(COMMAND)
-        for heard, command in ((3, COMMAND), (5, SAFE_COMMAND)):
+    async with heard(port, drive, ear, COMMAND):
+        for known, command in ((3, COMMAND), (5, SAFE_COMMAND)):
             port.send(command)
             clock.now_s += 0.01
             drive.send_status(BridgeOn=0)
             drive.put("DriveLoad", unavailable(drive, "DriveLoad"))
-            await heard_by(port, heard + 1)
+            await heard_by(port, known + 1)
         await ear.hears(2)
     good, reading = ear.readings
     assert (reading.bridge, reading.bridge_s) == (False, clock.now_s)
@@ -1264,10 +1151,7 @@ async def test_a_clock_message_without_values_is_a_reading_for_a_drive_at_rest_o
 async def test_a_drive_without_values_confirms_its_stop_after_its_bus_was_lost(
     port: CanPort, drive: Drive, ear: Ear, clock: Clock, bridge_on: int
 ) -> None:
-    async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        port.send(COMMAND)
+    async with heard(port, drive, ear, COMMAND):
         await lose_the_bus(port, ear)
         clock.now_s += 0.01
         drive.send_status(BridgeOn=bridge_on)
@@ -1286,11 +1170,8 @@ async def test_a_drive_without_values_confirms_its_stop_after_its_bus_was_lost(
 def seldom_reported(config: CanBus, folder: Path, clock: Clock, changes: Changes) -> CanPort:
     """The port of a file in which a stop, or the report of the bridge, may take long."""
     stop_s, cycle_ms = changes
-    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
-    database = folder / "seldom.dbc"
-    database.write_text(text.replace("BO_ 256 8;", f"BO_ 256 {cycle_ms};"), encoding="utf-8")
     parts = {
-        "bus": config.model_copy(update={"database": database}),
+        "bus": edited(config, folder, "BO_ 256 8;", f"BO_ 256 {cycle_ms};"),
         "interlocks": MOTOR.interlocks.model_copy(update={"stop_s": stop_s}),
         "voltage_loop": MOTOR.voltage_loop.model_copy(update={"where": "drive"}),
     }
@@ -1303,8 +1184,7 @@ async def safe_commands(
     port: CanPort, drive: Drive, ear: Ear, clock: Clock, moments_s: Sequence[float]
 ) -> list[bool]:
     """Whether each safe command was sent to a drive that stays on, by the time since the first."""
-    drive.send_both()
-    await ear.hears(1)
+    await drive.reports(ear)
     port.send(COMMAND)
     stopped_s, sent = clock.now_s, []
     for moment_s in moments_s:

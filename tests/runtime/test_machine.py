@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -50,10 +51,10 @@ FAULT = "drive fault: word 0x1"
 
 
 class Desk:
-    """A machine at a tick that counts on."""
+    """A machine at a tick that counts on, with limits of its own."""
 
-    def __init__(self) -> None:
-        self.machine = Machine(LIMITS, pole=0.7)
+    def __init__(self, **limits: Any) -> None:
+        self.machine = Machine(replace(LIMITS, **limits), pole=0.7)
         self.tick = 100
         self.cause: str | None = None
 
@@ -133,15 +134,9 @@ def test_enabling_holds_the_nearest_set_point_that_is_allowed(
     assert standby.machine.setpoint == held
 
 
-def _desk(reach: Reach) -> Desk:
-    desk = Desk()
-    desk.machine = Machine(replace(LIMITS, reach=reach), pole=0.7)
-    return desk
-
-
 @pytest.mark.parametrize("output", [-0.3, 0.0, 2.1])
 def test_enabling_below_what_v_c_can_hold_coasts_until_a_set_point(output: float) -> None:
-    desk = _desk(REACH)
+    desk = Desk(reach=REACH)
     desk.ask(Enable(), output=output)
     desk.pass_ticks(5)
     assert (desk.state(), desk.machine.coasting) == (State.RUNNING, True)
@@ -158,7 +153,7 @@ def test_enabling_below_what_v_c_can_hold_coasts_until_a_set_point(output: float
 
 
 def test_a_waveform_starts_a_coasting_drive_too() -> None:
-    desk = _desk(REACH)
+    desk = Desk(reach=REACH)
     desk.ask(Enable(), output=0.0)
     desk.ask(SetWaveform(SQUARE))
     assert desk.state() is State.STARTING
@@ -168,13 +163,13 @@ def test_a_waveform_starts_a_coasting_drive_too() -> None:
     ("output", "state"), [(2.2, State.STARTING), (4.4, State.STARTING), (5.0, State.STARTING)]
 )
 def test_enabling_within_reach_or_above_starts(output: float, state: State) -> None:
-    desk = _desk(REACH)
+    desk = Desk(reach=REACH)
     desk.ask(Enable(), output=output)
     assert desk.state() is state
 
 
 def test_a_set_point_of_0_coasts_and_one_out_of_reach_is_refused() -> None:
-    desk = _desk(REACH)
+    desk = Desk(reach=REACH)
     desk.ask(Enable(), output=3.0)
     desk.pass_ticks(2)
     for value in (0.1, 2.19, 4.41):
@@ -195,7 +190,7 @@ def test_a_set_point_of_minus_0_is_0(running: Desk) -> None:
 @pytest.mark.parametrize("output", [-0.01, 0.0, 0.02])
 def test_a_drive_of_unknown_reach_coasts_until_any_set_point_and_at_none(output: float) -> None:
     """The lowest V_c may already charge a battery whose EMF is not known."""
-    desk = _desk(UNKNOWN)
+    desk = Desk(reach=UNKNOWN)
     desk.ask(Enable(), output=output)
     assert (desk.machine.stage, desk.machine.coasting) == (Stage.OFF, True)
     desk.ask(SetSetpoint(0.1))
@@ -207,7 +202,7 @@ def test_a_drive_of_unknown_reach_coasts_until_any_set_point_and_at_none(output:
 
 
 def test_a_set_point_in_force_that_goes_out_of_reach_is_named() -> None:
-    desk = _desk(REACH)
+    desk = Desk(reach=REACH)
     desk.ask(Enable(), output=4.3)
     desk.pass_ticks(2)
     desk.machine.reach = Reach(2.0, 4.0)
@@ -217,8 +212,7 @@ def test_a_set_point_in_force_that_goes_out_of_reach_is_named() -> None:
 
 @pytest.fixture
 def governed() -> Desk:
-    desk = Desk()
-    desk.machine = Machine(replace(LIMITS, reach=REACH, govern=True), pole=0.7)
+    desk = Desk(reach=REACH, govern=True)
     desk.ask(Enable(), output=3.0)
     desk.pass_ticks(2)
     return desk
@@ -527,7 +521,7 @@ def test_it_runs_from_the_floor_on(starting: Desk, voltage_V: float, state: Stat
 
 
 def test_a_drive_that_coasted_until_its_trip_has_to_confirm_its_stop() -> None:
-    desk = _desk(REACH)
+    desk = Desk(reach=REACH)
     desk.machine.confirm_stop()
     desk.ask(Enable(), output=0.0)
     assert desk.machine.coasting

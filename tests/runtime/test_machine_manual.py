@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from adaptdrive.control.reach import UNKNOWN, Reach
@@ -26,14 +24,8 @@ SLEW_V = 0.5
 """Of V_c in one tick."""
 
 
-def machine_desk(reach: Reach = REACH, *, govern: bool = False) -> Desk:
-    desk = Desk()
-    desk.machine = Machine(replace(LIMITS, reach=reach, govern=govern), pole=0.7)
-    return desk
-
-
 def running(output: float = 3.0, *, govern: bool = False) -> Desk:
-    desk = machine_desk(govern=govern)
+    desk = Desk(reach=REACH, govern=govern)
     desk.ask(Enable(), output)
     desk.pass_ticks(2)
     return desk
@@ -46,12 +38,10 @@ def by_hand(voltage_V: float = 300.0) -> Desk:
 
 
 def test_a_voltage_that_may_be_negative_begins_at_zero() -> None:
-    machine = Machine(replace(LIMITS, floor_V=-60.0), pole=0.7)
-    assert machine.manual.value(0) == 0.0
-    desk = Desk()
-    desk.machine = machine
+    desk = Desk(floor_V=-60.0)
+    assert desk.machine.manual.value(0) == 0.0
     desk.ask(Enable(), 3.0)
-    assert machine.manual.value(desk.tick) == 0.0
+    assert desk.machine.manual.value(desk.tick) == 0.0
 
 
 def test_a_new_machine_is_not_confirmed_off_and_has_the_lowest_voltage() -> None:
@@ -117,7 +107,7 @@ def test_after_manual_the_present_output_is_held_within_reach(
 def test_a_coasting_drive_takes_its_output_for_its_set_point_after_manual(
     output: float, setpoint: float
 ) -> None:
-    desk = machine_desk()
+    desk = Desk(reach=REACH)
     desk.ask(SetMode(Mode.MANUAL))
     desk.ask(Enable(), 3.0)
     desk.ask(SetMode(Mode.FIXED), output)
@@ -145,7 +135,7 @@ def test_a_voltage_is_approached_at_the_slew_from_where_it_is() -> None:
 
 def test_a_voltage_needs_mode_manual_and_a_running_drive() -> None:
     running().refuses(SetVoltage(300.0), "voltage needs mode manual; mode is fixed")
-    desk = machine_desk()
+    desk = Desk(reach=REACH)
     desk.ask(SetMode(Mode.MANUAL))
     desk.refuses(SetVoltage(300.0), "voltage needs a running drive; state is standby")
     desk.ask(Enable())
@@ -155,19 +145,21 @@ def test_a_voltage_needs_mode_manual_and_a_running_drive() -> None:
 
 @pytest.mark.parametrize("reach", [REACH, UNKNOWN])
 def test_enabled_in_manual_it_coasts_until_a_voltage(reach: Reach) -> None:
-    desk = machine_desk(reach)
+    desk = Desk(reach=reach)
     desk.ask(SetMode(Mode.MANUAL))
     desk.ask(Enable(), output=3.0)
     desk.pass_ticks(1000)
     assert (desk.machine.state, desk.machine.stage) == (State.RUNNING, Stage.OFF)
     assert desk.machine.obstacle == "coasting with the bridge off until a voltage"
     desk.ask(SetVoltage(300.0))
+    assert desk.state() is State.STARTING
     desk.pass_ticks(2)
     assert desk.machine.stage is Stage.RUN
+    assert desk.machine.obstacle == ""
 
 
 def test_the_time_until_the_next_voltage_begins_with_the_run() -> None:
-    desk = machine_desk()
+    desk = Desk(reach=REACH)
     desk.ask(SetMode(Mode.MANUAL))
     desk.ask(Enable())
     desk.ask(SetVoltage(300.0, hold_s=0.1))  # 12 ticks
@@ -224,19 +216,6 @@ def test_a_set_point_and_a_waveform_are_refused_in_manual() -> None:
     desk.refuses(SetWaveform(SQUARE), "waveform needs mode fixed or adaptive; mode is manual")
 
 
-def test_a_voltage_starts_a_coasting_drive() -> None:
-    desk = machine_desk()
-    desk.ask(SetMode(Mode.MANUAL))
-    desk.ask(Enable(), output=0.0)
-    assert desk.machine.coasting
-    assert desk.machine.obstacle == "coasting with the bridge off until a voltage"
-    desk.ask(SetVoltage(250.0))
-    assert desk.state() is State.STARTING
-    desk.pass_ticks(2)
-    assert desk.state() is State.RUNNING
-    assert desk.machine.obstacle == ""
-
-
 def test_a_voltage_of_a_running_drive_does_not_start_it_anew() -> None:
     desk = by_hand()
     desk.ask(SetVoltage(250.0))
@@ -244,7 +223,7 @@ def test_a_voltage_of_a_running_drive_does_not_start_it_anew() -> None:
 
 
 def test_a_coasting_drive_says_which_set_points_start_it() -> None:
-    desk = machine_desk()
+    desk = Desk(reach=REACH)
     desk.ask(Enable(), output=0.0)
     within = "coasting with the bridge off until a set-point within 2.2…4.4 V"
     assert desk.machine.obstacle == within
@@ -315,15 +294,6 @@ def test_a_trip_of_a_drive_that_is_off_is_reset_into_standby_unless_in_doubt() -
         assert desk.state() is state
 
 
-def test_enabling_while_stopping_says_what_is_awaited() -> None:
-    desk = running()
-    desk.ask(Disable())
-    why = "the drive has not confirmed its stop; enable it in standby"
-    desk.refuses(Enable(), why)
-    desk.cause = "stale"
-    desk.refuses(Enable(), "the drive has not confirmed its stop (stale); enable it in standby")
-
-
 def test_enabling_after_a_trip_forgets_the_waveform() -> None:
     desk = running()
     desk.ask(SetWaveform(SQUARE))
@@ -339,8 +309,7 @@ def test_enabling_after_a_trip_forgets_the_waveform() -> None:
 def test_a_load_that_turns_backwards_coasts_at_a_set_point_of_0(
     output: float, setpoint: float
 ) -> None:
-    desk = Desk()
-    desk.machine = Machine(replace(LIMITS, reach=REACH, reference_min=1.5), pole=0.7)
+    desk = Desk(reach=REACH, reference_min=1.5)
     desk.ask(Enable(), output)
     assert desk.machine.coasting
     assert desk.machine.setpoint == setpoint
@@ -348,8 +317,7 @@ def test_a_load_that_turns_backwards_coasts_at_a_set_point_of_0(
 
 @pytest.mark.parametrize(("setpoint", "coasts"), [(-1.0, False), (-1.5, True), (0.0, False)])
 def test_a_set_point_below_0_that_v_c_can_hold_is_held(setpoint: float, *, coasts: bool) -> None:
-    desk = Desk()
-    desk.machine = Machine(replace(LIMITS, reach=Reach(-1.0, 4.0), reference_min=-2.0), pole=0.7)
+    desk = Desk(reach=Reach(-1.0, 4.0), reference_min=-2.0)
     desk.ask(Enable(), output=1.0)
     desk.pass_ticks(2)
     desk.ask(SetSetpoint(setpoint))

@@ -92,3 +92,19 @@ async def running(peer: Peer, stop_s: float = 0.5, **bus: object) -> AsyncIterat
         task = tasks.create_task(bench.port.run(bench.ear, lambda: None))
         yield bench
         task.cancel()
+
+
+@contextlib.asynccontextmanager
+async def ready(peer: Peer, stop_s: float = 0.5, **bus: object) -> AsyncIterator[Bench]:
+    """A bench whose readings come."""
+    async with running(peer, stop_s, **bus) as bench:
+        await bench.ready()
+        yield bench
+
+
+@contextlib.asynccontextmanager
+async def driven(peer: Peer, stop_s: float = 0.5, **bus: object) -> AsyncIterator[Bench]:
+    """A bench whose drive is in enabled operation."""
+    async with running(peer, stop_s, **bus) as bench:
+        await bench.run_drive()
+        yield bench

@@ -19,7 +19,7 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.mapping import map_drive
 from adaptdrive.hardware.canopen.watch import CanOpenWatch
 from tests.hardware.bench import until
-from tests.hardware.canopen.bench import RUN, Bench, Ear, running
+from tests.hardware.canopen.bench import RUN, Bench, Ear, driven, ready, running
 from tests.hardware.canopen.documents import bus_of, other_eds, parse, without
 from tests.hardware.canopen.peer import FAULT, MEASURED, NODE, REST, Peer
 
@@ -66,8 +66,7 @@ def send_foreign(peer: Peer, *frames: tuple[int, bytes]) -> None:
 
 
 async def test_a_reading_is_what_the_drive_measured_at_one_sync(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         reading = bench.ear.readings[-1]
         assert reading.boost_voltage_V == pytest.approx(250.0)
         assert reading.line_voltage_V == pytest.approx(120.3)
@@ -80,8 +79,7 @@ async def test_a_reading_is_what_the_drive_measured_at_one_sync(peer: Peer) -> N
 
 
 async def test_without_one_of_its_pdos_there_is_no_reading(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         peer.silent.add(2)
         await asyncio.sleep(0.1)
         known = len(bench.ear.readings)
@@ -90,8 +88,7 @@ async def test_without_one_of_its_pdos_there_is_no_reading(peer: Peer) -> None:
 
 
 async def test_a_pdo_that_was_refused_long_ago_does_not_explain_why_none_comes(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         peer.network.send_message(0x180 + NODE, b"\0")
         await until(lambda: bench.port.statistics.wrong_length == 1)
         await bench.ready()
@@ -101,15 +98,13 @@ async def test_a_pdo_that_was_refused_long_ago_does_not_explain_why_none_comes(p
 
 
 async def test_a_pdo_that_comes_twice_before_the_others_is_named(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         peer.copies, peer.silent = 2, {2}
         await until(lambda: "TPDO1 came twice" in bench.port.explain_age())
 
 
 async def test_the_drive_is_brought_up_and_down_again(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         steps = list(dict.fromkeys(peer.words))
         assert steps == [0x00, 0x06, 0x07, 0x0F]
         bench.ear.command = SAFE_COMMAND
@@ -119,8 +114,7 @@ async def test_the_drive_is_brought_up_and_down_again(peer: Peer) -> None:
 
 
 async def test_a_drive_that_does_not_obey_the_safe_command_gets_no_heartbeat(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         peer.obeys = False
         await until(lambda: len(peer.beats) > 2)
         bench.ear.command = SAFE_COMMAND
@@ -135,8 +129,7 @@ async def test_a_drive_that_does_not_obey_the_safe_command_gets_no_heartbeat(pee
 
 async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile(peer: Peer) -> None:
     """Its own watch would end a stop as a fault."""
-    async with running(peer, stop_s=5.0) as bench:
-        await bench.run_drive()
+    async with driven(peer, stop_s=5.0) as bench:
         peer.obeys = False
         bench.ear.command = SAFE_COMMAND
         await until(lambda: peer.words[-1] == 0x00)
@@ -148,8 +141,7 @@ async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile(peer: Peer) -> 
 async def test_a_drive_that_was_on_and_says_nothing_since_its_set_up_gets_no_heartbeat(
     peer: Peer,
 ) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         peer.obeys, peer.silent = False, {1, 2}
         bench.ear.bus.clear()
         peer.node.nmt.state = "PRE-OPERATIONAL"
@@ -168,8 +160,7 @@ async def test_a_drive_that_was_on_and_says_nothing_since_its_set_up_gets_no_hea
 
 
 async def test_the_daemons_heartbeat_goes_out_with_its_commands_only(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         await until(lambda: len(peer.beats) > 2)
         assert set(peer.beats) == {b"\x05"}
         bench.ear.command = None
@@ -181,8 +172,7 @@ async def test_the_daemons_heartbeat_goes_out_with_its_commands_only(peer: Peer)
 
 async def test_a_lost_node_that_no_command_reaches_hears_no_heartbeat(peer: Peer) -> None:
     """A power stage that stays on without its NMT master is switched off by its own watch."""
-    async with running(peer, heartbeat_timeout_s=0.5) as bench:
-        await bench.run_drive()
+    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
         peer.override(0x1018, 1, b"\xff\xff\xff\x7f")
         peer.node.nmt.state = "PRE-OPERATIONAL"
         await bench.complains("not operational any more")
@@ -203,8 +193,7 @@ def refuse_mapping(*, index: int, **_: object) -> None:
 async def test_a_lost_node_is_commanded_safe_before_it_is_made_pre_operational(peer: Peer) -> None:
     """Its heartbeat stays away, but it goes on: there it takes its last command."""
     peer.deaf = True
-    async with running(peer, heartbeat_timeout_s=0.5) as bench:
-        await bench.run_drive()
+    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
         peer.node.add_write_callback(refuse_mapping)
         bench.ear.command = None
         peer.node.nmt.stop_heartbeat()
@@ -217,8 +206,7 @@ async def test_a_lost_node_is_commanded_safe_before_it_is_made_pre_operational(p
 async def test_a_lost_node_has_time_for_the_safe_command(peer: Peer) -> None:
     """One that misses the first takes that of the next tick, still in the state operational."""
     peer.deaf = True
-    async with running(peer, heartbeat_timeout_s=0.5) as bench:
-        await bench.run_drive()
+    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
         peer.node.add_write_callback(refuse_mapping)
         bench.ear.command = None
         bench.ear.lost = lambda: bench.port.send(SAFE_COMMAND)
@@ -228,8 +216,7 @@ async def test_a_lost_node_has_time_for_the_safe_command(peer: Peer) -> None:
 
 
 async def test_a_lost_node_takes_the_safe_command_of_each_tick_and_no_other(peer: Peer) -> None:
-    async with running(peer, heartbeat_timeout_s=0.5) as bench:
-        await bench.run_drive()
+    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
         peer.override(0x1018, 1, b"\xff\xff\xff\x7f")
         peer.node.nmt.state = "PRE-OPERATIONAL"
         await bench.reports("not operational any more")
@@ -249,8 +236,7 @@ async def test_a_lost_node_that_obeys_nothing_is_switched_off_by_its_own_watch(p
     """Its set-up ends no time-out of it that runs, however often it is tried."""
     peer.deaf = True
     peer.arm()
-    async with running(peer, heartbeat_timeout_s=0.5) as bench:
-        await bench.run_drive()
+    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
         await until(lambda: len(peer.beats) > 2)
         peer.node.add_write_callback(refuse_mapping)
         peer.obeys = False
@@ -272,8 +258,7 @@ async def test_a_node_that_stays_on_while_its_communication_starts_anew_is_switc
             refuse_mapping(index=index)
 
     peer.deaf = True
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         peer.node.add_write_callback(take)
         bench.ear.command = SAFE_COMMAND
         peer.boot()
@@ -305,8 +290,7 @@ async def test_a_node_that_answers_a_controlword_late_is_set_up(peer: Peer) -> N
 
 async def test_a_restarted_node_gets_no_command_before_it_is_set_up(peer: Peer) -> None:
     """Its RPDOs are those of the manufacturer again."""
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         peer.override(0x1018, 1, b"\xff\xff\xff\x7f")
         bench.ear.command = None
         await asyncio.sleep(0.05)
@@ -320,8 +304,7 @@ async def test_a_restarted_node_gets_no_command_before_it_is_set_up(peer: Peer) 
 
 
 async def test_a_command_that_no_object_can_hold_is_not_sent(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         bench.ear.command = None
         await asyncio.sleep(0.05)
         known = len(peer.words)
@@ -332,8 +315,7 @@ async def test_a_command_that_no_object_can_hold_is_not_sent(peer: Peer) -> None
 
 
 async def test_a_heartbeat_that_stays_away_is_told_and_the_node_set_up_again(peer: Peer) -> None:
-    async with running(peer, heartbeat_timeout_s=0.5) as bench:
-        await bench.run_drive()
+    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
         peer.node.nmt.stop_heartbeat()
         await bench.complains("node 5: heartbeat lost for")
         bench.ear.command = SAFE_COMMAND
@@ -349,8 +331,7 @@ async def test_a_node_without_values_confirms_its_stop_once_it_is_set_up_again(
     limited = "ParameterName=DC link circuit voltage\n"
     eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=450000\n"))
     with contextlib.closing(Peer(f"canopen limited {tmp_path.name}", eds)) as peer:
-        async with running(peer, eds=eds) as bench:
-            await bench.run_drive()
+        async with driven(peer, eds=eds) as bench:
             bench.ear.command = SAFE_COMMAND
             peer.boot()
             monkeypatch.setitem(MEASURED, "0x6079", 0xFFFFFFFF)
@@ -363,8 +344,7 @@ async def test_a_node_without_values_confirms_its_stop_once_it_is_set_up_again(
 
 
 async def test_heartbeats_that_came_while_the_loop_was_busy_are_not_lost(peer: Peer) -> None:
-    async with running(peer, heartbeat_timeout_s=0.5) as bench:
-        await bench.run_drive()
+    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
         for _ in range(3):
             time.sleep(0.7)  # noqa: ASYNC251 - the loop is what is busy
             await bench.ready()
@@ -373,8 +353,7 @@ async def test_heartbeats_that_came_while_the_loop_was_busy_are_not_lost(peer: P
 
 
 async def test_a_restarted_node_is_not_energised_again(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         peer.statusword = REST
         known = len(peer.words)
         peer.boot()
@@ -392,8 +371,7 @@ async def test_a_restarted_node_is_not_energised_again(peer: Peer) -> None:
 
 
 async def test_a_node_that_somebody_stops_is_told(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         peer.node.nmt.state = "STOPPED"
         peer.node.nmt.update_heartbeat()
         text = await bench.complains("not operational")
@@ -401,8 +379,7 @@ async def test_a_node_that_somebody_stops_is_told(peer: Peer) -> None:
 
 
 async def test_an_emergency_stays_until_the_drive_takes_it_back(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         peer.node.emcy.send(0x4310, 0x09, b"hot")
         text = await bench.complains("emergency")
         assert text == (
@@ -416,8 +393,7 @@ async def test_an_emergency_stays_until_the_drive_takes_it_back(peer: Peer) -> N
 
 
 async def test_the_operator_may_forget_an_emergency_of_a_drive_without_a_fault(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         peer.node.emcy.send(0x4310, 0x09, b"hot")
         await bench.complains("0x4310")
         await bench.port.reset_fault()
@@ -437,8 +413,7 @@ async def test_an_emergency_does_not_hide_why_its_node_is_not_set_up(peer: Peer)
 
 
 async def test_a_fault_is_reset_by_an_edge_when_the_operator_says_so(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         peer.obeys = False
         peer.statusword = FAULT
         await bench.complains("left its state by itself: fault")
@@ -456,8 +431,7 @@ async def test_a_fault_is_reset_by_an_edge_when_the_operator_says_so(peer: Peer)
 
 
 async def test_a_fault_that_stays_is_given_up_in_bounded_time(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         peer.statusword, peer.obeys = FAULT, False
         await bench.complains("fault")
         async with asyncio.timeout(10.0):
@@ -596,8 +570,7 @@ async def test_looking_at_a_drive_that_does_not_answer_says_so(tmp_path: Path) -
 async def test_a_heartbeat_or_sync_in_place_of_the_daemons_is_a_complaint(
     peer: Peer, can_id: int, data: bytes, name: str
 ) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         await until(lambda: len(peer.beats) > 2)
         assert bench.port.complaint is None
         send_foreign(peer, (0x77E, b"\x05"), (can_id, data))
@@ -606,8 +579,7 @@ async def test_a_heartbeat_or_sync_in_place_of_the_daemons_is_a_complaint(
 
 
 async def test_another_master_of_the_node_is_a_complaint(peer: Peer) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         assert bench.port.complaint is None
         harmless = [(0x605, b"\x40\x41\x60\0\0\0\0\0"), (0x000, b"\x01\x05"), (0x123, bytes(8))]
         commands = [(0x605, b"\x2b\x40\x60\0\x06\0\0\0"), (0x205, bytes(8))]
@@ -619,8 +591,7 @@ async def test_another_master_of_the_node_is_a_complaint(peer: Peer) -> None:
 async def test_a_node_whose_watch_another_sender_has_switched_off_is_set_up_again(
     peer: Peer,
 ) -> None:
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         watch = peer.number(0x1016, 1)
         send_foreign(peer, (0x605, b"\x23\x16\x10\x01\0\0\0\0"))
         await until(lambda: peer.number(0x1016, 1) == 0)
@@ -637,8 +608,7 @@ async def test_a_node_whose_watch_another_sender_has_switched_off_is_set_up_agai
 async def test_commands_that_the_bus_does_not_take_are_a_complaint_until_it_takes_one(
     peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async with running(peer) as bench:
-        await bench.run_drive()
+    async with driven(peer) as bench:
         bus = bench.port._connection.bus
         assert bus is not None
         take = bus.send
@@ -659,8 +629,7 @@ async def test_commands_that_the_bus_does_not_take_are_a_complaint_until_it_take
 
 async def test_a_node_that_leaves_operational_for_a_moment_is_set_up_again(peer: Peer) -> None:
     """Both heartbeats come before the port has looked once."""
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         known = bench.port.statistics.reconnects
         for state in (0x7F, 0x05):
             peer.network.send_message(0x700 + NODE, bytes((state,)))
@@ -670,8 +639,7 @@ async def test_a_node_that_leaves_operational_for_a_moment_is_set_up_again(peer:
 
 async def test_pdos_that_come_twice_make_one_reading_for_each_sync(peer: Peer) -> None:
     """A gateway that repeats them would double the rate of control."""
-    async with running(peer) as bench:
-        await bench.ready()
+    async with ready(peer) as bench:
         peer.copies = 2
         syncs, readings = peer.syncs, len(bench.ear.readings)
         await until(lambda: peer.syncs >= syncs + 30)

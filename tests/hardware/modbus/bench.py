@@ -279,7 +279,7 @@ class Ear:
 class Bench:
     """A running port between a peer and an ear."""
 
-    def __init__(self, port: ModbusPort, peer: Peer, ear: Ear) -> None:
+    def __init__(self, port: ModbusPort, peer: TcpPeer | RtuPeer, ear: Ear) -> None:
         self.port = port
         self.peer = peer
         self.ear = ear
@@ -353,40 +353,50 @@ def build(**changes: str | None) -> ModbusPort:
     return port
 
 
-def port_and_peer(
-    kind: str, tmp_path: Path, tcp_port: int, **changes: str | None
-) -> tuple[ModbusPort, TcpPeer | RtuPeer]:
-    """A port, and a peer of its kind, `tcp` or `rtu`, neither of which runs."""
-    first = 10 if "bus__read_write" in changes else 0
-    peer: TcpPeer | RtuPeer
-    if kind == "tcp":
-        peer = TcpPeer(tcp_port, first)
-        link: dict[str, str | None] = {"bus__port": str(tcp_port)}
-    else:
-        device = tmp_path / "drive.tty"
-        peer = RtuPeer(device, first)
-        link = serial(device)
-    return build(**{**link, **changes}), peer
+class Wire:
+    """What a port and a drive are joined by: `tcp` or `rtu`."""
 
+    def __init__(self, kind: str, folder: Path, tcp_port: int) -> None:
+        self.kind = kind
+        self.folder = folder
+        self.tcp_port = tcp_port
 
-@contextlib.asynccontextmanager
-async def bench(
-    kind: str, tmp_path: Path, tcp_port: int, **changes: str | None
-) -> AsyncIterator[Bench]:
-    """Run a port against a peer of its kind, `tcp` or `rtu`."""
-    port, peer = port_and_peer(kind, tmp_path, tcp_port, **changes)
-    ear = Ear()
-    await peer.start()
-    task = asyncio.create_task(port.run(ear, lambda: None))
-    try:
-        one = Bench(port, peer, ear)
-        await until(lambda: bool(ear.readings) or task.done())
-        yield one
-    finally:
-        task.cancel()
-        outcome = await asyncio.gather(task, return_exceptions=True)
-        await peer.stop()
-    assert isinstance(outcome[0], asyncio.CancelledError)
+    def parts(self, **changes: str | None) -> tuple[ModbusPort, TcpPeer | RtuPeer]:
+        """A port and a peer, neither of which runs."""
+        first = 10 if "bus__read_write" in changes else 0
+        peer: TcpPeer | RtuPeer
+        if self.kind == "tcp":
+            peer = TcpPeer(self.tcp_port, first)
+            link: dict[str, str | None] = {"bus__port": str(self.tcp_port)}
+        else:
+            peer = RtuPeer(self.folder / "drive.tty", first)
+            link = serial(peer.link)
+        return build(**{**link, **changes}), peer
+
+    @contextlib.asynccontextmanager
+    async def bench(self, **changes: str | None) -> AsyncIterator[Bench]:
+        """Run a port against a peer."""
+        port, peer = self.parts(**changes)
+        ear = Ear()
+        await peer.start()
+        task = asyncio.create_task(port.run(ear, lambda: None))
+        try:
+            await until(lambda: bool(ear.readings) or task.done())
+            yield Bench(port, peer, ear)
+        finally:
+            task.cancel()
+            outcome = await asyncio.gather(task, return_exceptions=True)
+            await peer.stop()
+        assert isinstance(outcome[0], asyncio.CancelledError)
+
+    @contextlib.asynccontextmanager
+    async def driven(self, state: int | None, **changes: str | None) -> AsyncIterator[Bench]:
+        """Run a port whose drive, with this state, was commanded on and has its bridge on."""
+        async with self.bench(**changes) as one:
+            one.peer.state = state
+            one.port.send(RUN)
+            await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+            yield one
 
 
 @contextlib.asynccontextmanager

@@ -33,7 +33,7 @@ from tests.hardware.modbus.bench import (
     Spoil,
     TcpPeer,
     TIMEOUT_s,
-    bench,
+    Wire,
     framed,
     judged,
     until,
@@ -125,9 +125,9 @@ HEALTHY = measuring(
 
 
 @contextlib.asynccontextmanager
-async def watched(kind: str, tmp_path: Path, port: int) -> AsyncIterator[Bench]:
+async def watched(wire: Wire) -> AsyncIterator[Bench]:
     """A drive that shows a heartbeat and has been told to run."""
-    async with bench(kind, tmp_path, port, bus__heartbeat__drive='"state"') as one:
+    async with wire.bench(bus__heartbeat__drive='"state"') as one:
         one.port.send(RUN)
         await one.hears(3)
         await one.runs_until(lambda: bool(one.peer.writes))
@@ -139,7 +139,7 @@ async def test_no_bad_value_is_used_and_the_drive_can_be_made_safe(
     name: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
     kind, fault, count = FAULTS[name]
-    async with watched(kind, tmp_path, free_tcp_port) as one, judged(QUIET_s):
+    async with watched(Wire(kind, tmp_path, free_tcp_port)) as one, judged(QUIET_s):
         fault(one.peer)
         await one.asks(2)  # one that was under way, and the first that is spoiled
         heard = len(one.ear.readings)
@@ -171,11 +171,9 @@ EXPLAINED: dict[str, tuple[Fault, str]] = {
 
 
 @pytest.mark.parametrize("name", EXPLAINED)
-async def test_what_came_in_place_of_a_value_is_named_with_its_place(
-    name: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_what_came_in_place_of_a_value_is_named_with_its_place(tcp: Wire, name: str) -> None:
     fault, expected = EXPLAINED[name]
-    async with watched("tcp", tmp_path, free_tcp_port) as one:
+    async with watched(tcp) as one:
         fault(one.peer)
         await until(lambda: expected in one.port.explain_age())
         limits = Limits(430.0, 5.0, "V")
@@ -184,18 +182,17 @@ async def test_what_came_in_place_of_a_value_is_named_with_its_place(
     assert remedy(cause).startswith("check the register map")
 
 
-@pytest.mark.parametrize("kind", ["tcp", "rtu"])
 @pytest.mark.parametrize("delay", [1.05, 1.5, 2.5])
 async def test_a_reply_that_is_late_never_answers_the_next_request(
-    kind: str, delay: float, tmp_path: Path, free_tcp_port: int
+    wire: Wire, delay: float
 ) -> None:
     numbers = itertools.count()
 
     def now_and_then(reply: bytes) -> Pieces:
         return [(delay * TIMEOUT_s if next(numbers) % 5 == 0 else 0.0, reply)]
 
-    permitted_s = QUIET_s - delay * TIMEOUT_s if kind == "rtu" else math.inf
-    async with bench(kind, tmp_path, free_tcp_port) as one, judged(permitted_s):
+    permitted_s = QUIET_s - delay * TIMEOUT_s if wire.kind == "rtu" else math.inf
+    async with wire.bench() as one, judged(permitted_s):
         one.peer.spoil = now_and_then
 
         def enough() -> bool:
@@ -209,11 +206,11 @@ async def test_a_reply_that_is_late_never_answers_the_next_request(
 
 @pytest.mark.parametrize("delay", [1.2, 1.8, 2.4])
 async def test_replies_that_are_always_late_are_never_taken_for_later_ones(
-    delay: float, tmp_path: Path, free_tcp_port: int
+    rtu: Wire, delay: float
 ) -> None:
     """Each comes while the next request would be waiting, if the port did not wait for silence."""
     permitted_s = QUIET_s - delay * TIMEOUT_s
-    async with bench("rtu", tmp_path, free_tcp_port) as one, judged(permitted_s):
+    async with rtu.bench() as one, judged(permitted_s):
         one.peer.spoil = lambda reply: [(delay * TIMEOUT_s, reply)]
         await one.asks(2)
         heard = len(one.ear.readings)
@@ -224,8 +221,8 @@ async def test_replies_that_are_always_late_are_never_taken_for_later_ones(
         one.check_honesty()
 
 
-async def test_bytes_that_are_no_reply_are_shown(tmp_path: Path, free_tcp_port: int) -> None:
-    async with watched("rtu", tmp_path, free_tcp_port) as one:
+async def test_bytes_that_are_no_reply_are_shown(rtu: Wire) -> None:
+    async with watched(rtu) as one:
         one.peer.spoil = lambda _: [(0.0, bytes((0, 1, 4)))]
         shown = "no reply within 0.04 s; bytes that are no reply: 00 01 04"
         await until(lambda: shown in one.port.explain_age())
@@ -233,10 +230,8 @@ async def test_bytes_that_are_no_reply_are_shown(tmp_path: Path, free_tcp_port: 
         await one.hears(1)
 
 
-async def test_a_drive_that_does_not_answer_is_reported_and_its_return_too(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with watched("rtu", tmp_path, free_tcp_port) as one:
+async def test_a_drive_that_does_not_answer_is_reported_and_its_return_too(rtu: Wire) -> None:
+    async with watched(rtu) as one:
         one.peer.spoil = silence
         await until(lambda: bool(one.ear.bus))
         HEALTHY(one.peer)
@@ -247,13 +242,10 @@ async def test_a_drive_that_does_not_answer_is_reported_and_its_return_too(
         assert up[0] is True
 
 
-@pytest.mark.parametrize("kind", ["tcp", "rtu"])
-async def test_a_reply_that_cannot_be_decoded_raises_nothing_in_the_event_loop(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_reply_that_cannot_be_decoded_raises_nothing_in_the_event_loop(wire: Wire) -> None:
     raised: list[object] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, found: raised.append(found))
-    async with watched(kind, tmp_path, free_tcp_port) as one:
+    async with watched(wire) as one:
         one.peer.answer = lambda _: b"\x80\x02"
         await until(lambda: one.port.statistics.timeouts >= 2)
         HEALTHY(one.peer)
@@ -261,12 +253,11 @@ async def test_a_reply_that_cannot_be_decoded_raises_nothing_in_the_event_loop(
     assert raised == []
 
 
-@pytest.mark.parametrize("kind", ["tcp", "rtu"])
 @pytest.mark.parametrize("answer", [other_address, nothing_written])
 async def test_a_reply_that_repeats_another_write_confirms_no_stop(
-    kind: str, answer: Callable[[bytes], bytes], tmp_path: Path, free_tcp_port: int
+    wire: Wire, answer: Callable[[bytes], bytes]
 ) -> None:
-    async with watched(kind, tmp_path, free_tcp_port) as one:
+    async with watched(wire) as one:
         one.peer.answer = answer
         one.port.send(SAFE_COMMAND)
         await until(lambda: one.port.complaint is not None)
@@ -276,11 +267,8 @@ async def test_a_reply_that_repeats_another_write_confirms_no_stop(
         await until(lambda: one.port.safe_s < math.inf)
 
 
-@pytest.mark.parametrize("kind", ["tcp", "rtu"])
-async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with watched(kind, tmp_path, free_tcp_port) as one, judged(QUIET_s):
+async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(wire: Wire) -> None:
+    async with watched(wire) as one, judged(QUIET_s):
         complaints: list[str | None] = []
 
         def in_turn(pdu: bytes) -> bytes:
@@ -296,9 +284,7 @@ async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(
         await one.runs_until(lambda: one.port.complaint is None)
 
 
-async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken(tcp: Wire) -> None:
     numbers = itertools.count()
 
     def sometimes_busy(pdu: bytes) -> bytes:
@@ -306,13 +292,13 @@ async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken(
             return nothing_written(pdu)
         return busy(pdu) if next(numbers) % 4 == 0 else pdu
 
-    async with watched("tcp", tmp_path, free_tcp_port) as one:
+    async with watched(tcp) as one:
         one.peer.answer = sometimes_busy
         await one.runs_until(lambda: one.port.complaint is not None)
 
 
-async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None:
-    async with watched("tcp", tmp_path, free_tcp_port) as one:
+async def test_an_exception_is_named(tcp: Wire) -> None:
+    async with watched(tcp) as one:
         one.peer.answer = exception
         await until(lambda: bool(one.ear.bus))
         assert "exception reply 2 to function 4 (illegal address), input " in one.ear.bus[0][1]
@@ -320,14 +306,12 @@ async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None
         assert "illegal address" in refused[0]
 
 
-async def test_a_half_open_connection_is_given_up_and_made_anew(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with watched("tcp", tmp_path, free_tcp_port) as one:
-        assert isinstance(one.peer, TcpPeer)
-        one.peer.spoil = silence
-        await until(lambda: one.peer.connections >= 2)  # type: ignore[attr-defined]
-        await until(lambda: one.peer.resets >= 1)  # type: ignore[attr-defined]
+async def test_a_half_open_connection_is_given_up_and_made_anew(tcp: Wire) -> None:
+    async with watched(tcp) as one:
+        peer = one.peer
+        assert isinstance(peer, TcpPeer)
+        peer.spoil = silence
+        await until(lambda: peer.connections >= 2 and peer.resets >= 1)
         assert "no reply" in one.ear.bus[0][1]
         HEALTHY(one.peer)
         await one.hears(3)
@@ -337,11 +321,11 @@ async def test_a_half_open_connection_is_given_up_and_made_anew(
 
 
 async def test_a_gateway_that_wakes_its_line_before_its_first_reply_keeps_its_connection(
-    tmp_path: Path, free_tcp_port: int
+    tcp: Wire,
 ) -> None:
     asked_s: dict[int, float] = {}
 
-    async with watched("tcp", tmp_path, free_tcp_port) as one:
+    async with watched(tcp) as one:
         peer = one.peer
         assert isinstance(peer, TcpPeer)
 
@@ -357,8 +341,8 @@ async def test_a_gateway_that_wakes_its_line_before_its_first_reply_keeps_its_co
         one.check_honesty()
 
 
-async def test_a_server_that_restarts_is_found_again(tmp_path: Path, free_tcp_port: int) -> None:
-    async with watched("tcp", tmp_path, free_tcp_port) as one:
+async def test_a_server_that_restarts_is_found_again(tcp: Wire) -> None:
+    async with watched(tcp) as one:
         assert isinstance(one.peer, TcpPeer)
         await one.peer.stop()
         await until(lambda: bool(one.ear.bus))
@@ -375,13 +359,11 @@ async def test_a_server_that_restarts_is_found_again(tmp_path: Path, free_tcp_po
         one.check_honesty()
 
 
-async def test_a_device_that_closes_each_connection_at_once_is_found_again(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with watched("tcp", tmp_path, free_tcp_port) as one, sluggish_loop():
+async def test_a_device_that_closes_each_connection_at_once_is_found_again(tcp: Wire) -> None:
+    async with watched(tcp) as one, sluggish_loop():
         assert isinstance(one.peer, TcpPeer)
         await one.peer.stop()
-        await asyncio.to_thread(close_at_once, free_tcp_port, 3)
+        await asyncio.to_thread(close_at_once, tcp.tcp_port, 3)
         assert one.ear.bus[-1] == (False, ANY)
         await one.peer.start()
         await one.hears(3)
@@ -413,10 +395,8 @@ async def sluggish_loop() -> AsyncIterator[None]:
         task.cancel()
 
 
-async def test_a_serial_adapter_that_is_pulled_and_put_back_is_found_again(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with watched("rtu", tmp_path, free_tcp_port) as one:
+async def test_a_serial_adapter_that_is_pulled_and_put_back_is_found_again(rtu: Wire) -> None:
+    async with watched(rtu) as one:
         assert isinstance(one.peer, RtuPeer)
         await one.peer.stop()
         await until(lambda: bool(one.ear.bus))
@@ -430,12 +410,10 @@ async def test_a_serial_adapter_that_is_pulled_and_put_back_is_found_again(
         one.check_honesty()
 
 
-async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(rtu: Wire) -> None:
     """Two blocks of the same length; the repetition comes before the reply to the second."""
     blocks = {"bus__max_block": "3", "bus__heartbeat__drive": '"state"', **SLOW}
-    async with bench("rtu", tmp_path, free_tcp_port, **blocks) as one, judged(REPEATED_s):
+    async with rtu.bench(**blocks) as one, judged(REPEATED_s):
         await one.runs_until(lambda: bool(one.peer.writes))
 
         def is_mixed_up() -> bool:
@@ -455,7 +433,7 @@ async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
 
 @pytest.mark.parametrize("at_once", [False, True], ids=["before the reply", "with the reply"])
 async def test_an_adapter_that_hears_what_it_sends_answers_no_request(
-    tmp_path: Path, free_tcp_port: int, at_once: bool
+    rtu: Wire, at_once: bool
 ) -> None:
     """A request for the one register 0x302 is a reply of three bytes, too."""
     names = {"voltage": ", scale = 0.01", "line": ", scale = 0.1", "power": "", "speed": FLOAT}
@@ -465,7 +443,7 @@ async def test_an_adapter_that_hears_what_it_sends_answers_no_request(
     }
     registers["bus__registers__state"] = "{ address = 0x305, table = 'input' }"
     apart = {"bus__max_block": "2", **SLOW, **registers}
-    async with bench("rtu", tmp_path, free_tcp_port, **apart) as one:
+    async with rtu.bench(**apart) as one:
 
         def echoed(reply: bytes) -> Pieces:
             echo = framed(b"\x01" + one.peer.requests[-1])
@@ -478,10 +456,8 @@ async def test_an_adapter_that_hears_what_it_sends_answers_no_request(
         one.check_honesty()
 
 
-async def test_noise_between_the_exchanges_is_waited_out(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with watched("rtu", tmp_path, free_tcp_port) as one:
+async def test_noise_between_the_exchanges_is_waited_out(rtu: Wire) -> None:
+    async with watched(rtu) as one:
         assert isinstance(one.peer, RtuPeer)
         for _ in range(10):
             one.peer.put(b"\x01\x04\x0c\x75\x30")
@@ -492,9 +468,9 @@ async def test_noise_between_the_exchanges_is_waited_out(
 
 
 async def test_a_line_that_is_never_silent_gives_no_readings_and_still_takes_the_safe_command(
-    tmp_path: Path, free_tcp_port: int
+    rtu: Wire,
 ) -> None:
-    async with watched("rtu", tmp_path, free_tcp_port) as one:
+    async with watched(rtu) as one:
         peer = one.peer
         assert isinstance(peer, RtuPeer)
 
@@ -512,10 +488,8 @@ async def test_a_line_that_is_never_silent_gives_no_readings_and_still_takes_the
         one.check_honesty()
 
 
-async def test_a_command_that_waits_for_silence_gives_way_to_the_safe_command(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with watched("rtu", tmp_path, free_tcp_port) as one:
+async def test_a_command_that_waits_for_silence_gives_way_to_the_safe_command(rtu: Wire) -> None:
+    async with watched(rtu) as one:
         await until(lambda: one.told()[1] == 1)
         one.peer.spoil = silence
         await until(lambda: one.port.statistics.timeouts >= 1)
@@ -527,9 +501,9 @@ async def test_a_command_that_waits_for_silence_gives_way_to_the_safe_command(
 
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23])
 async def test_a_late_reply_to_another_command_confirms_no_stop(
-    changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+    rtu: Wire, changes: dict[str, str | None]
 ) -> None:
-    async with bench("rtu", tmp_path, free_tcp_port, **changes) as one:
+    async with rtu.bench(**changes) as one:
         await one.runs_until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
 
         def late_to_run(reply: bytes) -> Pieces:
@@ -548,11 +522,9 @@ async def test_a_late_reply_to_another_command_confirms_no_stop(
         one.check_honesty()
 
 
-async def test_the_rest_of_a_command_gives_way_to_the_safe_command(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_the_rest_of_a_command_gives_way_to_the_safe_command(tcp: Wire) -> None:
     apart = {"bus__registers__control": "{ address = 9, table = 'holding' }"}
-    async with bench("tcp", tmp_path, free_tcp_port, **apart) as one:
+    async with tcp.bench(**apart) as one:
         known = len(one.peer.writes)
 
         def stop(reply: bytes) -> bytes:
@@ -567,11 +539,9 @@ async def test_the_rest_of_a_command_gives_way_to_the_safe_command(
         assert (9, [1]) not in one.peer.writes
 
 
-async def test_a_stop_reaches_a_drive_that_hangs_up_at_a_write_of_its_set_point(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_stop_reaches_a_drive_that_hangs_up_at_a_write_of_its_set_point(tcp: Wire) -> None:
     apart = {"bus__registers__control": "{ address = 9, table = 'holding' }"}
-    async with bench("tcp", tmp_path, free_tcp_port, **apart) as one:
+    async with tcp.bench(**apart) as one:
         peer = one.peer
         assert isinstance(peer, TcpPeer)
 
@@ -587,11 +557,9 @@ async def test_a_stop_reaches_a_drive_that_hangs_up_at_a_write_of_its_set_point(
         await until(lambda: (9, [0]) in peer.writes)
 
 
-async def test_a_heartbeat_that_stands_still_shows_no_life_on_a_new_connection(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_heartbeat_that_stands_still_shows_no_life_on_a_new_connection(tcp: Wire) -> None:
     slow = {"bus__heartbeat__drive": '"state"', "bus__heartbeat__drive_timeout_s": "2.0"}
-    async with bench("tcp", tmp_path, free_tcp_port, **slow) as one:
+    async with tcp.bench(**slow) as one:
         assert isinstance(one.peer, TcpPeer)
         one.peer.state = 7
         await one.peer.stop()
@@ -604,11 +572,9 @@ async def test_a_heartbeat_that_stands_still_shows_no_life_on_a_new_connection(
         await one.hears(2)
 
 
-async def test_a_heartbeat_may_be_slower_than_the_polls_where_that_is_said(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_heartbeat_may_be_slower_than_the_polls_where_that_is_said(tcp: Wire) -> None:
     slow = {"bus__heartbeat__drive": '"state"', "bus__heartbeat__drive_timeout_s": "0.4"}
-    async with bench("tcp", tmp_path, free_tcp_port, **slow) as one:
+    async with tcp.bench(**slow) as one:
         one.peer.state = 7
         await one.hears(4)
         await until(lambda: one.port.statistics.counter_stuck >= 2)

@@ -6,12 +6,11 @@ import asyncio
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND
-from tests.hardware.modbus.bench import RUN, bench, until
+from tests.hardware.modbus.bench import RUN, Wire, until
 
 ALONE = ["unshare", "--map-root-user", "--net", "sh", "-c"]
 OWN_NETWORK = "ADAPTDRIVE_TESTS_OWN_NETWORK"
@@ -41,10 +40,8 @@ def test_a_command_from_before_the_loss_is_never_delivered() -> None:
 
 
 @pytest.mark.skipif(OWN_NETWORK not in os.environ, reason="takes the network of its machine down")
-async def test_a_lost_network_delivers_no_command_when_it_comes_back(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench("tcp", tmp_path, free_tcp_port, **PROMPT) as one:
+async def test_a_lost_network_delivers_no_command_when_it_comes_back(tcp: Wire) -> None:
+    async with tcp.bench(**PROMPT) as one:
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
         loopback("down")

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
-from collections.abc import AsyncIterator
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -22,13 +20,11 @@ from tests.hardware.modbus.bench import (
     Bench,
     Ear,
     Pieces,
-    RtuPeer,
     TcpPeer,
     TIMEOUT_s,
-    bench,
+    Wire,
     build,
     judged,
-    port_and_peer,
     serial,
     until,
     untouched,
@@ -46,8 +42,6 @@ SCATTERED: dict[str, str | None] = {
 }
 """Four blocks that are read one by one."""
 
-both = pytest.mark.parametrize("kind", ["tcp", "rtu"])
-
 REPORTED = {
     "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
     "signals__bridge": '"on"',
@@ -55,23 +49,15 @@ REPORTED = {
 """The bridge is a bit of the peer's state."""
 
 
-@contextlib.asynccontextmanager
-async def driven(
-    kind: str, tmp_path: Path, tcp_port: int, state: int | None, /, **changes: str | None
-) -> AsyncIterator[Bench]:
-    """Run a bench whose drive, with this state, has been commanded on and has its bridge on."""
-    async with bench(kind, tmp_path, tcp_port, **changes) as one:
-        one.peer.state = state
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
-        yield one
+def reported(changes: dict[str, str | None]) -> dict[str, str | None]:
+    """A map whose state register is the report of the bridge."""
+    address, table = (15, "holding") if changes else (5, "input")
+    register = f"{{ address = {address}, table = '{table}', type = 'uint16' }}"
+    return {**changes, "bus__registers__closed": register, "signals__bridge": '"closed"'}
 
 
-@both
-async def test_a_reading_holds_what_the_drive_measured(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+async def test_a_reading_holds_what_the_drive_measured(wire: Wire) -> None:
+    async with wire.bench() as one:
         await one.hears(5)
         one.check_honesty()
         reading = one.ear.readings[-1]
@@ -82,21 +68,15 @@ async def test_a_reading_holds_what_the_drive_measured(
         assert one.ear.bus == []
 
 
-@both
-async def test_whoever_only_listens_writes_nothing(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_whoever_only_listens_writes_nothing(wire: Wire) -> None:
     for changes in ({}, FUNCTION_23):
-        async with bench(kind, tmp_path, free_tcp_port, **changes) as one:
+        async with wire.bench(**changes) as one:
             await one.hears(3)
         assert one.peer.writes == []
 
 
-@both
-async def test_the_newest_command_goes_out_with_each_poll_and_a_heartbeat(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+async def test_the_newest_command_goes_out_with_each_poll_and_a_heartbeat(wire: Wire) -> None:
+    async with wire.bench() as one:
         for voltage in (250.0, 260.0, 287.65):
             assert one.port.send(Command(0.0, voltage, bridge=True))
         await until(lambda: len(one.peer.writes) >= 4)
@@ -108,11 +88,8 @@ async def test_the_newest_command_goes_out_with_each_poll_and_a_heartbeat(
     assert one.port.statistics.send_drops == 0
 
 
-@both
-async def test_function_23_carries_both_ways_and_a_new_command_does_not_wait(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port, **FUNCTION_23) as one:
+async def test_function_23_carries_both_ways_and_a_new_command_does_not_wait(wire: Wire) -> None:
+    async with wire.bench(**FUNCTION_23) as one:
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes))
         known = len(one.peer.requests)
@@ -125,17 +102,14 @@ async def test_function_23_carries_both_ways_and_a_new_command_does_not_wait(
         assert one.told() == [29000, 1]
 
 
-@both
-async def test_the_safe_command_does_not_wait_for_the_next_poll(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_the_safe_command_does_not_wait_for_the_next_poll(wire: Wire) -> None:
     slow = {
         "bus__poll_ticks": "120",
         "load__latency_ticks": "120",
         "load__period_s": "2.0",
         "interlocks__stale_s": "2.0",
     }
-    async with bench(kind, tmp_path, free_tcp_port, **slow) as one:
+    async with wire.bench(**slow) as one:
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes))
         await one.hears(1)
@@ -150,11 +124,8 @@ async def test_the_safe_command_does_not_wait_for_the_next_poll(
         assert len(one.peer.writes) <= writes + 1
 
 
-@both
-async def test_a_port_that_is_closed_leaves_the_drive_safe(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+async def test_a_port_that_is_closed_leaves_the_drive_safe(wire: Wire) -> None:
+    async with wire.bench() as one:
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes))
     assert one.told() == [0, 0]
@@ -186,11 +157,8 @@ async def test_a_port_that_fails_leaves_the_drive_safe(free_tcp_port: int) -> No
         await peer.stop()
 
 
-@both
-async def test_what_a_register_cannot_hold_is_not_sent(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+async def test_what_a_register_cannot_hold_is_not_sent(wire: Wire) -> None:
+    async with wire.bench() as one:
         for voltage in (float("nan"), -1.0, 700.0):
             with pytest.raises(ValueError, match=r"outside|cannot hold"):
                 one.port.send(Command(0.0, voltage, bridge=True))
@@ -267,12 +235,11 @@ async def test_a_port_that_is_closed_while_it_waits_for_the_drive_opens_no_link(
     assert mute.connections == 0
 
 
-@both
 async def test_after_a_freeze_nothing_energising_is_written(
-    kind: str, tmp_path: Path, free_tcp_port: int, monkeypatch: pytest.MonkeyPatch
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The process stands still between a reading and the command that goes with it."""
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+    async with wire.bench() as one:
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
         take, thawed = one.ear.on_reading, asyncio.Event()
@@ -294,15 +261,13 @@ async def test_after_a_freeze_nothing_energising_is_written(
 
 
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
-@both
 async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_driven_on(
-    kind: str, changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+    wire: Wire, changes: dict[str, str | None]
 ) -> None:
     """Its map has no bridge: it may have started anew, and cannot tell."""
-    async with bench(kind, tmp_path, free_tcp_port, **changes) as one:
+    async with wire.bench(**changes) as one:
         one.port.send(RUN)
         await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
-        assert isinstance(one.peer, TcpPeer | RtuPeer)
         await one.peer.stop()
         await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
         written = len(one.peer.writes)
@@ -318,10 +283,10 @@ async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_d
 
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
 async def test_a_drive_whose_reply_to_its_first_energising_command_is_lost_is_read_first(
-    changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+    tcp: Wire, changes: dict[str, str | None]
 ) -> None:
     """It has executed the command, and may have started anew before the next connection."""
-    async with bench("tcp", tmp_path, free_tcp_port, **changes) as one:
+    async with tcp.bench(**changes) as one:
         await one.hears(2)
         assert isinstance(one.peer, TcpPeer)
         peer = one.peer
@@ -342,18 +307,12 @@ async def test_a_drive_whose_reply_to_its_first_energising_command_is_lost_is_re
 
 @pytest.mark.parametrize(("timeout_s", "silent"), [(None, LOST), ("0.1", 1)])
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
-@both
-async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(  # noqa: PLR0917
-    kind: str,
-    changes: dict[str, str | None],
-    timeout_s: str | None,
-    silent: int,
-    tmp_path: Path,
-    free_tcp_port: int,
+async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(
+    wire: Wire, changes: dict[str, str | None], timeout_s: str | None, silent: int
 ) -> None:
     """Replies are lost, and the connection is kept: it may have stopped by its own time-out."""
     changes = {**changes, "bus__command_timeout_s": timeout_s}
-    async with bench(kind, tmp_path, free_tcp_port, **changes) as one:
+    async with wire.bench(**changes) as one:
         one.port.send(RUN)
         await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
         peer = one.peer
@@ -381,17 +340,10 @@ async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(  # noqa: 
 
 
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
-@both
 async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
-    kind: str, changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+    wire: Wire, changes: dict[str, str | None]
 ) -> None:
-    address = 15 if changes else 5
-    table = "holding" if changes else "input"
-    bridge = {
-        "bus__registers__closed": f"{{ address = {address}, table = '{table}', type = 'uint16' }}",
-        "signals__bridge": '"closed"',
-    }
-    async with bench(kind, tmp_path, free_tcp_port, **changes, **bridge) as one:
+    async with wire.bench(**reported(changes)) as one:
         one.peer.state = 1
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes))
@@ -409,20 +361,12 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
         assert one.port.complaint is None
 
 
-def reported(changes: dict[str, str | None]) -> dict[str, str | None]:
-    """A map whose state register is the report of the bridge."""
-    address, table = (15, "holding") if changes else (5, "input")
-    register = f"{{ address = {address}, table = '{table}', type = 'uint16' }}"
-    return {**changes, "bus__registers__closed": register, "signals__bridge": '"closed"'}
-
-
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
-@both
 async def test_a_drive_one_of_whose_reports_is_lost_is_read_before_it_is_driven_on(
-    kind: str, changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+    wire: Wire, changes: dict[str, str | None]
 ) -> None:
     """It may have started anew: what energises is not written before it has reported again."""
-    async with driven(kind, tmp_path, free_tcp_port, 1, **reported(changes)) as one:
+    async with wire.driven(1, **reported(changes)) as one:
         peer = one.peer
         lost: list[int] = []
 
@@ -439,12 +383,11 @@ async def test_a_drive_one_of_whose_reports_is_lost_is_read_before_it_is_driven_
         assert 16 in functions
 
 
-@both
 async def test_a_command_from_before_the_bridge_went_off_is_not_written_again(
-    kind: str, tmp_path: Path, free_tcp_port: int, monkeypatch: pytest.MonkeyPatch
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever decides may hold the next one back: a drive that has just come on may bounce."""
-    async with driven(kind, tmp_path, free_tcp_port, 1, **reported({})) as one:
+    async with wire.driven(1, **reported({})) as one:
         await until(lambda: one.told()[1] == 1)
         await one.hears(2)
         take, written = one.ear.on_reading, []
@@ -462,27 +405,21 @@ async def test_a_command_from_before_the_bridge_went_off_is_not_written_again(
         await until(lambda: len(one.peer.writes) > known)
 
 
-@both
-async def test_a_command_follows_the_read_of_the_bridge(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_command_follows_the_read_of_the_bridge(wire: Wire) -> None:
     """Of several reads that of the bridge is the last: no slow one gives it time to stop."""
     bridge = {
         "bus__registers__on": "{ address = 0, table = 'input', bit = 2 }",
         "signals__bridge": '"on"',
     }
-    async with driven(kind, tmp_path, free_tcp_port, 1, **SCATTERED, **bridge) as one:
+    async with wire.driven(1, **SCATTERED, **bridge) as one:
         await until(lambda: len(one.peer.writes) > 3)
         read = {before for before, after in pairwise(one.peer.requests) if after[0] == 16}
         assert {request[:3] for request in read} == {b"\x04\0\0"}
 
 
-@both
-async def test_a_safe_command_that_no_poll_has_carried_is_written_at_the_end(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_safe_command_that_no_poll_has_carried_is_written_at_the_end(wire: Wire) -> None:
     """A drive may be on since the process before; with a heartbeat the first poll is no reading."""
-    port, peer = port_and_peer(kind, tmp_path, free_tcp_port)
+    port, peer = wire.parts()
     await peer.start()
     ending = asyncio.create_task(port.run(Ear(), lambda: None))
     await until(lambda: bool(peer.requests))
@@ -498,14 +435,13 @@ def refuses_writes(pdu: bytes) -> bytes:
     return pdu if pdu[0] in {3, 4} else bytes((pdu[0] | 0x80, 6))
 
 
-@both
 @pytest.mark.parametrize("register", ["2", "9"], ids=["same-block", "own-block"])
 async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(
-    register: str, kind: str, tmp_path: Path, free_tcp_port: int
+    wire: Wire, register: str
 ) -> None:
     """Its own watchdog is what is left to switch it off; a drive that obeys is fed again."""
     alive = {"bus__registers__alive": f"{{ address = {register}, table = 'holding' }}"}
-    async with bench(kind, tmp_path, free_tcp_port, **alive) as one:
+    async with wire.bench(**alive) as one:
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes))
         one.peer.answer = refuses_writes
@@ -520,12 +456,10 @@ async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(
         await until(lambda: len(set(beats(one, int(register), known))) > 3)
 
 
-async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile(tcp: Wire) -> None:
     """Its own watchdog would end a stop as a fault."""
     changes = {**REPORTED, "interlocks__stop_s": "5.0"}
-    async with driven("tcp", tmp_path, free_tcp_port, 1, **changes) as one:
+    async with tcp.driven(1, **changes) as one:
         one.port.send(SAFE_COMMAND)
         await asyncio.sleep(1.5)
         known = len(one.peer.writes)
@@ -533,12 +467,12 @@ async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile(
 
 
 async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_readings(
-    tmp_path: Path, free_tcp_port: int
+    tcp: Wire,
 ) -> None:
     """It acknowledges the safe command and does not obey it; one that reports off is fed again,
     also beside values that are refused.
     """
-    async with driven("tcp", tmp_path, free_tcp_port, 1, **REPORTED) as one:
+    async with tcp.driven(1, **REPORTED) as one:
         peer = one.peer
         assert isinstance(peer, TcpPeer)
         peer.answer = lambda pdu: bytes((0x84, 4)) if pdu[0] == 4 else pdu
@@ -555,9 +489,9 @@ async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_
 
 
 async def test_a_drive_that_never_reports_its_bridge_is_fed_at_rest_beside_refused_values(
-    tmp_path: Path, free_tcp_port: int
+    tcp: Wire,
 ) -> None:
-    async with driven("tcp", tmp_path, free_tcp_port, 1) as one:
+    async with tcp.driven(1) as one:
         peer = one.peer
         assert isinstance(peer, TcpPeer)
         peer.speed = math.nan
@@ -569,16 +503,15 @@ async def test_a_drive_that_never_reports_its_bridge_is_fed_at_rest_beside_refus
         await until(lambda: len(set(beats(one, 2, known))) > 3)
 
 
-@both
 async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_values(
-    kind: str, tmp_path: Path, free_tcp_port: int
+    wire: Wire,
 ) -> None:
     """A driven one is not controlled by old values; all ones are no bridge."""
     fault = {
         "bus__registers__fault": "{ address = 5, table = 'input', bit = 1 }",
         "signals__fault": '"fault"',
     }
-    async with driven(kind, tmp_path, free_tcp_port, 1, **REPORTED, **fault) as one:
+    async with wire.driven(1, **REPORTED, **fault) as one:
         one.peer.speed = math.nan
         await one.asks(12)
         good = one.ear.readings[-1]
@@ -596,11 +529,8 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
     assert one.port.safe_s < reading.bridge_reported_s <= reading.arrival_s
 
 
-@both
 @pytest.mark.parametrize("coded", ["uint16", "int16"])
-async def test_a_register_without_a_value_confirms_no_stop(
-    coded: str, kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_register_without_a_value_confirms_no_stop(wire: Wire, coded: str) -> None:
     """A gateway gives all ones for a module that it does not reach; the other values are right."""
     register = f"{{ address = 5, table = 'input', type = '{coded}' }}"
     state = {
@@ -608,7 +538,7 @@ async def test_a_register_without_a_value_confirms_no_stop(
         "bus__registers__closed": register,
         "signals__bridge": "{ signal = 'closed', on = 4 }",
     }
-    async with driven(kind, tmp_path, free_tcp_port, 4, **state) as one:
+    async with wire.driven(4, **state) as one:
         one.peer.state = 0xFFFF
         one.port.send(SAFE_COMMAND)
         await until(lambda: one.told() == [0, 0])
@@ -621,11 +551,10 @@ async def test_a_register_without_a_value_confirms_no_stop(
         assert not one.ear.readings[-1].bridge
 
 
-@both
 async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven_on(
-    kind: str, tmp_path: Path, free_tcp_port: int
+    wire: Wire,
 ) -> None:
-    async with driven(kind, tmp_path, free_tcp_port, 1, **REPORTED) as one:
+    async with wire.driven(1, **REPORTED) as one:
         one.peer.speed, one.peer.state = math.nan, 0
         await one.asks(4)
         known = len(one.peer.writes)
@@ -641,13 +570,12 @@ async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven
         assert one.port.complaint is None
 
 
-@both
 @pytest.mark.parametrize("stops_unseen", [True, False])
 async def test_a_drive_that_came_on_beside_refused_values_and_stopped_is_not_driven_on(
-    kind: str, tmp_path: Path, free_tcp_port: int, *, stops_unseen: bool
+    wire: Wire, *, stops_unseen: bool
 ) -> None:
     """The first reading after the command has its bridge off, as has the one before it."""
-    async with bench(kind, tmp_path, free_tcp_port, **REPORTED) as one:
+    async with wire.bench(**REPORTED) as one:
         one.peer.state = 0
         await one.hears(2)
         one.peer.speed, one.peer.state = math.nan, 1
@@ -678,12 +606,9 @@ STANDING: dict[str, str | None] = {
 OFF = 30008
 
 
-@both
-async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(wire: Wire) -> None:
     """Its polls are answered, and give no reading: nothing is decided anew."""
-    async with driven(kind, tmp_path, free_tcp_port, None, **STANDING) as one:
+    async with wire.driven(None, **STANDING) as one:
         one.peer.state = 1
         await one.asks(8)
         known = len(one.peer.writes)
@@ -694,11 +619,10 @@ async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(
         assert one.port.complaint is None
 
 
-@both
 async def test_a_drive_that_reports_its_stop_beside_a_standing_heartbeat_is_not_driven_on(
-    kind: str, tmp_path: Path, free_tcp_port: int
+    wire: Wire,
 ) -> None:
-    async with driven(kind, tmp_path, free_tcp_port, None, **STANDING) as one:
+    async with wire.driven(None, **STANDING) as one:
         one.peer.state = 1
         await one.asks(2)
         one.peer.voltage = OFF
@@ -710,15 +634,11 @@ async def test_a_drive_that_reports_its_stop_beside_a_standing_heartbeat_is_not_
         assert one.peer.writes[known:] == []
 
 
-@both
-async def test_a_drive_without_values_confirms_its_stop_over_a_new_link(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port, **REPORTED) as one:
+async def test_a_drive_without_values_confirms_its_stop_over_a_new_link(wire: Wire) -> None:
+    async with wire.bench(**REPORTED) as one:
         one.peer.state = 1
         one.port.send(RUN)
         await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
-        assert isinstance(one.peer, TcpPeer | RtuPeer)
         await one.peer.stop()
         await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
         good = one.ear.readings[-1]
@@ -746,12 +666,9 @@ def slow(reply: bytes) -> Pieces:
     return [(0.7 * TIMEOUT_s, reply)]
 
 
-@both
-async def test_a_drive_that_answers_slowly_gets_its_commands(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_drive_that_answers_slowly_gets_its_commands(wire: Wire) -> None:
     """Each reply takes less than its time-out, and the four of a poll more than two polls."""
-    async with bench(kind, tmp_path, free_tcp_port, **SCATTERED) as one:
+    async with wire.bench(**SCATTERED) as one:
         one.peer.spoil = slow
         for voltage_V in (250.0, 260.0):
             told = [round(100.0 * voltage_V), 1]
@@ -761,11 +678,9 @@ async def test_a_drive_that_answers_slowly_gets_its_commands(
                 await one.hears(1)
 
 
-async def test_a_poll_that_missed_its_time_is_not_followed_by_a_pause(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_poll_that_missed_its_time_is_not_followed_by_a_pause(tcp: Wire) -> None:
     """Four exchanges take over two polls: the next poll begins at once, not at the third."""
-    async with bench("tcp", tmp_path, free_tcp_port, **SCATTERED) as one, judged(0.1 * POLL_s):
+    async with tcp.bench(**SCATTERED) as one, judged(0.1 * POLL_s):
         one.peer.spoil = lambda reply: [(0.5 * POLL_s, reply)]
         one.port.send(Command(0.0, 250.0, bridge=True))
         await one.hears(3)

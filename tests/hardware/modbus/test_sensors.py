@@ -9,7 +9,6 @@ import struct
 import time
 from collections.abc import AsyncIterator, Mapping
 from collections.abc import Set as AbstractSet
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,7 +18,7 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.modbus.sensors import ModbusSensorPort, build_modbus_sensors
 from adaptdrive.hardware.modbus.turns import SELDOM_CYCLES
-from tests.hardware.modbus.bench import Peer, Pieces, RtuPeer, TcpPeer, until
+from tests.hardware.modbus.bench import Peer, Pieces, RtuPeer, TcpPeer, Wire, until
 from tests.hardware.modbus.virtual import VirtualDrive, VirtualLoop, use_memory
 
 CYCLE_s = 0.1
@@ -86,9 +85,7 @@ class Bench:
 
 @contextlib.asynccontextmanager
 async def bench(
-    kind: str,
-    folder: Path,
-    tcp_port: int,
+    wire: Wire,
     *,
     there: bool = True,
     dead: AbstractSet[int] = frozenset(),
@@ -96,12 +93,12 @@ async def bench(
 ) -> AsyncIterator[Bench]:
     peer: TcpPeer | RtuPeer
     config: ModbusTcpSensors | ModbusRtuSensors
-    if kind == "tcp":
-        peer = TcpPeer(tcp_port)
-        link = {"type": "modbus-tcp", "host": "127.0.0.1", "port": tcp_port}
+    if wire.kind == "tcp":
+        peer = TcpPeer(wire.tcp_port)
+        link = {"type": "modbus-tcp", "host": "127.0.0.1", "port": wire.tcp_port}
         config = ModbusTcpSensors.model_validate(COMMON | link | changes)
     else:
-        peer = RtuPeer(folder / "sensor.tty")
+        peer = RtuPeer(wire.folder / "sensor.tty")
         line = {"type": "modbus-rtu", "device": str(peer.link), "baud": 115200, "parity": "none"}
         config = ModbusRtuSensors.model_validate(COMMON | line | changes)
     port = build_modbus_sensors(config, "sensor_bus.0", time.monotonic)
@@ -119,15 +116,8 @@ async def bench(
     assert isinstance(outcome, asyncio.CancelledError)
 
 
-@pytest.fixture(params=["tcp", "rtu"])
-def kind(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
-async def test_values_come_in_si_and_as_old_as_their_request(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+async def test_values_come_in_si_and_as_old_as_their_request(wire: Wire) -> None:
+    async with bench(wire) as one:
         await one.hears(10)
         assert one.ear.latest["voltage"] == pytest.approx(300.12)
         one.check_honesty()
@@ -136,10 +126,8 @@ async def test_values_come_in_si_and_as_old_as_their_request(
 
 
 @pytest.mark.parametrize("speed", [float("nan"), float("inf"), -float("inf")])
-async def test_a_value_that_is_none_is_left_out_alone(
-    kind: str, tmp_path: Path, free_tcp_port: int, speed: float
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+async def test_a_value_that_is_none_is_left_out_alone(wire: Wire, speed: float) -> None:
+    async with bench(wire) as one:
         one.peer.speed = speed
         await one.hears(3)
         assert set(one.ear.latest) == {"number", "voltage"}
@@ -150,10 +138,8 @@ async def test_a_value_that_is_none_is_left_out_alone(
         one.check_honesty()
 
 
-async def test_late_and_missing_replies_are_never_taken_for_others(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+async def test_late_and_missing_replies_are_never_taken_for_others(wire: Wire) -> None:
+    async with bench(wire) as one:
         await one.hears(3)
 
         def late(reply: bytes) -> Pieces:
@@ -173,11 +159,9 @@ async def test_late_and_missing_replies_are_never_taken_for_others(
         one.check_honesty()
 
 
-async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(rtu: Wire) -> None:
     """Two blocks of one register; the repetition comes before the reply to the second."""
-    async with bench("rtu", tmp_path, free_tcp_port, max_gap=0, max_block=2) as one:
+    async with bench(rtu, max_gap=0, max_block=2) as one:
         await one.hears(6)
         heard = len(one.ear.heard)
         one.peer.spoil = lambda reply: [(0.012, reply), (0.005, reply)]
@@ -192,10 +176,8 @@ async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
         one.check_honesty()
 
 
-async def test_an_exception_reply_gives_no_value(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port) as one:
+async def test_an_exception_reply_gives_no_value(wire: Wire) -> None:
+    async with bench(wire) as one:
         await one.hears(2)
         one.peer.answer = lambda pdu: bytes((pdu[0] | 0x80, 4))
         await until(lambda: bool(one.ear.bus))
@@ -205,12 +187,10 @@ async def test_an_exception_reply_gives_no_value(
         assert len(one.ear.heard) == count
 
 
-async def test_a_bus_that_is_not_there_is_told_waited_for_and_found_again(
-    kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench(kind, tmp_path, free_tcp_port, there=False) as one:
+async def test_a_bus_that_is_not_there_is_told_waited_for_and_found_again(wire: Wire) -> None:
+    async with bench(wire, there=False) as one:
         await until(lambda: bool(one.ear.bus))
-        reason = "no connection" if kind == "tcp" else "no such serial port"
+        reason = "no connection" if wire.kind == "tcp" else "no such serial port"
         assert reason in one.ear.bus[0][1]
         await one.peer.start()
         await one.hears(3)
@@ -246,21 +226,19 @@ def hears_of(one: Bench, device: int) -> int:
 @pytest.mark.parametrize("timeout_s", [0.08, 0.02])
 @pytest.mark.parametrize("living", [1, 2, 4])
 async def test_silent_modules_behind_a_gateway_leave_the_living_one_and_the_link_alone(
-    tmp_path: Path, free_tcp_port: int, living: int, timeout_s: float
+    tcp: Wire, living: int, timeout_s: float
 ) -> None:
     given = modules(1, 2, 3, 4) | {"timeout_s": timeout_s}
     dead = {1, 2, 3, 4} - {living}
-    async with bench("tcp", tmp_path, free_tcp_port, dead=dead, **given) as one:
+    async with bench(tcp, dead=dead, **given) as one:
         await until(lambda: hears_of(one, living) >= 30 or len(one.ear.bus) > 0)
         assert one.ear.bus == []
         assert isinstance(one.peer, TcpPeer)
         assert one.peer.connections == 1
 
 
-async def test_a_gateway_behind_which_no_module_answers_is_connected_anew(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench("tcp", tmp_path, free_tcp_port, **modules(1, 2)) as one:
+async def test_a_gateway_behind_which_no_module_answers_is_connected_anew(tcp: Wire) -> None:
+    async with bench(tcp, **modules(1, 2)) as one:
         await until(lambda: hears_of(one, 1) >= 3)
         one.peer.dead = {1, 2}
         await until(lambda: bool(one.ear.bus))
@@ -271,9 +249,9 @@ async def test_a_gateway_behind_which_no_module_answers_is_connected_anew(
 
 
 async def test_a_missing_reply_of_a_silent_module_keeps_no_living_one_waiting_for_another(
-    tmp_path: Path, free_tcp_port: int
+    rtu: Wire,
 ) -> None:
-    async with bench("rtu", tmp_path, free_tcp_port, **modules(1, 2)) as one:
+    async with bench(rtu, **modules(1, 2)) as one:
         await until(lambda: hears_of(one, 1) >= 3)
         one.peer.dead = {2}
         first = len(one.peer.asked)
@@ -282,11 +260,9 @@ async def test_a_missing_reply_of_a_silent_module_keeps_no_living_one_waiting_fo
         assert (2, 2) not in list(itertools.pairwise(asked[asked.index(2) :]))
 
 
-async def test_a_silent_module_is_asked_seldom_and_found_again(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_silent_module_is_asked_seldom_and_found_again(rtu: Wire) -> None:
     given = modules(1, 2, blocks=ONE_BLOCK)
-    async with bench("rtu", tmp_path, free_tcp_port, dead={1}, **given) as one:
+    async with bench(rtu, dead={1}, **given) as one:
         await until(lambda: one.peer.asked.count(1) >= 5)
         asked = one.peer.asked
         last = len(asked) - 1 - asked[::-1].index(1)
@@ -302,21 +278,17 @@ async def test_a_silent_module_is_asked_seldom_and_found_again(
         assert hears_of(one, 1) >= known + 3
 
 
-async def test_a_silent_module_for_which_there_is_time_is_asked_in_every_cycle(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
+async def test_a_silent_module_for_which_there_is_time_is_asked_in_every_cycle(tcp: Wire) -> None:
     given = modules(1, 2) | {"timeout_s": 0.02}
-    async with bench("tcp", tmp_path, free_tcp_port, dead={1}, **given) as one:
+    async with bench(tcp, dead={1}, **given) as one:
         await until(lambda: one.peer.asked.count(1) >= 12)
         asked = len(one.peer.asked)
         await until(lambda: hears_of(one, 2) >= 30)
         assert one.peer.asked[asked:].count(1) >= 10
 
 
-async def test_a_module_that_stays_silent_to_one_block_gives_its_others(
-    tmp_path: Path, free_tcp_port: int
-) -> None:
-    async with bench("rtu", tmp_path, free_tcp_port, **modules(1)) as one:
+async def test_a_module_that_stays_silent_to_one_block_gives_its_others(rtu: Wire) -> None:
+    async with bench(rtu, **modules(1)) as one:
         one.peer.spoil = lambda reply: (
             [] if one.peer.requests[-1][1:3] == bytes(2) else [(0.0, reply)]
         )
@@ -329,10 +301,10 @@ async def test_a_module_that_stays_silent_to_one_block_gives_its_others(
 
 
 async def test_a_value_that_waited_for_a_silent_line_is_as_old_as_its_request_on_the_wire(
-    tmp_path: Path, free_tcp_port: int
+    rtu: Wire,
 ) -> None:
     given = modules(1, 2, blocks=ONE_BLOCK) | {"cycle_s": 0.25, "timeout_s": 0.2}
-    async with bench("rtu", tmp_path, free_tcp_port, dead={2}, **given) as one:
+    async with bench(rtu, dead={2}, **given) as one:
         await until(lambda: one.port.statistics.timeouts >= 3 and hears_of(one, 1) >= 4)
         for values, taken_s, _ in one.ear.heard:
             assert 0.0 <= one.peer.taken[round(values["number_1"])] - taken_s < 0.2

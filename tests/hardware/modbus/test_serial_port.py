@@ -24,7 +24,7 @@ from adaptdrive.hardware.polled.blocks import Block
 from adaptdrive.hardware.polled.capacity import Exchange
 from adaptdrive.hardware.polled.link import ExchangeError
 from tests.config.modbus_documents import parse
-from tests.hardware.modbus.bench import RtuPeer, bench, serial, until
+from tests.hardware.modbus.bench import RtuPeer, Wire, serial, until
 
 
 class Hang:
@@ -117,9 +117,9 @@ async def test_a_port_that_cannot_be_opened_is_opened_later(line: ModbusRtu) -> 
 
 
 async def test_the_loop_goes_on_while_the_port_of_a_lost_drive_hangs(
-    tmp_path: Path, free_tcp_port: int, monkeypatch: pytest.MonkeyPatch
+    rtu: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async with bench("rtu", tmp_path, free_tcp_port) as one:
+    async with rtu.bench() as one:
         assert isinstance(one.peer, RtuPeer)
         await one.peer.stop()
         await until(lambda: not one.ear.bus[-1][0] if one.ear.bus else False)
