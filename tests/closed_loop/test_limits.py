@@ -12,7 +12,18 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.virtual import OperatedDrive
 from tests.closed_loop.life import Sensed, load_world, settling_s, started, wait
+
+
+def scaled(gain: float, mode: Mode) -> OperatedDrive:
+    """A motor whose gain is so many times that of its model, at rest on 3 V."""
+    nominal = MotorParameters()
+    motor = Motor(MotorParameters(tachometer_Vs=gain * nominal.tachometer_Vs))
+    world = load_world(motor)
+    world.settle(world.boost_voltage_for(3.0))
+    return started("motor", world, mode)
+
 
 NOMINAL_S = {"motor": 30.0, "bath": 420.0}
 """Settling of the longest step from rest at once after `enable`; V_c is at its limits for most."""
@@ -55,11 +66,7 @@ LINEAR_S = 22.0
 def test_a_step_after_a_saturated_phase_is_as_fast_as_any(
     gain: float, edge: float, mode: Mode
 ) -> None:
-    nominal = MotorParameters()
-    motor = Motor(MotorParameters(tachometer_Vs=gain * nominal.tachometer_Vs))
-    world = load_world(motor)
-    world.settle(world.boost_voltage_for(3.0))
-    drive = started("motor", world, mode)
+    drive = scaled(gain, mode)
     drive.carry_out(SetSetpoint(edge))
     wait(drive, 300.0)
     assert drive.decision is not None
@@ -75,11 +82,7 @@ def test_a_step_after_a_saturated_phase_is_as_fast_as_any(
 def test_a_set_point_that_only_the_model_reaches_neither_trips_nor_latches(
     gain: float, value: float, within: str, mode: Mode
 ) -> None:
-    nominal = MotorParameters()
-    motor = Motor(MotorParameters(tachometer_Vs=gain * nominal.tachometer_Vs))
-    world = load_world(motor)
-    world.settle(world.boost_voltage_for(3.0))
-    drive = started("motor", world, mode)
+    drive = scaled(gain, mode)
     drive.carry_out(SetSetpoint(value))
     wait(drive, 720.0)
     assert drive.machine.trip is None
@@ -116,11 +119,7 @@ def test_a_set_point_of_0_lets_the_load_coast_and_the_next_one_catches_it() -> N
 
 
 def test_the_reach_follows_what_is_learnt_of_the_load() -> None:
-    nominal = MotorParameters()
-    motor = Motor(MotorParameters(tachometer_Vs=0.9 * nominal.tachometer_Vs))
-    world = load_world(motor)
-    world.settle(world.boost_voltage_for(3.0))
-    drive = started("motor", world, Mode.ADAPTIVE)
+    drive = scaled(0.9, Mode.ADAPTIVE)
     assert (drive.machine.reach.low, drive.machine.reach.high) == (2.2, 4.4)
     drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 3.0, 3.2, 60.0)))
     wait(drive, 300.0)

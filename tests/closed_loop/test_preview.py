@@ -15,20 +15,16 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.signals import Mode, Order
+from adaptdrive.control.signals import Order
 from adaptdrive.control.waveform import Shape, Waveform, heard
-from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay
-from adaptdrive.recording.session import create_session
-from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
+from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.life import wait
 from tests.closed_loop.test_probing import RecordedDrive
-from tests.recording.material import INFO, make_batch, record_messages
 
 LOW, HIGH, CYCLE_S = 2.6, 4.3, 120.0
 
@@ -46,9 +42,6 @@ def run(shape: Shape, preview: bool) -> RecordedDrive:
     world = World(Motor(MotorParameters()), WorldParameters(noise=noise, seed=3))
     world.settle(world.boost_voltage_for(LOW))
     drive = RecordedDrive(configuration(), world)
-    drive.tick()
-    for request in (Enable(), SetMode(Mode.ADAPTIVE)):
-        drive.carry_out(request)
     drive.carry_out(SetWaveform(Waveform(shape, LOW, HIGH, CYCLE_S), preview))
     wait(drive, 5.0 * CYCLE_S)
     return drive
@@ -105,11 +98,9 @@ def test_a_set_point_ends_what_the_controller_is_told() -> None:
 
 def test_it_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     drive = run(Shape.SQUARE, True)
-    batch = make_batch(drive.kept.ticks, drive.kept.slow, last=True)
-    directory = create_session(tmp_path, INFO, "")
-    record_messages(directory, Header(INFO, ""), batch)
     own = configuration()
-    report = replay(read_session(directory), Controller(controller_settings(own), build_load(own)))
+    controller = Controller(controller_settings(own), build_load(own))
+    report = replay(drive.session(tmp_path), controller)
     assert report.exact
     assert report.differing_decisions == 0
     assert report.slow_steps == len(drive.kept.slow) > 4.0 * CYCLE_S

@@ -12,11 +12,12 @@ import pytest
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
+from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Command, Measurement, Mode, Order
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import create_session
@@ -173,11 +174,21 @@ class Recorded:
 
 
 class RecordedDrive(OperatedDrive):
-    """A drive that keeps what it did."""
+    """A drive under adaptive control that keeps what it did."""
 
-    def __init__(self, *arguments: Any) -> None:
+    def __init__(self, configuration: Configuration, world: World) -> None:
         self.kept = Recorded()
-        super().__init__(*arguments)
+        super().__init__(configuration, world)
+        self.tick()
+        self.carry_out(Enable())
+        self.carry_out(SetMode(Mode.ADAPTIVE))
+
+    def session(self, folder: Path) -> Session:
+        """What was recorded of it."""
+        directory = create_session(folder, INFO, "")
+        batch = make_batch(self.kept.ticks, self.kept.slow, last=True)
+        record_messages(directory, Header(INFO, ""), batch)
+        return read_session(directory)
 
     def control(self, measurement: Measurement, order: Order) -> tuple[Command, bool]:
         command, decided = super().control(measurement, order)
@@ -199,19 +210,14 @@ def test_a_probe_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     world = World(Motor(MotorParameters()), WorldParameters(noise=NoiseParameters(sigma=2e-3)))
     world.settle(world.boost_voltage_for(LOW))
     drive = RecordedDrive(configuration, world)
-    drive.tick()
-    drive.carry_out(Enable())
-    drive.carry_out(SetMode(Mode.ADAPTIVE))
     wait_for_a_probe(drive)
     wait(drive, 60.0)
-    batch = make_batch(drive.kept.ticks, drive.kept.slow, last=True)
-    directory = create_session(tmp_path, INFO, "")
-    record_messages(directory, Header(INFO, ""), batch)
+    session = drive.session(tmp_path)
     controller = Controller(controller_settings(configuration), build_load(configuration))
-    report = replay(read_session(directory), controller)
+    report = replay(session, controller)
     assert report.exact
     assert report.differing_decisions == 0
     assert report.slow_steps == len(drive.kept.slow)
     unprobed = replace(controller_settings(configuration), probing=Probing())
     other = Controller(unprobed, build_load(configuration))
-    assert not replay(read_session(directory), other).exact
+    assert not replay(session, other).exact

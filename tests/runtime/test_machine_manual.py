@@ -171,9 +171,18 @@ def test_the_time_until_the_next_voltage_begins_with_the_run() -> None:
     assert seen == [State.STARTING, State.RUNNING, State.TRIPPED]
 
 
-@pytest.mark.parametrize(("value", "hold_s"), [(199.9, None), (400.1, None), (300.0, 0.0)])
-def test_a_voltage_out_of_range_is_refused(value: float, hold_s: float | None) -> None:
-    by_hand().refuses(SetVoltage(value, hold_s), "voltage" if hold_s is None else "hold_s")
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (SetVoltage(199.9), "voltage = 199.9 V is outside 200…400 V"),
+        (SetVoltage(400.1), "voltage = 400.1 V is outside 200…400 V"),
+        (SetVoltage(float("nan")), "voltage = nan V is outside"),
+        (SetVoltage(300.0, hold_s=0.0), "hold_s = 0 s is not above 0 s and at most 86400 s"),
+        (SetVoltage(300.0, hold_s=float("inf")), "hold_s = inf s is not"),
+    ],
+)
+def test_a_voltage_out_of_range_is_refused(request_: SetVoltage, reason: str) -> None:
+    by_hand().refuses(request_, reason)
 
 
 def test_an_operator_who_is_lost_trips_the_drive_when_the_time_is_over() -> None:
