@@ -171,6 +171,17 @@ class WallClock:
         return time.time() + self.step_s
 
 
+def rewritten(folder: Path, *changes: tuple[str, str], bus: CanBus = MOTOR_BUS) -> CanBus:
+    """A bus of the example, with a DBC in which some words are others."""
+    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    database = folder / "rewritten.dbc"
+    database.write_text(text, encoding="utf-8")
+    return bus.model_copy(update={"database": database})
+
+
 def build_port(
     config: CanBus, clock: Clock | None = None, timing: Timing = TIMING, **signals: object
 ) -> CanPort:

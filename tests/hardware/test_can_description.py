@@ -24,7 +24,7 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.runtime.interlocks import Limits, find_cause
-from tests.hardware.bench import EXAMPLES, Drive, Ear, running, until, with_crc
+from tests.hardware.bench import EXAMPLES, MOTOR, Drive, Ear, rewritten, running, until, with_crc
 
 INVERTER = load_configuration(EXAMPLES / "motor-inverter.toml")
 DATA_IDS = {"INV_STATE": 0x5F10, "INV_ACT": 0x5F11, "HOST_CMD": 0x5F13}
@@ -34,13 +34,6 @@ VOLTAGES: Values = {"ACT_PAGE": 1, "U_DC": 300.0, "P_OUT": 420.0}
 MAINS: Values = {"ACT_PAGE": 2, "U_MAINS": 121.5, "T_HEATSINK": 40.0}
 HOURS: Values = {"ACT_PAGE": 3, "RUN_HOURS": 20.0}
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.66, bridge=True)
-
-
-def configured(channel: str, **changes: object) -> Configuration:
-    """The example on a bus of its own, changed."""
-    assert isinstance(INVERTER.bus, CanBus)
-    update = {"interface": "virtual", "channel": channel} | changes
-    return INVERTER.model_copy(update={"bus": INVERTER.bus.model_copy(update=update)})
 
 
 def commanding(**changes: object) -> Configuration:
@@ -94,19 +87,35 @@ class Inverter:
 
 
 @pytest.fixture
-def inverter(request: pytest.FixtureRequest) -> Iterator[Inverter]:
-    configuration = configured(request.node.name)
-    assert isinstance(configuration.bus, CanBus)
-    bus = open_bus(configuration.bus)
+def own(request: pytest.FixtureRequest) -> Configuration:
+    """The example on a bus of its own."""
+    assert isinstance(INVERTER.bus, CanBus)
+    update = {"interface": "virtual", "channel": request.node.name}
+    return INVERTER.model_copy(update={"bus": INVERTER.bus.model_copy(update=update)})
+
+
+@pytest.fixture
+def inverter(own: Configuration) -> Iterator[Inverter]:
+    assert isinstance(own.bus, CanBus)
+    bus = open_bus(own.bus)
     yield Inverter(bus)
     bus.shutdown()
 
 
+@pytest.fixture
+def port(own: Configuration) -> CanPort:
+    return port_of(own)
+
+
+@pytest.fixture
+def ear() -> Ear:
+    return Ear()
+
+
 async def test_a_reading_is_gathered_from_pages_of_either_order(
-    inverter: Inverter, request: pytest.FixtureRequest
+    inverter: Inverter, port: CanPort, ear: Ear
 ) -> None:
-    ear = Ear()
-    async with running(port_of(configured(request.node.name)), ear):
+    async with running(port, ear):
         inverter.send_all()
         await ear.hears(1)
     (reading,) = ear.readings
@@ -118,23 +127,20 @@ async def test_a_reading_is_gathered_from_pages_of_either_order(
 
 
 async def test_more_values_are_handed_on_by_name(
-    inverter: Inverter, request: pytest.FixtureRequest
+    inverter: Inverter, own: Configuration, ear: Ear
 ) -> None:
-    configuration = configured(request.node.name)
     other = {"heat_sink": SignalSource(signal="INV_ACT.T_HEATSINK", offset=273.15)}
-    signals = configuration.signals.model_copy(update={"other": other})
-    ear = Ear()
-    async with running(port_of(configuration.model_copy(update={"signals": signals})), ear):
+    signals = own.signals.model_copy(update={"other": other})
+    async with running(port_of(own.model_copy(update={"signals": signals})), ear):
         inverter.send_all()
         await ear.hears(1)
     assert ear.readings[0].other == {"heat_sink": pytest.approx(313.15)}
 
 
 async def test_names_of_the_value_tables_are_used_and_told(
-    inverter: Inverter, request: pytest.FixtureRequest
+    inverter: Inverter, port: CanPort, ear: Ear
 ) -> None:
-    ear = Ear()
-    async with running(port_of(configured(request.node.name)), ear):
+    async with running(port, ear):
         inverter.send_all()
         inverter.send("INV_STATE", STATE | {"STATE": "Fault", "FAULT_CODE": "Heat sink too hot"})
         await ear.hears(1)
@@ -159,14 +165,9 @@ async def test_names_of_the_value_tables_are_used_and_told(
     ],
 )
 async def test_a_count_that_has_a_name_is_no_measurement(
-    inverter: Inverter,
-    request: pytest.FixtureRequest,
-    name: str,
-    values: Values,
-    raw: Values,
+    inverter: Inverter, port: CanPort, name: str, values: Values, raw: Values
 ) -> None:
-    ear, port = Ear(), port_of(configured(request.node.name))
-    async with running(port, ear):
+    async with running(port, Ear()):
         inverter.send_all()
         inverter.send(name, values | raw)
         await until(lambda: port.statistics.received == 4)
@@ -174,9 +175,8 @@ async def test_a_count_that_has_a_name_is_no_measurement(
 
 
 async def test_a_page_nobody_asked_for_is_read_over(
-    inverter: Inverter, request: pytest.FixtureRequest
+    inverter: Inverter, port: CanPort, ear: Ear
 ) -> None:
-    ear, port = Ear(), port_of(configured(request.node.name))
     async with running(port, ear):
         inverter.send("INV_ACT", HOURS)
         inverter.send_all()
@@ -185,9 +185,8 @@ async def test_a_page_nobody_asked_for_is_read_over(
 
 
 async def test_a_command_is_spread_over_pages_with_its_constants(
-    inverter: Inverter, request: pytest.FixtureRequest
+    inverter: Inverter, port: CanPort
 ) -> None:
-    port = port_of(configured(request.node.name))
     heard = []
     async with running(port, Ear()):
         for command in (RUN, SAFE_COMMAND):
@@ -210,10 +209,9 @@ async def test_a_command_is_spread_over_pages_with_its_constants(
 
 
 async def test_a_drive_that_took_a_part_of_its_first_command_counts_as_on(
-    inverter: Inverter, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    inverter: Inverter, port: CanPort, ear: Ear, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The frame that energises went out, and the next did not: it is heard before it gets more."""
-    ear, port = Ear(), port_of(configured(request.node.name))
     async with running(port, ear):
         bus = port._connection.bus
         assert bus is not None
@@ -238,10 +236,9 @@ async def test_a_drive_that_took_a_part_of_its_first_command_counts_as_on(
 
 
 async def test_a_seldom_value_may_be_as_old_as_its_cycle_time_says(
-    inverter: Inverter, request: pytest.FixtureRequest
+    inverter: Inverter, port: CanPort, ear: Ear
 ) -> None:
-    ear = Ear()
-    async with running(port_of(configured(request.node.name)), ear):
+    async with running(port, ear):
         inverter.send_all()
         await ear.hears(1)
         inverter.send("INV_STATE", STATE)
@@ -258,10 +255,9 @@ async def test_a_seldom_value_may_be_as_old_as_its_cycle_time_says(
 
 
 async def test_pages_that_stay_away_are_the_oldest_values_once_they_are_overdue(
-    inverter: Inverter, request: pytest.FixtureRequest
+    inverter: Inverter, port: CanPort, ear: Ear
 ) -> None:
-    ear = Ear()
-    async with running(port_of(configured(request.node.name)), ear):
+    async with running(port, ear):
         inverter.send_all()
         await ear.hears(1)
         await asyncio.sleep(0.25)
@@ -338,11 +334,10 @@ def test_a_constant_may_miss_its_count_in_binary(amperes: float) -> None:
 
 
 async def test_a_command_is_converted_to_the_unit_of_its_signal(
-    inverter: Inverter, request: pytest.FixtureRequest
+    inverter: Inverter, own: Configuration
 ) -> None:
     configuration = commanding(boost_reference_V={"signal": "HOST_CMD.U_DC_SET", "scale": 2.0})
-    bus = configured(request.node.name).bus
-    port = port_of(configuration.model_copy(update={"bus": bus}))
+    port = port_of(configuration.model_copy(update={"bus": own.bus}))
     async with running(port, Ear()):
         assert port.send(RUN)
         frames = [await asyncio.to_thread(inverter.bus.recv, 5.0) for _ in range(2)]
@@ -356,26 +351,20 @@ def test_a_safe_command_that_no_signal_can_hold_is_a_flaw() -> None:
         port_of(commanding(boost_reference_V=signal))
 
 
-def fd_drive(tmp_path: Path) -> Path:
-    """The reference DBC with one message of 48 bytes that holds all of the drive's status."""
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    text = text.replace("BO_ 257 DriveLoad: 8", "BO_ 257 DriveLoad: 48")
-    text = text.replace("LoadCrc : 56|8", "LoadCrc : 376|8")
-    path = tmp_path / "fd.dbc"
-    path.write_text(text)
-    return path
+def fd_drive(folder: Path, length: int) -> CanBus:
+    """The bus of a drive one of whose messages is longer than a classic frame."""
+    longer = "BO_ 257 DriveLoad: 8", f"BO_ 257 DriveLoad: {length}"
+    return rewritten(folder, longer, ("LoadCrc : 56|8", f"LoadCrc : {8 * length - 8}|8"))
 
 
 @pytest.mark.parametrize("interface", ["virtual", "udp_multicast"])
 async def test_long_frames_of_can_fd_are_exchanged(
     tmp_path: Path, free_udp_port: int, interface: str
 ) -> None:
-    motor = load_configuration(EXAMPLES / "motor.toml")
-    assert isinstance(motor.bus, CanBus)
     channel = {"virtual": "fd", "udp_multicast": "239.74.163.2"}[interface]
     fields = {"fd": True, "interface": interface, "channel": channel, "udp_port": free_udp_port}
-    bus = motor.bus.model_copy(update={"database": fd_drive(tmp_path), **fields})
-    port, ear = port_of(motor.model_copy(update={"bus": bus})), Ear()
+    bus = fd_drive(tmp_path, 48).model_copy(update=fields)
+    port, ear = port_of(MOTOR.model_copy(update={"bus": bus})), Ear()
     peer = open_bus(bus)
     drive = Drive(peer)
     message = load(bus.database).get_message_by_name("DriveLoad")
@@ -404,31 +393,23 @@ async def test_long_frames_of_can_fd_are_exchanged(
 def test_a_frame_that_the_bus_cannot_carry_is_a_flaw(
     tmp_path: Path, length: int, fd: bool, words: str
 ) -> None:
-    path = fd_drive(tmp_path)
-    path.write_text(path.read_text().replace("DriveLoad: 48", f"DriveLoad: {length}"))
-    path.write_text(path.read_text().replace("LoadCrc : 376|8", "LoadCrc : 312|8"))
-    motor = load_configuration(EXAMPLES / "motor.toml")
-    bus = motor.bus.model_copy(update={"database": path, "fd": fd})
+    bus = fd_drive(tmp_path, length).model_copy(update={"fd": fd})
     with pytest.raises(ConfigurationError, match=words):
-        port_of(motor.model_copy(update={"bus": bus}))
+        port_of(MOTOR.model_copy(update={"bus": bus}))
+
+
+SELDOM = ('"GenMsgCycleTime" BO_ 256 8', '"GenMsgCycleTime" BO_ 256 100')
 
 
 def test_a_voltage_that_comes_seldom_is_no_business_of_the_fast_loop(tmp_path: Path) -> None:
-    path = tmp_path / "slow.dbc"
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    path.write_text(text.replace('"GenMsgCycleTime" BO_ 256 8', '"GenMsgCycleTime" BO_ 256 100'))
-    motor = load_configuration(EXAMPLES / "motor.toml")
-    bus = motor.bus.model_copy(update={"database": path})
+    bus = rewritten(tmp_path, SELDOM)
     with pytest.raises(ConfigurationError, match=r"signals\.boost_voltage_V.*too seldom"):
-        port_of(motor.model_copy(update={"bus": bus}))
+        port_of(MOTOR.model_copy(update={"bus": bus}))
 
 
 def test_a_voltage_that_comes_seldom_feeds_no_voltage_loop_by_a_detour(tmp_path: Path) -> None:
-    path = tmp_path / "slow.dbc"
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    path.write_text(text.replace('"GenMsgCycleTime" BO_ 256 8', '"GenMsgCycleTime" BO_ 256 100'))
     tables = tomllib.loads((EXAMPLES / "motor.toml").read_text())
-    tables["bus"]["database"] = str(path)
+    tables["bus"]["database"] = str(rewritten(tmp_path, SELDOM).database)
     signals = tables["signals"]
     signals["other"] = {"dc_link": signals.pop("boost_voltage_V")}
     tables["derived"] = {"boost_voltage_V": {"rule": "mean", "of": ["dc_link"]}}

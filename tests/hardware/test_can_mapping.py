@@ -9,7 +9,14 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.database import read_dbc
 from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.demands import demands_of
-from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING, motor_bus, motor_signals
+from tests.hardware.bench import (
+    MOTOR,
+    MOTOR_BUS,
+    TIMING,
+    motor_bus,
+    motor_signals,
+    rewritten,
+)
 
 
 def integrity(message: str, **changes: object) -> dict[str, FrameIntegrity]:
@@ -150,18 +157,14 @@ def test_all_flaws_are_listed_at_once() -> None:
 
 
 def test_a_signal_that_excludes_zero_cannot_command(tmp_path: Path) -> None:
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    changed = tmp_path / "changed.dbc"
-    changed.write_text(text.replace("(0.01,0) [0|600]", "(0.01,0) [200|600]"))
+    bus = rewritten(tmp_path, ("(0.01,0) [0|600]", "(0.01,0) [200|600]"))
     with pytest.raises(ConfigurationError, match=r"signals\.command\.boost_reference_V.*200…600"):
-        map_drive(motor_bus(database=changed), MOTOR.signals, TIMING)
+        map_drive(bus, MOTOR.signals, TIMING)
 
 
 def test_a_signed_bit_is_on_at_minus_one(tmp_path: Path) -> None:
     """At 1, the value where `on` is left out, each reading would have the bridge off."""
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    bus = motor_bus(database=tmp_path / "signed.dbc")
-    bus.database.write_text(text.replace("44|1@1+ (1,0) [0|1]", "44|1@1- (1,0) [-1|0]"))
+    bus = rewritten(tmp_path, ("44|1@1+ (1,0) [0|1]", "44|1@1- (1,0) [-1|0]"))
     with pytest.raises(
         ConfigurationError, match=r"signals\.bridge\.on.* BridgeOn = 1 is outside -1…0"
     ):
@@ -172,15 +175,14 @@ def test_a_signed_bit_is_on_at_minus_one(tmp_path: Path) -> None:
 
 def with_initial(folder: Path, message: str, signal: str, kind: str, value: str) -> CanBus:
     """The bus of the example, whose DBC has a signal of its own and an initial value."""
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
     spare = ' SG_ Spare : 33|4@1- (1,0) [0|0] "" Drive\n'
-    text = text.replace(" SG_ CommandAlive", spare + " SG_ CommandAlive")
+    bus = rewritten(folder, (" SG_ CommandAlive", spare + " SG_ CommandAlive"))
+    text = bus.database.read_text(encoding="utf-8")
     number = re.search(rf"BO_ (\d+) {message}", text)
     assert number is not None
     attribute = '"GenSigStartValue"'
     text += f"\nBA_DEF_ SG_ {attribute} {kind};\nBA_DEF_DEF_ {attribute} 0;\n"
     text += f"BA_ {attribute} SG_ {number[1]} {signal} {value};\n"
-    bus = motor_bus(database=folder / "initial.dbc")
     bus.database.write_text(text)
     return bus
 
@@ -219,12 +221,13 @@ def test_an_initial_value_that_is_never_sent_may_be_any(
 
 
 def test_what_selects_a_page_cannot_be_commanded_itself(tmp_path: Path) -> None:
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    changed = tmp_path / "changed.dbc"
-    text = text.replace("BridgeEnable : 32", "BridgeEnable M : 32")
-    changed.write_text(text.replace("BoostReference : 16", "BoostReference m1 : 16"))
+    bus = rewritten(
+        tmp_path,
+        ("BridgeEnable : 32", "BridgeEnable M : 32"),
+        ("BoostReference : 16", "BoostReference m1 : 16"),
+    )
     with pytest.raises(ConfigurationError) as caught:
-        map_drive(motor_bus(database=changed), MOTOR.signals, TIMING)
+        map_drive(bus, MOTOR.signals, TIMING)
     assert {flaw.place for flaw in caught.value.flaws} == {"signals.command.bridge"}
     assert "selects what else" in str(caught.value)
 
@@ -297,17 +300,6 @@ def test_pages_that_take_all_memory_are_named_with_their_line(
     named = rf"line 6: {re.escape(shown)} in SG_MUL_VAL_ makes more than 131072 pages"
     with pytest.raises(ConfigurationError, match=named):
         read_dbc(path)
-
-
-def rewritten(folder: Path, *changes: tuple[str, str]) -> CanBus:
-    """`[bus]` of the example, with a DBC in which some words are others."""
-    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    path = folder / "rewritten.dbc"
-    path.write_text(text, encoding="utf-8")
-    return motor_bus(database=path)
 
 
 TEXT_CYCLES = (
