@@ -9,6 +9,8 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import pytest
+
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import load_configuration
@@ -186,6 +188,42 @@ class FastBench:
             around.now = around.deadline_s
             self.loop.on_deadline(around.deadline_s)
         around.now = end_s
+
+    def oversleep(self, seconds: float) -> None:
+        """Let time pass while nothing runs, and the timer expire so long after its deadline."""
+        deadline_s = self.around.deadline_s
+        self.around.now = deadline_s + seconds
+        self.loop.on_deadline(deadline_s)
+
+    def stand_still_in_ticks(self, seconds: float) -> None:
+        """Let each tick stand still from now on, before it has its command."""
+        decide = self.controller.replace_tick
+
+        def decide_late(measurement: Measurement, order: Order) -> Command:
+            self.around.now += seconds
+            return decide(measurement, order)
+
+        self.controller.replace_tick = decide_late
+
+    def slow_down(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+        """Let each command take so long from now on."""
+        send = self.port.send
+
+        def send_slowly(command: Command) -> bool:
+            self.around.now += seconds
+            return send(command)
+
+        monkeypatch.setattr(self.port, "send", send_slowly)
+
+    def stand_still_in_next_command(self, seconds: float) -> None:
+        """Let the next command stand still on its way to the bus."""
+        known = len(self.sent)
+
+        def stand_still(_: Command) -> bool:
+            self.around.now += seconds if len(self.sent) == known else 0.0
+            return False
+
+        self.unsendable = stand_still
 
     def frame(self, after_s: float = TICK_S, steps: int = 1, **changes: object) -> None:
         """Deliver the frame of a later half cycle; the drive's bridge is as it was commanded."""

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control.signals import Command
 from adaptdrive.runtime.loop_interface import FastLoopSettings
 from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
 
@@ -15,30 +14,12 @@ POLLED = replace(FAST, timing=replace(FAST.timing, ticks_per_reading=12))
 EACH_CLOCK = pytest.mark.parametrize("settings", [FAST, TIMERLESS], ids=["stand-in", "timerless"])
 
 
-def oversleep(bench: FastBench, seconds: float) -> None:
-    """Let time pass while nothing runs, and the timer expire afterwards."""
-    deadline_s = bench.around.deadline_s
-    bench.around.now = deadline_s + seconds
-    bench.loop.on_deadline(deadline_s)
-
-
 def frame_that_waited(bench: FastBench, seconds: float) -> None:
     """Let time pass while nothing runs, and a frame be read afterwards, before the timer."""
     now_s = bench.around.now = bench.around.deadline_s + seconds
     bench.counter += 6
     reading = replace(bench.measured, arrival_s=now_s, oldest_s=now_s, counter=bench.counter)
     bench.port.deliver(reading)
-
-
-def slow_down(bench: FastBench, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """Let each tick take so long from now on."""
-    send = bench.port.send
-
-    def send_slowly(command: Command) -> bool:
-        bench.around.now += seconds
-        return send(command)
-
-    monkeypatch.setattr(bench.port, "send", send_slowly)
 
 
 @EACH_CLOCK
@@ -62,10 +43,10 @@ async def test_a_deadline_that_was_overslept_does_not_feed(settings: FastLoopSet
     async with fast_bench(settings) as bench:
         bench.frames(5)
         fed = list(bench.around.fed)
-        oversleep(bench, 0.6 * TICK_S)
-        oversleep(bench, 30.0 * TICK_S)
+        bench.oversleep(0.6 * TICK_S)
+        bench.oversleep(30.0 * TICK_S)
         assert bench.around.fed == fed
-        oversleep(bench, 0.1 * TICK_S)
+        bench.oversleep(0.1 * TICK_S)
         assert len(bench.around.fed) == len(fed) + 1
 
 
@@ -89,17 +70,17 @@ async def test_ticks_that_take_too_long_do_not_feed(
     async with fast_bench(settings) as bench:
         bench.frames(5)
         fed = list(bench.around.fed)
-        slow_down(bench, monkeypatch, 0.7 * TICK_S)
+        bench.slow_down(monkeypatch, 0.7 * TICK_S)
         bench.frames(5, after_s=0.3 * TICK_S)
         assert bench.around.fed == fed
 
 
 async def test_polls_are_judged_by_the_period_of_the_polls(monkeypatch: pytest.MonkeyPatch) -> None:
     async with fast_bench(POLLED) as bench:
-        slow_down(bench, monkeypatch, 5.0 * TICK_S)
+        bench.slow_down(monkeypatch, 5.0 * TICK_S)
         bench.frame(after_s=12 * TICK_S, steps=12)
         fed = len(bench.around.fed)
         assert fed
-        slow_down(bench, monkeypatch, 2.0 * TICK_S)
+        bench.slow_down(monkeypatch, 2.0 * TICK_S)
         bench.frame(after_s=12 * TICK_S, steps=12)
         assert len(bench.around.fed) == fed

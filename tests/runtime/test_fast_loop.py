@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
+from adaptdrive.control.signals import SAFE_COMMAND, Command, Stage
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.reports import State
@@ -51,14 +51,6 @@ async def test_the_measurement_is_the_one_that_came() -> None:
         measured = bench.reports[-1].measurement
         values = (measured.boost_voltage_V, measured.line_voltage_V, measured.load_power_W)
         assert (*values, measured.output) == (222.0, 118.0, 7.0, 1.5)
-
-
-async def test_a_frame_that_was_lost_is_a_missed_half_cycle() -> None:
-    async with fast_bench(TIMERLESS) as bench:
-        bench.frames(5)
-        bench.frame(after_s=3 * TICK_S, steps=3)
-        assert bench.ticks[-1] - bench.ticks[-2] == 3
-        assert bench.loop.counts.missed == 2
 
 
 async def test_a_late_frame_replaces_the_stand_in_and_makes_no_second_tick() -> None:
@@ -131,8 +123,7 @@ async def test_ticks_that_the_machine_overslept_are_missed_not_repeated() -> Non
     async with fast_bench() as bench:
         bench.frames(5)
         before, deadline_s = bench.loop.tick, bench.around.deadline_s
-        bench.around.now = deadline_s + 5.4 * TICK_S
-        bench.loop.on_deadline(deadline_s)
+        bench.oversleep(5.4 * TICK_S)
         assert bench.loop.tick == before + 6
         assert bench.loop.counts.missed == 5
         assert bench.around.deadline_s == pytest.approx(deadline_s + 6 * TICK_S)
@@ -368,16 +359,9 @@ async def test_a_command_that_waits_is_sent_when_the_drive_reports_that_it_is_st
 async def test_a_command_that_waits_is_forgotten_with_the_run_it_was_decided_in() -> None:
     """The process stood still in a stand-in tick, and the reading that it stands for is next."""
     async with running_bench(timed(stale_s=0.5), frames=10) as bench:
-        decide = bench.controller.replace_tick
-
-        def decide_late(measurement: Measurement, order: Order) -> Command:
-            bench.around.now += 0.2
-            return decide(measurement, order)
-
-        bench.controller.replace_tick = decide_late
+        bench.stand_still_in_ticks(0.2)
         tick, known, due_s = bench.loop.tick, len(bench.sent), bench.around.deadline_s
-        bench.around.now = due_s
-        bench.loop.on_deadline(due_s)
+        bench.oversleep(0.0)
         assert len(bench.sent) == known
         bench.ask(Disable())
         late = replace(bench.measured, arrival_s=due_s, oldest_s=due_s, bridge=True)
@@ -393,12 +377,7 @@ async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_t
     """The drive may have stopped by its own time-out before the command, and be on again by it."""
     async with running_bench(timed(stale_s=0.5), frames=10) as bench:
         known = len(bench.sent)
-
-        def freeze(_: Command) -> bool:
-            bench.around.now += frozen_s if len(bench.sent) == known else 0.0
-            return False
-
-        bench.unsendable = freeze
+        bench.stand_still_in_next_command(frozen_s)
         bench.frame()
         assert [command.bridge for command in bench.sent[known:]] == [True, False][: 1 + trips]
         assert bench.machine.energised is not trips
@@ -424,13 +403,7 @@ async def test_reports_that_waited_show_whether_a_drive_stopped_before_a_late_co
 ) -> None:
     settings = replace(timed(stale_s=0.5, command_timeout_s=timeout_s), drive_clocks=not polled)
     async with running_bench(settings, frames=10) as bench:
-        known = len(bench.sent)
-
-        def freeze(_: Command) -> bool:
-            bench.around.now += frozen_s if len(bench.sent) == known else 0.0
-            return False
-
-        bench.unsendable = freeze
+        bench.stand_still_in_next_command(frozen_s)
         bench.frame()
         assert bench.machine.energised is not trips
         assert bench.sent[-1].bridge is not trips
@@ -516,9 +489,8 @@ async def test_a_daemon_frozen_beyond_the_limit_trips(frozen_s: float, bridge: b
 
 async def test_a_timer_that_overslept_trips_too() -> None:
     async with running_bench() as bench:
-        deadline_s, known = bench.around.deadline_s, len(bench.sent)
-        bench.around.now = deadline_s + STALE_S
-        bench.loop.on_deadline(deadline_s)
+        known = len(bench.sent)
+        bench.oversleep(STALE_S)
         assert bench.trip.startswith("overslept: ")
         assert bench.sent[known:] == [SAFE_COMMAND]
 
@@ -538,15 +510,10 @@ async def test_a_drive_that_stopped_in_a_short_pause_trips() -> None:
         assert bench.sent[known:] == [SAFE_COMMAND]
 
 
-async def test_a_tick_frozen_before_its_command_sends_none(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_tick_frozen_before_its_command_sends_none() -> None:
     async with running_bench() as bench:
-        tick, known = bench.controller.inner.tick, len(bench.sent)
-
-        def freeze(measurement: Measurement, order: Order) -> Command:
-            bench.around.now += 0.5
-            return tick(measurement, order)
-
-        bench.controller.replace_tick = freeze
+        known = len(bench.sent)
+        bench.stand_still_in_ticks(0.5)
         bench.frame()
         assert bench.trip.startswith("overslept: ")
         assert bench.sent[known:] == [SAFE_COMMAND]
@@ -628,32 +595,6 @@ async def test_a_bus_that_takes_nothing_does_no_harm() -> None:
         bench.port.restore()
         bench.frames(3)
         assert bench.sent[-1] == SAFE_COMMAND
-
-
-async def test_the_watchdog_is_fed_by_ticks_in_time() -> None:
-    async with fast_bench() as bench:
-        bench.frames(10)
-        assert len(bench.around.fed) == 10
-
-
-async def test_the_watchdog_is_fed_while_the_drive_is_away() -> None:
-    """A missing measurement trips; it must not starve the watchdog."""
-    for settings in (FAST, TIMERLESS):
-        async with fast_bench(settings) as bench:
-            bench.frames(3)
-            bench.around.fed.clear()
-            bench.wait(1.0)
-            assert len(bench.around.fed) > 100
-
-
-async def test_a_late_tick_does_not_feed_the_watchdog() -> None:
-    async with fast_bench() as bench:
-        bench.frames(3)
-        bench.around.fed.clear()
-        deadline_s = bench.around.deadline_s
-        bench.around.now = deadline_s + 0.7 * TICK_S
-        bench.loop.on_deadline(deadline_s)
-        assert bench.around.fed == []
 
 
 async def test_a_restarted_drive_is_followed_again() -> None:

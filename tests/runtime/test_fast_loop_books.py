@@ -7,25 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.runtime.requests import SetSetpoint
-from tests.runtime.bench import FAST, TICK_S, FastBench, decision, fast_bench, running_bench
+from tests.runtime.bench import FAST, TICK_S, decision, fast_bench, running_bench
 
 STRIDE = 12
 POLLED = replace(FAST, timing=replace(FAST.timing, ticks_per_reading=STRIDE), drive_clocks=False)
 EXACT_S = 2.0**-7
 """A half cycle whose multiples are exact."""
-
-
-def slow_down(bench: FastBench, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """Let each command take so long from now on."""
-    send = bench.port.send
-
-    def send_slowly(command: Command) -> bool:
-        bench.around.now += seconds
-        return send(command)
-
-    monkeypatch.setattr(bench.port, "send", send_slowly)
 
 
 async def test_before_the_first_tick_the_command_is_safe() -> None:
@@ -44,20 +33,19 @@ async def test_every_tick_counts_once() -> None:
         assert len(bench.reports) == 9
 
 
-async def test_a_frame_lost_right_after_the_first_is_missed() -> None:
+@pytest.mark.parametrize("known", [1, 5])
+async def test_a_frame_that_was_lost_is_a_missed_half_cycle(known: int) -> None:
     async with fast_bench(replace(FAST, timer_standin=False)) as bench:
-        bench.frame()
+        bench.frames(known)
         bench.frame(after_s=3 * TICK_S, steps=3)
-        assert bench.ticks == [0, 3]
+        assert bench.ticks == [*range(known), known + 2]
         assert bench.loop.counts.missed == 2
 
 
 async def test_polls_that_the_machine_overslept_are_missed() -> None:
     async with fast_bench(POLLED, modulus=None) as bench:
         bench.frames(3, after_s=STRIDE * TICK_S, counter=None)
-        deadline_s = bench.around.deadline_s
-        bench.around.now = deadline_s + 4.5 * STRIDE * TICK_S
-        bench.loop.on_deadline(deadline_s)
+        bench.oversleep(4.5 * STRIDE * TICK_S)
         assert bench.ticks == [0, STRIDE, 2 * STRIDE, 7 * STRIDE]
         assert bench.loop.counts.missed == 4
 
@@ -69,7 +57,7 @@ async def test_a_tick_is_timed_from_its_frame_to_its_command(
         bench.frames(5)
         for window in (bench.loop.lateness, bench.loop.tick_time, bench.loop.turnaround):
             window.take()
-        slow_down(bench, monkeypatch, 0.001)
+        bench.slow_down(monkeypatch, 0.001)
         bench.frame(arrival_s=bench.around.now + TICK_S - 0.002)
         report = bench.reports[-1]
         times_us = report.lateness_us, report.tick_us, report.turnaround_us
@@ -84,9 +72,7 @@ async def test_a_stand_in_has_no_frame_whose_turnaround_could_be_timed() -> None
     async with fast_bench() as bench:
         bench.frames(5)
         bench.loop.turnaround.take()
-        deadline_s = bench.around.deadline_s
-        bench.around.now = deadline_s + 0.001
-        bench.loop.on_deadline(deadline_s)
+        bench.oversleep(0.001)
         report = bench.reports[-1]
         assert report.lateness_us == pytest.approx(1000.0, rel=1e-8)
         assert math.isnan(report.turnaround_us)
@@ -100,9 +86,7 @@ async def test_a_tick_half_a_period_late_feeds_no_watchdog() -> None:
         bench.around.now = 1024.0
         bench.frame(after_s=EXACT_S)
         bench.around.fed.clear()
-        deadline_s = bench.around.deadline_s
-        bench.around.now = deadline_s + 0.5 * EXACT_S
-        bench.loop.on_deadline(deadline_s)
+        bench.oversleep(0.5 * EXACT_S)
         assert bench.around.fed == []
 
 
@@ -149,13 +133,7 @@ async def test_a_frame_that_waited_in_the_bus_takes_the_place_of_the_stand_in(
 async def test_a_drive_frozen_while_it_is_off_is_told_to_be_safe_and_does_not_trip() -> None:
     async with fast_bench() as bench:
         bench.frames(5)
-        tick = bench.controller.inner.tick
-
-        def freeze(measurement: Measurement, order: Order) -> Command:
-            bench.around.now += 0.5
-            return tick(measurement, order)
-
-        bench.controller.replace_tick = freeze
+        bench.stand_still_in_ticks(0.5)
         known = len(bench.sent)
         bench.frame()
         assert bench.machine.trip is None
