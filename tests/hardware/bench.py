@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
 import can
@@ -138,7 +138,6 @@ class Ear:
     def __init__(self) -> None:
         self.readings: list[Reading] = []
         self.bus: list[tuple[bool, str]] = []
-        self.port: CanPort | None = None
 
     def on_reading(self, reading: Reading) -> None:
         self.readings.append(reading)
@@ -149,6 +148,29 @@ class Ear:
     async def hears(self, count: int) -> None:
         """Wait until there have been that many readings."""
         await until(lambda: len(self.readings) >= count)
+
+
+class SensorEar:
+    """Listens to sensors: values, when they were taken, and when they came."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[dict[str, float], float, float]] = []
+        self.bus: list[tuple[bool, str]] = []
+
+    def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
+        self.heard.append((dict(values), taken_s, time.monotonic()))
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        self.bus.append((up, detail))
+
+    @property
+    def latest(self) -> dict[str, float]:
+        return self.heard[-1][0]
+
+    async def hears(self, more: int) -> None:
+        """Wait for that many more samples."""
+        count = len(self.heard) + more
+        await until(lambda: len(self.heard) >= count)
 
 
 class Clock:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.control.signals import Command
+from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.port import Reading
 from tests.hardware.bench import Ear, build_port, motor_bus, running, until
 from tests.support import Spawn
@@ -17,9 +18,10 @@ PEER = Path(__file__).with_name("peer.py")
 class Answering(Ear):
     """Answers each reading with a command that tells which reading it answers."""
 
+    port: CanPort
+
     def on_reading(self, reading: Reading) -> None:
         super().on_reading(reading)
-        assert self.port is not None
         assert reading.counter is not None
         self.port.send(answer(reading.counter))
 

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import can
@@ -16,7 +16,7 @@ from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.sensors import CanSensorPort, build_can_sensors
 from adaptdrive.hardware.link.bus import open_bus
-from tests.hardware.bench import EXAMPLES, Drive, noted_delays, until
+from tests.hardware.bench import EXAMPLES, Drive, SensorEar, noted_delays, until
 
 COMMON = {
     "name": "bench",
@@ -44,27 +44,11 @@ BO_ 801 Wide: 16 MODULE
 """A message of 16 bytes, 0x321."""
 
 
-class Ear:
-    def __init__(self) -> None:
-        self.heard: list[tuple[dict[str, float], float]] = []
-        self.bus: list[tuple[bool, str]] = []
-
-    def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
-        self.heard.append((dict(values), taken_s))
-
-    def on_bus(self, up: bool, detail: str) -> None:
-        self.bus.append((up, detail))
-
-
 class Bench:
-    def __init__(self, drive: Drive, port: CanSensorPort, ear: Ear) -> None:
+    def __init__(self, drive: Drive, port: CanSensorPort, ear: SensorEar) -> None:
         self.drive = drive
         self.port = port
         self.ear = ear
-
-    async def hears(self, more: int) -> None:
-        count = len(self.ear.heard) + more
-        await until(lambda: len(self.ear.heard) >= count)
 
     async def receives(self, count: int) -> None:
         await until(lambda: self.port.statistics.received >= count)
@@ -76,7 +60,7 @@ class Bench:
 @contextlib.asynccontextmanager
 async def bench(udp_port: int) -> AsyncIterator[Bench]:
     config = Config.model_validate(COMMON | {"udp_port": udp_port}, strict=False)
-    port, ear = build_can_sensors(config, "sensor_bus.0", time.monotonic), Ear()
+    port, ear = build_can_sensors(config, "sensor_bus.0", time.monotonic), SensorEar()
     bus = open_bus(config)
     task = asyncio.create_task(port.run(ear))
     await asyncio.sleep(0.05)
@@ -95,10 +79,10 @@ async def test_each_frame_gives_its_own_values_in_si_from_its_arrival_on(
     async with bench(free_udp_port) as one:
         before_s = time.monotonic()
         one.drive.send_load(Tachometer=7.0)
-        await one.hears(1)
+        await one.ear.hears(1)
         one.drive.send_status(LoadPower=123.4)
-        await one.hears(1)
-        (speed, taken_s), (power, _) = one.ear.heard
+        await one.ear.hears(1)
+        (speed, taken_s, _), (power, *_) = one.ear.heard
         assert speed == {"speed": pytest.approx(1000.0 * math.pi / 30.0)}
         assert power == {"power": pytest.approx(123.4)}
         assert before_s - 0.01 <= taken_s <= time.monotonic()
@@ -108,7 +92,7 @@ async def test_each_frame_gives_its_own_values_in_si_from_its_arrival_on(
 async def test_what_fails_a_check_gives_nothing_and_is_counted(free_udp_port: int) -> None:
     async with bench(free_udp_port) as one:
         one.drive.send_load(Tachometer=1.0)
-        await one.hears(1)
+        await one.ear.hears(1)
         damaged = bytearray(one.drive.frame("DriveLoad", Tachometer=2.0))
         damaged[0] ^= 1
         one.drive.put("DriveLoad", bytes(damaged))
@@ -125,7 +109,7 @@ async def test_what_fails_a_check_gives_nothing_and_is_counted(free_udp_port: in
 async def test_silence_and_its_end_are_told(free_udp_port: int) -> None:
     async with bench(free_udp_port) as one:
         one.drive.send_load(Tachometer=1.0)
-        await one.hears(1)
+        await one.ear.hears(1)
         await until(lambda: bool(one.ear.bus))
         assert one.ear.bus[0][0] is False
         assert "no good frame for 0.15 s" in one.ear.bus[0][1]
@@ -139,7 +123,7 @@ async def test_a_bus_that_cannot_be_opened_is_told_and_tried_again() -> None:
     port = build_can_sensors(
         Config.model_validate(given, strict=False), "sensor_bus.0", time.monotonic
     )
-    ear = Ear()
+    ear = SensorEar()
     task = asyncio.create_task(port.run(ear))
     await until(lambda: bool(ear.bus))
     assert not ear.bus[0][0]
@@ -157,7 +141,7 @@ async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
     delays_s = noted_delays("adaptdrive.hardware.dbc.sensors", monkeypatch)
     async with bench(free_udp_port) as wires:
         wires.drive.send_both()
-        await wires.hears(1)
+        await wires.ear.hears(1)
         for count in (1, 2, 3):
             for error in (0x04, 0x40):
                 wires.drive.bus.send(can.Message(arbitration_id=error, is_error_frame=True))
@@ -197,7 +181,7 @@ async def test_a_sensor_whose_frames_are_those_of_can_fd_is_heard(
         "signals": {"temperature": {"signal": "Wide.Temperature", "unit": "degC"}},
     }
     config = Config.model_validate(COMMON | changes, strict=False)
-    port, ear = build_can_sensors(config, "sensor_bus.0", time.monotonic), Ear()
+    port, ear = build_can_sensors(config, "sensor_bus.0", time.monotonic), SensorEar()
     module = open_bus(config)
     task = asyncio.create_task(port.run(ear))
     await asyncio.sleep(0.05)

@@ -112,9 +112,10 @@ async def test_other_frames_of_cansend_change_nothing(
 class Answering(Ear):
     """Answers each reading."""
 
+    port: CanPort
+
     def on_reading(self, reading: Reading) -> None:
         super().on_reading(reading)
-        assert self.port is not None
         assert self.port.send(COMMAND)
 
 

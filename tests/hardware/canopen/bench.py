@@ -11,6 +11,7 @@ from adaptdrive.app.ports import build_port
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.port import CanOpenPort
 from adaptdrive.hardware.port import Reading
+from tests.hardware import bench as hardware
 from tests.hardware.bench import until
 from tests.hardware.canopen.documents import bus_of, parse
 from tests.hardware.canopen.peer import Peer
@@ -20,7 +21,7 @@ CHARGE = Command(current_scale_S=0.0, boost_reference_V=250.0, bridge=False)
 RUN = Command(current_scale_S=0.0, boost_reference_V=300.0, bridge=True)
 
 
-class Ear:
+class Ear(hardware.Ear):
     """Listens to a port and answers each reading with a command.
 
     Attributes:
@@ -28,19 +29,18 @@ class Ear:
     """
 
     def __init__(self) -> None:
-        self.readings: list[Reading] = []
-        self.bus: list[tuple[bool, str]] = []
+        super().__init__()
         self.command: Command | None = SAFE_COMMAND
         self.port: CanOpenPort | None = None
         self.lost: Callable[[], object] | None = None
 
     def on_reading(self, reading: Reading) -> None:
-        self.readings.append(reading)
+        super().on_reading(reading)
         if self.port is not None and self.command is not None:
             self.port.send(self.command)
 
     def on_bus(self, up: bool, detail: str) -> None:
-        self.bus.append((up, detail))
+        super().on_bus(up, detail)
         if not up and self.lost is not None:
             asyncio.get_running_loop().call_soon(self.lost)
             self.lost = None

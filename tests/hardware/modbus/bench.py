@@ -22,10 +22,9 @@ from crccheck.crc import CrcModbus
 from adaptdrive.app.ports import build_port
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.modbus.port import ModbusPort
-from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
+from tests.hardware.bench import Ear, until
 
-PATIENCE_s = 120.0
 TIMEOUT_s = 0.04
 QUIET_s = 3.0 * TIMEOUT_s
 """Time after which the port asks a silent line again: no reply of a drive is so late."""
@@ -262,20 +261,6 @@ def _request_length(heard: bytes) -> int | None:
     return None if len(heard) <= at else at + 3 + heard[at]
 
 
-class Ear:
-    """Listens to a port."""
-
-    def __init__(self) -> None:
-        self.readings: list[Reading] = []
-        self.bus: list[tuple[bool, str]] = []
-
-    def on_reading(self, reading: Reading) -> None:
-        self.readings.append(reading)
-
-    def on_bus(self, up: bool, detail: str) -> None:
-        self.bus.append((up, detail))
-
-
 class Bench:
     """A running port between a peer and an ear."""
 
@@ -442,10 +427,3 @@ class Stalls:
     def before(self, now_s: float) -> float:
         """Return the sum of the standstills just before: they add up for a reply and its poll."""
         return sum(stall_s for at_s, stall_s in self._seen if now_s - at_s < _ADDED_UP_s)
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    """Wait for a condition; give up after a time that only a broken port needs."""
-    async with asyncio.timeout(PATIENCE_s):
-        while not condition():  # noqa: ASYNC110 - what is waited for is no event
-            await asyncio.sleep(0.002)

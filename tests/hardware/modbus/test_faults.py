@@ -21,11 +21,11 @@ import pytest
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.trips import remedy
+from tests.hardware.bench import PATIENCE_S, until
 from tests.hardware.modbus.bench import (
     FUNCTION_23,
     RUN,
     Bench,
-    PATIENCE_s,
     Peer,
     Pieces,
     QUIET_s,
@@ -36,7 +36,6 @@ from tests.hardware.modbus.bench import (
     Wire,
     framed,
     judged,
-    until,
     untouched,
 )
 from tests.hardware.modbus.spoils import (
@@ -374,7 +373,7 @@ async def test_a_device_that_closes_each_connection_at_once_is_found_again(tcp: 
 def close_at_once(port: int, times: int) -> None:
     """Be a gateway all of whose connections are in use: take each one, and close it."""
     with socket.create_server(("127.0.0.1", port)) as server:
-        server.settimeout(PATIENCE_s)
+        server.settimeout(PATIENCE_S)
         for _ in range(times):
             server.accept()[0].close()
 

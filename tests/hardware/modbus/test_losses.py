@@ -16,7 +16,8 @@ from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
-from tests.hardware.modbus.bench import FUNCTION_23, MAP, Ear, Peer, framed, serial
+from tests.hardware.bench import Ear
+from tests.hardware.modbus.bench import FUNCTION_23, MAP, Peer, framed, serial
 from tests.hardware.modbus.test_sensors import COMMON as SENSORS
 from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, is_serial, use_memory
 

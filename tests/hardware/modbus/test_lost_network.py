@@ -10,7 +10,8 @@ import sys
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND
-from tests.hardware.modbus.bench import RUN, Wire, until
+from tests.hardware.bench import until
+from tests.hardware.modbus.bench import RUN, Wire
 
 ALONE = ["unshare", "--map-root-user", "--net", "sh", "-c"]
 OWN_NETWORK = "ADAPTDRIVE_TESTS_OWN_NETWORK"

@@ -14,11 +14,11 @@ import pytest
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.port import Reading
+from tests.hardware.bench import Ear, until
 from tests.hardware.modbus.bench import (
     FUNCTION_23,
     RUN,
     Bench,
-    Ear,
     Pieces,
     TcpPeer,
     TIMEOUT_s,
@@ -26,7 +26,6 @@ from tests.hardware.modbus.bench import (
     build,
     judged,
     serial,
-    until,
     untouched,
 )
 

@@ -18,7 +18,8 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.modbus.sensors import ModbusSensorPort, build_modbus_sensors
 from adaptdrive.hardware.modbus.turns import SELDOM_CYCLES
-from tests.hardware.modbus.bench import Peer, Pieces, RtuPeer, TcpPeer, Wire, until
+from tests.hardware.bench import SensorEar, until
+from tests.hardware.modbus.bench import Peer, Pieces, RtuPeer, TcpPeer, Wire
 from tests.hardware.modbus.virtual import VirtualDrive, VirtualLoop, use_memory
 
 CYCLE_s = 0.1
@@ -46,33 +47,11 @@ COMMON = {
 RPM = 0.10471975511965977
 
 
-class Ear:
-    """Listens to sensors."""
-
-    def __init__(self) -> None:
-        self.heard: list[tuple[dict[str, float], float, float]] = []
-        self.bus: list[tuple[bool, str]] = []
-
-    def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
-        self.heard.append((dict(values), taken_s, time.monotonic()))
-
-    def on_bus(self, up: bool, detail: str) -> None:
-        self.bus.append((up, detail))
-
-    @property
-    def latest(self) -> dict[str, float]:
-        return self.heard[-1][0]
-
-
 class Bench:
-    def __init__(self, peer: TcpPeer | RtuPeer, port: ModbusSensorPort, ear: Ear) -> None:
+    def __init__(self, peer: TcpPeer | RtuPeer, port: ModbusSensorPort, ear: SensorEar) -> None:
         self.peer = peer
         self.port = port
         self.ear = ear
-
-    async def hears(self, more: int) -> None:
-        count = len(self.ear.heard) + more
-        await until(lambda: len(self.ear.heard) >= count)
 
     def check_honesty(self) -> None:
         """No value is said to be younger than it is, and none was never measured."""
@@ -102,7 +81,7 @@ async def bench(
         line = {"type": "modbus-rtu", "device": str(peer.link), "baud": 115200, "parity": "none"}
         config = ModbusRtuSensors.model_validate(COMMON | line | changes)
     port = build_modbus_sensors(config, "sensor_bus.0", time.monotonic)
-    ear = Ear()
+    ear = SensorEar()
     peer.devices, peer.dead = {1, 2, 3, 4}, set(dead)
     if there:
         await peer.start()
@@ -118,7 +97,7 @@ async def bench(
 
 async def test_values_come_in_si_and_as_old_as_their_request(wire: Wire) -> None:
     async with bench(wire) as one:
-        await one.hears(10)
+        await one.ear.hears(10)
         assert one.ear.latest["voltage"] == pytest.approx(300.12)
         one.check_honesty()
         assert one.ear.bus == []
@@ -129,10 +108,10 @@ async def test_values_come_in_si_and_as_old_as_their_request(wire: Wire) -> None
 async def test_a_value_that_is_none_is_left_out_alone(wire: Wire, speed: float) -> None:
     async with bench(wire) as one:
         one.peer.speed = speed
-        await one.hears(3)
+        await one.ear.hears(3)
         assert set(one.ear.latest) == {"number", "voltage"}
         one.peer.speed, one.peer.voltage = 3.25, 60001
-        await one.hears(3)
+        await one.ear.hears(3)
         assert set(one.ear.latest) == {"number", "speed"}
         assert one.port.statistics.out_of_range >= 3
         one.check_honesty()
@@ -140,13 +119,13 @@ async def test_a_value_that_is_none_is_left_out_alone(wire: Wire, speed: float) 
 
 async def test_late_and_missing_replies_are_never_taken_for_others(wire: Wire) -> None:
     async with bench(wire) as one:
-        await one.hears(3)
+        await one.ear.hears(3)
 
         def late(reply: bytes) -> Pieces:
             return [(0.1 if len(one.peer.requests) % 3 == 0 else 0.0, reply)]
 
         one.peer.spoil = late
-        await one.hears(10)
+        await one.ear.hears(10)
         one.peer.spoil = lambda _: []
         await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
         await asyncio.sleep(0.1)
@@ -162,7 +141,7 @@ async def test_late_and_missing_replies_are_never_taken_for_others(wire: Wire) -
 async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(rtu: Wire) -> None:
     """Two blocks of one register; the repetition comes before the reply to the second."""
     async with bench(rtu, max_gap=0, max_block=2) as one:
-        await one.hears(6)
+        await one.ear.hears(6)
         heard = len(one.ear.heard)
         one.peer.spoil = lambda reply: [(0.012, reply), (0.005, reply)]
         await until(lambda: one.port.statistics.foreign >= 12)
@@ -170,15 +149,15 @@ async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
         assert len(mixed_up) <= 1
         assert len(one.ear.heard) <= heard + 4
         one.peer.spoil = lambda reply: [(0.0, reply)]
-        await one.hears(3)
+        await one.ear.hears(3)
         one.ear.heard.clear()
-        await one.hears(6)
+        await one.ear.hears(6)
         one.check_honesty()
 
 
 async def test_an_exception_reply_gives_no_value(wire: Wire) -> None:
     async with bench(wire) as one:
-        await one.hears(2)
+        await one.ear.hears(2)
         one.peer.answer = lambda pdu: bytes((pdu[0] | 0x80, 4))
         await until(lambda: bool(one.ear.bus))
         assert "exception reply 4" in one.ear.bus[0][1]
@@ -193,11 +172,11 @@ async def test_a_bus_that_is_not_there_is_told_waited_for_and_found_again(wire: 
         reason = "no connection" if wire.kind == "tcp" else "no such serial port"
         assert reason in one.ear.bus[0][1]
         await one.peer.start()
-        await one.hears(3)
+        await one.ear.hears(3)
         await one.peer.stop()
         await until(lambda: len(one.ear.bus) == 3)
         await one.peer.start()
-        await one.hears(3)
+        await one.ear.hears(3)
         assert [up for up, _ in one.ear.bus] == [False, True, False, True]
         assert one.port.statistics.reconnects >= 1
         one.check_honesty()
@@ -292,7 +271,7 @@ async def test_a_module_that_stays_silent_to_one_block_gives_its_others(rtu: Wir
         one.peer.spoil = lambda reply: (
             [] if one.peer.requests[-1][1:3] == bytes(2) else [(0.0, reply)]
         )
-        await one.hears(4)
+        await one.ear.hears(4)
         start = hears_of(one, 1)
         await until(lambda: hears_of(one, 1) >= start + 15)
         later = [values for values, *_ in one.ear.heard]
@@ -322,7 +301,7 @@ def test_the_end_does_not_wait_for_a_line_that_is_never_silent(
     port = build_modbus_sensors(config, "sensor_bus.0", loop.time)
 
     async def end_s(after_s: float) -> float:
-        task = asyncio.create_task(port.run(Ear()))
+        task = asyncio.create_task(port.run(SensorEar()))
         await asyncio.sleep(after_s)
         began_s = loop.time()
         task.cancel()

@@ -24,7 +24,8 @@ from adaptdrive.hardware.polled.blocks import Block
 from adaptdrive.hardware.polled.capacity import Exchange
 from adaptdrive.hardware.polled.link import ExchangeError
 from tests.config.modbus_documents import parse
-from tests.hardware.modbus.bench import RtuPeer, Wire, serial, until
+from tests.hardware.bench import until
+from tests.hardware.modbus.bench import RtuPeer, Wire, serial
 
 
 class Hang:

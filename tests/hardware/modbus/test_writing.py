@@ -16,7 +16,8 @@ from adaptdrive.hardware.polled.mapping import Poll, block_words, map_drive
 from adaptdrive.hardware.polled.pace import WritePace
 from tests.config.modbus_documents import flaws, parse
 from tests.devices.modbus_node import ILLEGAL_VALUE, ModbusNode, RefusalError
-from tests.hardware.modbus.bench import Ear, build, until
+from tests.hardware.bench import Ear, until
+from tests.hardware.modbus.bench import build
 
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)
 UNLOCK, MODE, WANTED, CONTROL = 20, 21, 0, 1

@@ -16,7 +16,8 @@ import pytest
 from adaptdrive.hardware.modbus import port, sensors
 from adaptdrive.hardware.polled import stream
 from adaptdrive.hardware.port import Reading
-from tests.hardware.modbus.bench import Ear, Peer, framed
+from tests.hardware.bench import Ear
+from tests.hardware.modbus.bench import Peer, framed
 
 _TURNAROUND_s = 0.002
 _PIECE_s = 0.0001

@@ -18,7 +18,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import Port
 from adaptdrive.runtime.trips import remedy
-from tests.hardware.modbus.bench import Ear, until
+from tests.hardware.bench import Ear, until
 from tests.support import free_port
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "motor-scpi.toml"
