@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -69,13 +69,8 @@ PLAIN_LEARNING = Learning(
     input_scale=1.0,
     start_at_nominal=False,
 )
-SCALED_LEARNING = Learning(
-    method=METHODS["lm-rls"],
-    forgetting=0.97,
-    tau_lambda_s=10.0,
-    dead_band=0.0,
-    initial_covariance=1e4,
-    settle_periods=0,
+SCALED_LEARNING = replace(
+    PLAIN_LEARNING,
     gate=2.0,
     output_scale=3.0,
     input_scale=280.0,
@@ -86,13 +81,7 @@ JACKET = Jacket(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_perio
 EXACT = ControllerSettings(
     exact=True, stage=STAGE, rates=RATES, learning=SCALED_LEARNING, jacket=JACKET
 )
-PAPER = ControllerSettings(
-    exact=False,
-    stage=STAGE,
-    rates=Rates(ticks_per_period=TICKS, latency_ticks=2, samples=1, nominal_tick_s=TICK_s),
-    learning=PLAIN_LEARNING,
-    jacket=JACKET,
-)
+PAPER = replace(EXACT, exact=False, rates=replace(RATES, samples=1), learning=PLAIN_LEARNING)
 
 
 def order(

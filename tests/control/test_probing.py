@@ -17,24 +17,10 @@ from adaptdrive.control.settings import Probing
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
 from adaptdrive.control.watch import Fallback
-from tests.closed_loop.bench import EXACT, LOW, MOTOR
+from tests.closed_loop.bench import AT_REST, EXACT, LOW, MOTOR
 
 PROBING = Probing(amplitude=0.09, stale_periods=300, lowest=0.0, highest=4.5)
-ASKED = SlowSample(
-    period_s=1.0,
-    output=LOW,
-    output_filtered=[LOW, LOW],
-    input_filtered=[270.0, 270.0, 270.0],
-    applied=270.0,
-    followed=True,
-    held_share=0.0,
-    reference=LOW,
-    adaptive=True,
-    pole=0.7,
-    low=200.0,
-    high=400.0,
-    steady=True,
-)
+ASKED = replace(AT_REST, steady=True)
 HALF = half_periods(MOTOR, 0.7, 1.0)
 
 

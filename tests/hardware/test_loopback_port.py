@@ -3,21 +3,10 @@ import asyncio
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.hardware.port import Port
 from tests.hardware.bench import Ear, until
 from tests.loopback_port import LoopbackPort
-
-READING = Reading(
-    arrival_s=1.0,
-    oldest_s=0.9,
-    counter=7,
-    boost_voltage_V=300.0,
-    line_voltage_V=120.0,
-    load_power_W=400.0,
-    output=3.0,
-    fault=0,
-    bridge=True,
-)
+from tests.runtime.bench import CALM
 
 
 async def test_readings_go_in_and_commands_come_out() -> None:
@@ -27,8 +16,8 @@ async def test_readings_go_in_and_commands_come_out() -> None:
     opened = asyncio.Event()
     task = asyncio.create_task(port.run(ear, opened.set))
     await until(opened.is_set)
-    loopback.deliver(READING)
-    assert ear.readings == [READING]
+    loopback.deliver(CALM)
+    assert ear.readings == [CALM]
     assert port.send(SAFE_COMMAND)
     assert sent == [SAFE_COMMAND]
     assert (port.statistics.received, port.statistics.sent) == (1, 1)
@@ -45,7 +34,7 @@ async def test_a_lost_bus_carries_nothing_either_way() -> None:
     task = asyncio.create_task(port.run(ear, opened.set))
     await until(opened.is_set)
     port.lose("unplugged")
-    port.deliver(READING)
+    port.deliver(CALM)
     assert not port.send(SAFE_COMMAND)
     port.restore()
     assert port.send(SAFE_COMMAND)
