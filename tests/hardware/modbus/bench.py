@@ -20,8 +20,10 @@ import pytest
 from crccheck.crc import CrcModbus
 
 from adaptdrive.app.ports import build_port
+from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.modbus.port import ModbusPort
+from adaptdrive.hardware.polled.mapping import Poll, map_drive
 from tests.config.modbus_documents import parse
 from tests.hardware.bench import Ear, until
 
@@ -60,6 +62,14 @@ FUNCTION_23: dict[str, str | None] = {
         )
     },
 }
+
+
+def reported(changes: dict[str, str | None]) -> dict[str, str | None]:
+    """A map whose state register is the report of the bridge."""
+    address, table = (15, "holding") if "bus__read_write" in changes else (5, "input")
+    register = f"{{ address = {address}, table = '{table}', type = 'uint16' }}"
+    return {**changes, "bus__registers__closed": register, "signals__bridge": '"closed"'}
+
 
 Pieces = Sequence[tuple[float, bytes]]
 Spoil = Callable[[bytes], Pieces]
@@ -329,6 +339,13 @@ def serial(device: Path) -> dict[str, str | None]:
         "bus__baud": "115200",
         "bus__parity": '"none"',
     }
+
+
+def plan(**changes: str | None) -> Poll:
+    """What a poll of a configuration reads and writes."""
+    configuration = parse(**changes)
+    assert isinstance(configuration.bus, ModbusTcp | ModbusRtu)
+    return map_drive(configuration.bus, configuration.signals, 1.0 / 120.0, "bench.toml")
 
 
 def build(**changes: str | None) -> ModbusPort:

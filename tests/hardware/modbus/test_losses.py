@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import random
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,7 +16,7 @@ from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
 from tests.hardware.bench import Ear
-from tests.hardware.modbus.bench import FUNCTION_23, MAP, Peer, framed, serial
+from tests.hardware.modbus.bench import FUNCTION_23, MAP, Peer, framed, reported, serial
 from tests.hardware.modbus.test_sensors import COMMON as SENSORS
 from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, is_serial, use_memory
 
@@ -43,17 +42,12 @@ class Line:
     """
 
     def __init__(self, kind: str, changes: dict[str, str | None], device: Path) -> None:
-        address, table = (15, "holding") if changes else (5, "input")
-        on = {
-            "bus__registers__on": f"{{ address = {address}, table = '{table}', type = 'uint16' }}",
-            "signals__bridge": '"on"',
-        }
         link = serial(device) if kind == "rtu" else {}
         peer = Peer(10 if changes else 0)
         peer.state = 1
         self.drive = VirtualDrive(peer)
         self._loop = VirtualLoop(self.drive)
-        document = parse(**{**MAP, **link, **changes, **on})
+        document = parse(**{**MAP, **link, **reported(changes)})
         tested = build_port(document, self._loop.time, "losses.toml")
         assert isinstance(tested, ModbusPort)
         self.port = tested
@@ -68,18 +62,7 @@ class Line:
 
     def run(self, enough: Callable[[], bool]) -> None:
         """Poll until there is enough."""
-
-        async def poll() -> None:
-            serving = asyncio.create_task(self.port.run(self.ear, lambda: None))
-            while not enough():  # noqa: ASYNC110 - virtual time
-                await asyncio.sleep(1.0)
-            serving.cancel()
-            await asyncio.gather(serving, return_exceptions=True)
-
-        try:
-            self._loop.run_until_complete(poll())
-        finally:
-            self._loop.close()
+        self._loop.serve(self.port.run(self.ear, lambda: None), enough)
 
 
 @pytest.fixture(autouse=True)
@@ -161,16 +144,8 @@ def test_a_sensor_line_that_repeats_each_reply_mixes_up_one_value() -> None:
     config = ModbusRtuSensors.model_validate(SENSORS | line | cycle)
     tested = build_modbus_sensors(config, "sensor_bus.0", loop.time)
 
-    async def run() -> None:
-        serving = asyncio.create_task(tested.run(ear))
-        await asyncio.sleep(60.0)
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
-
-    try:
-        loop.run_until_complete(run())
-    finally:
-        loop.close()
+    end_s = loop.time() + 60.0
+    loop.serve(tested.run(ear), lambda: loop.time() >= end_s)
     assert tested.statistics.foreign > 100
     assert ear.mixed_up <= 1
 

@@ -8,26 +8,13 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, Register
 from adaptdrive.control.signals import Command
-from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.polled.blocks import Block, plan_blocks
 from adaptdrive.hardware.polled.capacity import Exchange, exchange_bytes, exchange_s
-from adaptdrive.hardware.polled.mapping import Poll, block_words, map_drive
-from tests.config.modbus_documents import parse
+from adaptdrive.hardware.polled.mapping import block_words
+from tests.config.modbus_documents import flaws, parse
+from tests.hardware.modbus.bench import plan
 
-HALF_CYCLE_s = 1.0 / 120.0
 RTU = {"bus__type": '"modbus-rtu"', "bus__host": None, "bus__device": '"drive.tty"'}
-
-
-def plan(**changes: str | None) -> Poll:
-    configuration = parse(**changes)
-    assert isinstance(configuration.bus, ModbusTcp | ModbusRtu)
-    return map_drive(configuration.bus, configuration.signals, HALF_CYCLE_s, "bench.toml")
-
-
-def flaws(**changes: str | None) -> dict[str, str]:
-    with pytest.raises(ConfigurationError) as caught:
-        plan(**changes)
-    return {flaw.place: flaw.message for flaw in caught.value.flaws}
 
 
 addresses = st.lists(

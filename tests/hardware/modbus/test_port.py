@@ -25,6 +25,7 @@ from tests.hardware.modbus.bench import (
     Wire,
     build,
     judged,
+    reported,
     serial,
     untouched,
 )
@@ -46,13 +47,6 @@ REPORTED = {
     "signals__bridge": '"on"',
 }
 """The bridge is a bit of the peer's state."""
-
-
-def reported(changes: dict[str, str | None]) -> dict[str, str | None]:
-    """A map whose state register is the report of the bridge."""
-    address, table = (15, "holding") if changes else (5, "input")
-    register = f"{{ address = {address}, table = '{table}', type = 'uint16' }}"
-    return {**changes, "bus__registers__closed": register, "signals__bridge": '"closed"'}
 
 
 async def test_a_reading_holds_what_the_drive_measured(wire: Wire) -> None:

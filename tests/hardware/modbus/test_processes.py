@@ -83,7 +83,7 @@ def site(request: pytest.FixtureRequest, tmp_path: Path, free_tcp_port: int) -> 
 def start_drive(site: Site, spawn: Spawn, *options: str) -> Process:
     """Start the simulated drive and wait until it serves."""
     process = spawn(sys.executable, "-m", "adaptdrive_sim", "device", site.config, *options)
-    wait_for(lambda: "simulated drive motor on modbus-" in site.log.read_text())
+    wait_for(lambda: re.search("simulated drive .* on modbus-", site.log.read_text()) is not None)
     return process
 
 
@@ -253,25 +253,27 @@ def operator(site: Site, mosquitto: Broker, tmp_path: Path) -> Iterator[Operator
     one.close()
 
 
-def start_daemon(site: Site, spawn: Spawn, folder: Path) -> Process:
+def start_running(
+    site: Site, spawn: Spawn, operator: Operator, folder: Path
+) -> tuple[Process, Process]:
+    """Start the drive and its daemon, and enable it until it runs."""
+    options = ("--initial-voltage", "273", "--command-timeout", COMMAND_TIMEOUT_s)
+    drive = start_drive(site, spawn, *options)
     command = (sys.executable, "-c", _MAIN, "run", site.config)
-    return spawn("env", f"STATE_DIRECTORY={folder}", *command)
+    daemon = spawn("env", f"STATE_DIRECTORY={folder}", *command)
+    wait_for(lambda: operator.drive("ticks") > 5)
+    prefer(drive)
+    prefer(daemon)
+    operator.ask("enable")
+    wait_for(lambda: operator.state() == "running")
+    return drive, daemon
 
 
 @pytest.mark.slow
 def test_the_daemon_holds_the_motor_and_survives_its_drive(
     site: Site, spawn: Spawn, operator: Operator, tmp_path: Path
 ) -> None:
-    name = operator._drive
-    options = ("--initial-voltage", "273", "--command-timeout", COMMAND_TIMEOUT_s)
-    drive = spawn(sys.executable, "-m", "adaptdrive_sim", "device", site.config, *options)
-    wait_for(lambda: f"simulated drive {name} on modbus-" in site.log.read_text())
-    daemon = start_daemon(site, spawn, tmp_path / "state")
-    wait_for(lambda: operator.drive("ticks") > 5)
-    prefer(drive)
-    prefer(daemon)
-    operator.ask("enable")
-    wait_for(lambda: operator.state() == "running")
+    _, daemon = start_running(site, spawn, operator, tmp_path / "state")
     operator.ask("setpoint", 3.0)
     wait_for(lambda: abs(operator.drive("boost_voltage_V") - 273.0) < 15.0)
     operator.wait_until_held(3.0, within=0.03)
@@ -287,21 +289,12 @@ def test_the_daemon_holds_the_motor_and_survives_its_drive(
 def test_a_drive_that_dies_trips_the_daemon_and_its_return_lets_it_be_reset(
     site: Site, spawn: Spawn, operator: Operator, tmp_path: Path
 ) -> None:
-    name = operator._drive
-    command = (sys.executable, "-m", "adaptdrive_sim", "device", site.config)
-    drive = spawn(*command, "--initial-voltage", "273", "--command-timeout", COMMAND_TIMEOUT_s)
-    wait_for(lambda: f"simulated drive {name} on modbus-" in site.log.read_text())
-    daemon = start_daemon(site, spawn, tmp_path / "state")
-    wait_for(lambda: operator.drive("ticks") > 5)
-    prefer(drive)
-    prefer(daemon)
-    operator.ask("enable")
-    wait_for(lambda: operator.state() == "running")
+    drive, _ = start_running(site, spawn, operator, tmp_path / "state")
     drive.terminate()
     assert drive.wait(PATIENCE_s) == 0
     wait_for(lambda: operator.state() == "tripped")
     assert "stale" in str(operator.messages["state"]["trip"])
-    spawn(*command)
+    spawn(sys.executable, "-m", "adaptdrive_sim", "device", site.config)
     wait_for(lambda: bool(operator.reply_to("reset")["accepted"]))
     wait_for(lambda: operator.state() == "standby")
     operator.ask("enable")

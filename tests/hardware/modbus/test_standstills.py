@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import math
 from pathlib import Path
@@ -13,7 +12,7 @@ from adaptdrive.app.ports import build_port
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
-from tests.hardware.modbus.bench import FUNCTION_23, MAP, Peer, serial
+from tests.hardware.modbus.bench import FUNCTION_23, MAP, Peer, reported, serial
 from tests.hardware.modbus.spoils import nothing_written
 from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, use_memory
 
@@ -94,11 +93,6 @@ class Rig:
 
     def __init__(self, device: Path, changes: dict[str, str | None], timeout_s: float) -> None:
         held = "bus__read_write" in changes
-        address, table = (15, "holding") if held else (5, "input")
-        on = {
-            "bus__registers__on": f"{{ address = {address}, table = '{table}', type = 'uint16' }}",
-            "signals__bridge": '"on"',
-        }
         self.peer = WatchedPeer(10 if held else 0, timeout_s)
         self.drive = VirtualDrive(self.peer)
         self.loop = VirtualLoop(self.drive)
@@ -108,7 +102,7 @@ class Rig:
         self._been_on = False
         self.stands_at = -1
         self.decisions = math.inf
-        document = parse(**{**MAP, **serial(device), **changes, **on})
+        document = parse(**{**MAP, **serial(device), **reported(changes)})
         self._port = build_port(document, self._clock, "standstills.toml")
 
     def _clock(self) -> float:
@@ -126,16 +120,8 @@ class Rig:
         self._port.send(SAFE_COMMAND if stopped or self._port.complaint else wanted)
 
     def run(self, seconds: float) -> None:
-        async def poll() -> None:
-            serving = asyncio.create_task(self._port.run(self.ear, lambda: None))
-            await asyncio.sleep(seconds)
-            serving.cancel()
-            await asyncio.gather(serving, return_exceptions=True)
-
-        try:
-            self.loop.run_until_complete(poll())
-        finally:
-            self.loop.close()
+        end_s = self.loop.time() + seconds
+        self.loop.serve(self._port.run(self.ear, lambda: None), lambda: self.loop.time() >= end_s)
 
 
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])

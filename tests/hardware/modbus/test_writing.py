@@ -8,16 +8,15 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.polled.blocks import Block
-from adaptdrive.hardware.polled.mapping import Poll, block_words, map_drive
+from adaptdrive.hardware.polled.mapping import block_words
 from adaptdrive.hardware.polled.pace import WritePace
-from tests.config.modbus_documents import flaws, parse
+from tests.config.modbus_documents import flaws
 from tests.devices.modbus_node import ILLEGAL_VALUE, ModbusNode, RefusalError
 from tests.hardware.bench import Ear, until
-from tests.hardware.modbus.bench import build
+from tests.hardware.modbus.bench import build, plan
 
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)
 UNLOCK, MODE, WANTED, CONTROL = 20, 21, 0, 1
@@ -36,12 +35,6 @@ FIELDS = {
     "signals__command__constants__local": "1",
 }
 DAY_S = 86400.0
-
-
-def plan(**changes: str | None) -> Poll:
-    configuration = parse(**changes)
-    assert isinstance(configuration.bus, ModbusTcp)
-    return map_drive(configuration.bus, configuration.signals, 1.0 / 120.0, "bench.toml")
 
 
 class Drive(ModbusNode):

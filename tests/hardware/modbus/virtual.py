@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import selectors
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import pytest
@@ -62,6 +62,21 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         wire = _Wire(self, self._drive, protocol)
         self.call_soon(protocol.connection_made, wire)
         return wire, protocol
+
+    def serve(self, port: Coroutine[Any, Any, None], enough: Callable[[], bool]) -> None:
+        """Run a port until there is enough, which is looked at every second; close the loop."""
+
+        async def run() -> None:
+            serving = self.create_task(port)
+            while not enough():  # noqa: ASYNC110 - virtual time
+                await asyncio.sleep(1.0)
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+
+        try:
+            self.run_until_complete(run())
+        finally:
+            self.close()
 
 
 class _Wire(asyncio.Transport):
