@@ -33,17 +33,10 @@ def cause_of(**changes: object) -> str | None:
     return find_cause(replace(GOOD, **changes), NOW_S, LIMITS, STALE_S)  # type: ignore[arg-type]
 
 
-def test_a_good_reading_is_no_cause() -> None:
-    assert cause_of() is None
-
-
-def test_values_at_their_limits_are_no_cause() -> None:
-    at_limits = {"boost_voltage_V": 430.0, "output": 5.0, "oldest_s": NOW_S - 0.05 + 1e-9}
-    assert cause_of(**at_limits) is None
-
-
-def test_an_output_at_its_lowest_is_no_cause() -> None:
-    assert cause_of(output=LIMITS.output_min) is None
+@pytest.mark.parametrize("output", [GOOD.output, 5.0, -1.0])
+def test_values_within_and_at_their_limits_are_no_cause(output: float) -> None:
+    assert cause_of(output=output) is None
+    assert cause_of(output=output, boost_voltage_V=430.0, oldest_s=NOW_S - 0.05 + 1e-9) is None
 
 
 def test_a_measurement_exactly_as_old_as_the_limit_is_used() -> None:

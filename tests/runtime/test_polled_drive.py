@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.runtime.half_cycles import HalfCycles
+from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable
 from tests.runtime.bench import FAST, TICK_S, FastBench, decision, fast_bench
@@ -29,9 +32,20 @@ def poll(bench: FastBench, after_s: float = POLL_S, **changes: object) -> None:
     bench.frame(after_s, 1, counter=None, **changes)
 
 
-def polls(bench: FastBench, count: int) -> None:
+def polls(bench: FastBench, count: int, after_s: float = POLL_S) -> None:
     for _ in range(count):
-        poll(bench)
+        poll(bench, after_s)
+
+
+@contextlib.asynccontextmanager
+async def enabled(settings: FastLoopSettings = POLLED, count: int = 3) -> AsyncIterator[FastBench]:
+    """A bench whose drive was enabled and polled so many times since."""
+    poll_s = settings.timing.ticks_per_reading * TICK_S
+    async with fast_bench(settings, modulus=None) as bench:
+        polls(bench, 3, poll_s)
+        bench.ask(Enable())
+        polls(bench, count, poll_s)
+        yield bench
 
 
 @given(st.lists(st.floats(-0.3, 0.3), min_size=2, max_size=100))
@@ -65,10 +79,7 @@ async def test_a_poll_without_a_reading_is_stood_in_for_and_then_caught_up_with(
 
 
 async def test_a_drive_that_no_longer_answers_trips() -> None:
-    async with fast_bench(POLLED, modulus=None) as bench:
-        polls(bench, 3)
-        bench.ask(Enable())
-        polls(bench, 3)
+    async with enabled() as bench:
         assert bench.state() is State.RUNNING
         bench.wait(2.0 * POLL_S)
         assert bench.state() is State.RUNNING
@@ -79,10 +90,7 @@ async def test_a_drive_that_no_longer_answers_trips() -> None:
 
 
 async def test_a_decision_takes_effect_at_its_poll() -> None:
-    async with fast_bench(POLLED, modulus=None) as bench:
-        polls(bench, 3)
-        bench.ask(Enable())
-        polls(bench, 3)
+    async with enabled() as bench:
         known = len(bench.around.snapshots)
         while len(bench.around.snapshots) == known:
             poll(bench)
@@ -97,12 +105,7 @@ async def test_a_decision_takes_effect_at_its_poll() -> None:
 
 async def test_a_bridge_that_stays_off_has_three_polls_to_close() -> None:
     slow = replace(POLLED, timing=replace(FAST.timing, ticks_per_reading=60, stale_s=2.0))
-    async with fast_bench(slow, modulus=None) as bench:
-        for _ in range(3):
-            poll(bench, 60 * TICK_S)
-        bench.ask(Enable())
-        poll(bench, 60 * TICK_S)
-        poll(bench, 60 * TICK_S)
+    async with enabled(slow, 2) as bench:
         assert bench.sent[-1].bridge
         for _ in range(3):
             poll(bench, 60 * TICK_S, bridge=False)
@@ -115,10 +118,7 @@ async def test_a_bridge_that_stays_off_has_three_polls_to_close() -> None:
 async def test_what_a_poll_leaves_to_be_written_is_safe_when_the_slow_loop_trips_in_its_tick() -> (
     None
 ):
-    async with fast_bench(POLLED, modulus=None) as bench:
-        polls(bench, 3)
-        bench.ask(Enable())
-        polls(bench, 3)
+    async with enabled() as bench:
         bench.around.room = False
         while bench.state() is State.RUNNING:
             assert bench.sent[-1].bridge
@@ -140,12 +140,7 @@ async def test_a_drive_that_stopped_while_nothing_ran_is_not_energised_when_the_
         timing=replace(FAST.timing, stale_s=stale_s, ticks_per_reading=stride),
     )
     poll_s = stride * TICK_S
-    async with fast_bench(settings, modulus=None) as bench:
-        for _ in range(3):
-            poll(bench, poll_s)
-        bench.ask(Enable())
-        for _ in range(8):
-            poll(bench, poll_s)
+    async with enabled(settings, 8) as bench:
         assert bench.state() is State.RUNNING
         deadline_s = bench.around.deadline_s
         bench.around.now += frozen_s
@@ -163,10 +158,7 @@ async def test_a_drive_that_stopped_while_nothing_ran_is_not_energised_when_the_
 
 async def test_a_drive_that_went_on_while_nothing_ran_is_driven_on() -> None:
     settings = replace(POLLED, timing=replace(POLLED.timing, stale_s=2.0))
-    async with fast_bench(settings, modulus=None) as bench:
-        polls(bench, 3)
-        bench.ask(Enable())
-        polls(bench, 8)
+    async with enabled(settings, 8) as bench:
         deadline_s = bench.around.deadline_s
         bench.around.now += 1.2
         bench.loop.on_deadline(deadline_s)
@@ -177,10 +169,7 @@ async def test_a_drive_that_went_on_while_nothing_ran_is_driven_on() -> None:
 async def test_nothing_energises_before_a_drive_has_reported_after_a_freeze() -> None:
     """The reply of before the freeze makes a tick of its own; only the next poll is a report."""
     settings = replace(POLLED, timing=replace(POLLED.timing, stale_s=2.0))
-    async with fast_bench(settings, modulus=None) as bench:
-        polls(bench, 3)
-        bench.ask(Enable())
-        polls(bench, 8)
+    async with enabled(settings, 8) as bench:
         known = len(bench.sent)
         deadline_s, asked_s = bench.around.deadline_s, bench.around.now
         bench.around.now += 1.2
