@@ -141,25 +141,6 @@ def test_big_endian_signals_of_a_database_are_those_of_cantools(data: bytes) -> 
     assert decoded.values == (expected if in_range else {})
 
 
-@given(st.floats(0, 400), st.integers(-256, 255))
-def test_big_endian_signals_round_trip(volts: float, amps: int) -> None:
-    codec = MessageCodec(dbc(BIG_ENDIAN))
-    values = codec.decode(codec.encode({"Volts": volts, "Amps": amps})).values
-    assert values["Volts"] == pytest.approx(volts, abs=0.0501)
-    assert values["Amps"] == amps
-
-
-@pytest.mark.parametrize(
-    ("page", "values"),
-    [(0, {"Page": 0, "Volts": pytest.approx(51.3)}), (1, {"Page": 1, "Amps": 256.5})],
-)
-def test_a_multiplexed_frame_gives_the_signals_it_carries(
-    page: int, values: dict[str, float]
-) -> None:
-    decoded = MessageCodec(dbc(MULTIPLEXED)).decode(bytes((page, 1, 2, 0, 0, 0, 0, 0)))
-    assert decoded.values == values
-
-
 def test_a_multiplexed_frame_of_an_unknown_page_is_refused() -> None:
     assert MessageCodec(dbc(MULTIPLEXED)).decode(bytes((3, *bytes(7)))).verdict is (
         FrameVerdict.OUT_OF_RANGE

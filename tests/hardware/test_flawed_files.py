@@ -14,7 +14,7 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.hardware.dbc.database import Description, SignalCatalogue, describe, read_dbc
 from adaptdrive.hardware.dbc.mapping import map_drive
-from tests.hardware.bench import EXAMPLES, MOTOR, TIMING, motor_bus
+from tests.hardware.bench import EXAMPLES, MOTOR, TIMING, motor_bus, rewritten
 
 HEAD = 'VERSION ""\nBU_: A\n'
 SOUND = 'BO_ 256 Sound: 8 A\n SG_ Level : 0|16@1+ (0.1,0) [0|0.0] "V" A\n'
@@ -111,11 +111,9 @@ def test_no_line_of_a_parser_reaches_the_log(
 
 
 def test_two_values_that_are_sent_must_not_share_bits(tmp_path: Path) -> None:
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    path = tmp_path / "shared.dbc"
-    path.write_text(text.replace(" BridgeEnable : 32|", " BridgeEnable : 31|"))
+    bus = rewritten(tmp_path, (" BridgeEnable : 32|", " BridgeEnable : 31|"))
     with pytest.raises(ConfigurationError, match="'BridgeEnable' and 'BoostReference' share bits"):
-        map_drive(motor_bus(database=path), MOTOR.signals, TIMING)
+        map_drive(bus, MOTOR.signals, TIMING)
 
 
 def test_messages_come_from_several_files(tmp_path: Path) -> None:
