@@ -6,8 +6,9 @@ import asyncio
 import math
 from collections.abc import Callable
 
-from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+from adaptdrive.runtime.reports import TickReport
 
 
 class LoopbackPort:
@@ -113,3 +114,35 @@ class LoopbackPort:
         if self._listener:
             self._reconnects += 1
             self._listener.on_bus(up=True, detail=self.description)
+
+
+class Quiet:
+    """Surroundings of a fast loop that keep nothing.
+
+    Attributes:
+        now: The time, which passes as a test sets it.
+    """
+
+    now: float
+
+    def now_s(self) -> float:
+        """Return the time."""
+        return self.now
+
+    def arm(self, deadline_s: float) -> None:
+        """No frame is late."""
+
+    def met_deadline(self, now_s: float) -> None:
+        """Nobody waits for it."""
+
+    def ticked(self, report: TickReport) -> None:
+        """Nobody records it."""
+
+    def decided(self, snapshot: Snapshot, decision: Decision) -> None:
+        """Nobody is told."""
+
+    def not_stopped(self, detail: str) -> None:
+        """Nobody listens."""
+
+    def run_ended(self) -> None:
+        """Nothing is kept."""

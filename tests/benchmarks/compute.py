@@ -18,7 +18,6 @@ from adaptdrive.control import rls
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import (
     Command,
-    Decision,
     Measurement,
     Mode,
     Order,
@@ -30,11 +29,11 @@ from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.reports import State, TickReport
+from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable
 from tests.benchmarks.rows import Extent, Row, alternating, quantile
 from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
-from tests.loopback_port import LoopbackPort
+from tests.loopback_port import LoopbackPort, Quiet
 
 Array = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 Job = Callable[[], object]
@@ -107,31 +106,16 @@ def _textbook(regressors: Array, targets: list[float]) -> Job:
 # -- the tick --------------------------------------------------------------------------------
 
 
-class Quiet:
-    """Surroundings of a fast loop that measure nothing and keep nothing."""
+class Kept(Quiet):
+    """Surroundings of a fast loop that keep the last snapshot alone."""
 
     def __init__(self) -> None:
-        self.time_s = 1000.0
+        self.now = 1000.0
         self.snapshot: Snapshot | None = None
-
-    def now_s(self) -> float:
-        return self.time_s
-
-    def arm(self, deadline_s: float) -> None: ...
-
-    def met_deadline(self, now_s: float) -> None: ...
-
-    def ticked(self, report: TickReport) -> None: ...
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         self.snapshot = snapshot
         return True
-
-    def decided(self, snapshot: Snapshot, decision: Decision) -> None: ...
-
-    def not_stopped(self, detail: str) -> None: ...
-
-    def run_ended(self) -> None: ...
 
 
 CALM = Reading(0.0, 0.0, 0, 300.1, 120.4, 431.7, 3.12, 0, True)
@@ -172,9 +156,9 @@ def _times_of_ticks(controller: Controller, order: Order) -> tuple[list[float], 
     return plain, slow
 
 
-def running_loop(send: Callable[[Command], None]) -> tuple[FastLoop, Quiet]:
+def running_loop(send: Callable[[Command], None]) -> tuple[FastLoop, Kept]:
     """A fast loop in state running on a port without a wire."""
-    quiet = Quiet()
+    quiet = Kept()
     settings = daemon_settings(MOTOR)
     machine = Machine(settings.machine, settings.pole)
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
@@ -189,10 +173,10 @@ def running_loop(send: Callable[[Command], None]) -> tuple[FastLoop, Quiet]:
     return loop, quiet
 
 
-def feed(loop: FastLoop, quiet: Quiet, number: int, *, bridge: bool) -> None:
+def feed(loop: FastLoop, quiet: Kept, number: int, *, bridge: bool) -> None:
     """The next reading, a half cycle after the last."""
-    quiet.time_s += TICK_US * 1e-6
-    now_s = quiet.time_s
+    quiet.now += TICK_US * 1e-6
+    now_s = quiet.now
     counter = number % 65536
     reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, counter=counter, bridge=bridge)
     loop.on_reading(reading)
@@ -203,8 +187,8 @@ def _whole_tick() -> Row:
     loop, quiet = running_loop(sent.append)
     times = []
     for number in range(WARM_UP, WARM_UP + 12_000):
-        quiet.time_s += TICK_US * 1e-6
-        now_s = quiet.time_s
+        quiet.now += TICK_US * 1e-6
+        now_s = quiet.now
         reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, counter=number % 65536)
         began_s = time.perf_counter()
         loop.on_reading(reading)
@@ -250,7 +234,7 @@ class _Clocked:
     """A listener that runs the ticks of a fast loop, and a clock."""
 
     def __init__(self) -> None:
-        self.quiet = Quiet()
+        self.quiet = Kept()
         self.loop: FastLoop | None = None
 
     def on_reading(self, reading: Reading) -> None:
@@ -264,7 +248,7 @@ def _frames() -> Iterator[Row]:
     listener, bus = _Clocked(), _Frames()
     source = EXAMPLES / "motor.toml"
     mapping = map_drive(MOTOR_BUS, MOTOR.signals, TIMING, source)
-    port = CanPort(MOTOR_BUS, mapping, lambda: listener.quiet.time_s)
+    port = CanPort(MOTOR_BUS, mapping, lambda: listener.quiet.now)
     port._connection.listener, port._connection.bus = listener, bus
     enabled = 3000 + WARM_UP
     pairs = status_frames(8000, enabled + 2)
@@ -314,7 +298,7 @@ def _times_of_pairs(
     times = []
     for status, load in pairs:
         between()
-        listener.quiet.time_s += TICK_US * 1e-6
+        listener.quiet.now += TICK_US * 1e-6
         status.timestamp = load.timestamp = time.time()
         began_s = time.perf_counter()
         take(status)

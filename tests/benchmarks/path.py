@@ -186,7 +186,7 @@ def _telemetry() -> Iterator[tuple[str, float]]:
             number += 1
 
     def publish() -> None:
-        encode(drive_message(drive_report(loop, statistics, (), quiet.time_s), now, output))
+        encode(drive_message(drive_report(loop, statistics, (), quiet.now), now, output))
 
     for count in (1, PER_REPORT, 120):
         spent_us = least_us(publish, partial(prepare, count), calls=1) / count

@@ -20,12 +20,12 @@ from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.realtime import real_time
-from tests.benchmarks.compute import Quiet
+from tests.benchmarks.compute import Kept
 from tests.hardware.bench import MOTOR
 from tests.loopback_port import LoopbackPort
 
 
-class Timed(Quiet):
+class Timed(Kept):
     """Surroundings with the real clock and the real timer."""
 
     def __init__(self) -> None:

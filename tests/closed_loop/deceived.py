@@ -24,7 +24,7 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.reports import State, TickReport
+from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetSetpoint
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
@@ -32,7 +32,7 @@ from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
-from tests.loopback_port import LoopbackPort
+from tests.loopback_port import LoopbackPort, Quiet
 
 LOADS = ("motor", "bath", "battery")
 DURATIONS_s = {"motor": 400.0, "bath": 900.0, "battery": 300.0}
@@ -45,7 +45,7 @@ Sensor = Callable[[float, float], float]
 
 
 @dataclass
-class Deceived:
+class Deceived(Quiet):
     """A drive whose output is measured by a sensor of the test."""
 
     configuration: Configuration
@@ -124,18 +124,6 @@ class Deceived:
     def on_bus(self, up: bool, detail: str) -> None:
         """It is never lost."""
 
-    def now_s(self) -> float:
-        return self.now
-
-    def arm(self, deadline_s: float) -> None:
-        """No frame is late."""
-
-    def met_deadline(self, now_s: float) -> None:
-        """Nobody waits for it."""
-
-    def ticked(self, report: TickReport) -> None:
-        """Nobody records it."""
-
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         self.pending = snapshot, self.controller.decide(snapshot)
         return True
@@ -146,12 +134,6 @@ class Deceived:
         elif decision.complete:
             self.completed = True
             self.ask(Disable())
-
-    def not_stopped(self, detail: str) -> None:
-        """Nobody listens."""
-
-    def run_ended(self) -> None:
-        """Nothing is kept."""
 
 
 def odds(draw: random.Random, widest: float) -> float:

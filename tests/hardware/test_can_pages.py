@@ -25,49 +25,39 @@ _SIGNALS = """ SG_ REQUEST m1 : 15|8@0+ (1,0) [0|255] ""  INV
  SG_ I_LIMIT m2 : 31|16@0+ (0.05,0) [0|1600] "A"  INV
 """
 
-_SHARED = (
-    """ SG_ REQUEST m1 : 15|8@0+ (1,0) [0|255] ""  INV
- SG_ MODE m1 : 23|8@0+ (1,0) [0|255] ""  INV
- SG_ U_DC_SET m2 : 31|16@0+ (0.02,0) [0|600] "V"  INV
- SG_ I_LIMIT m2 : 47|16@0+ (0.05,0) [0|1600] "A"  INV
-""",
-    f"""SG_MUL_VAL_ {_COMMAND} REQUEST CMD_PAGE 1-2;
-SG_MUL_VAL_ {_COMMAND} MODE CMD_PAGE 1-2;
-SG_MUL_VAL_ {_COMMAND} U_DC_SET CMD_PAGE 2-2;
-SG_MUL_VAL_ {_COMMAND} I_LIMIT CMD_PAGE 2-2;
-""",
+
+def paged(*signals: tuple[str, str, str]) -> tuple[str, str]:
+    """Signals of the command with what selects each, and their pages in the words of a DBC."""
+    names = [(name.split()[0], pages) for name, _, pages in signals]
+    return (
+        "".join(f' SG_ {name} : {layout} "" INV\n' for name, layout, _ in signals),
+        "".join(f"SG_MUL_VAL_ {_COMMAND} {name} {pages};\n" for name, pages in names),
+    )
+
+
+_SHARED = paged(
+    ("REQUEST m1", "15|8@0+ (1,0) [0|255]", "CMD_PAGE 1-2"),
+    ("MODE m1", "23|8@0+ (1,0) [0|255]", "CMD_PAGE 1-2"),
+    ("U_DC_SET m2", "31|16@0+ (0.02,0) [0|600]", "CMD_PAGE 2-2"),
+    ("I_LIMIT m2", "47|16@0+ (0.05,0) [0|1600]", "CMD_PAGE 2-2"),
 )
 """Request and mode in both pages."""
 
-_NESTED = (
-    """ SG_ REQUEST m1 : 15|8@0+ (1,0) [0|255] ""  INV
- SG_ MODE m1 : 23|8@0+ (1,0) [0|255] ""  INV
- SG_ PART m1M : 31|8@0+ (1,0) [0|255] ""  INV
- SG_ U_DC_SET m7 : 39|16@0+ (0.02,0) [0|600] "V"  INV
- SG_ I_LIMIT m8 : 39|16@0+ (0.05,0) [0|1600] "A"  INV
-""",
-    f"""SG_MUL_VAL_ {_COMMAND} REQUEST CMD_PAGE 1-1;
-SG_MUL_VAL_ {_COMMAND} MODE CMD_PAGE 1-1;
-SG_MUL_VAL_ {_COMMAND} PART CMD_PAGE 1-1;
-SG_MUL_VAL_ {_COMMAND} U_DC_SET PART 7-7;
-SG_MUL_VAL_ {_COMMAND} I_LIMIT PART 8-8;
-""",
+_NESTED = paged(
+    ("REQUEST m1", "15|8@0+ (1,0) [0|255]", "CMD_PAGE 1-1"),
+    ("MODE m1", "23|8@0+ (1,0) [0|255]", "CMD_PAGE 1-1"),
+    ("PART m1M", "31|8@0+ (1,0) [0|255]", "CMD_PAGE 1-1"),
+    ("U_DC_SET m7", "39|16@0+ (0.02,0) [0|600]", "PART 7-7"),
+    ("I_LIMIT m8", "39|16@0+ (0.05,0) [0|1600]", "PART 8-8"),
 )
 """The voltage in a page within the page of request and mode."""
 
-_UNCHOSEN = (
-    """ SG_ REQUEST m1 : 15|8@0+ (1,0) [0|255] ""  INV
- SG_ MODE m1 : 23|4@0+ (1,0) [0|15] ""  INV
- SG_ PART m1M : 19|4@0+ (1,0) [0|15] ""  INV
- SG_ U_DC_SET m1 : 31|16@0+ (0.02,0) [0|600] "V"  INV
- SG_ I_LIMIT m8 : 47|16@0+ (0.05,0) [0|1600] "A"  INV
-""",
-    f"""SG_MUL_VAL_ {_COMMAND} REQUEST CMD_PAGE 1-1;
-SG_MUL_VAL_ {_COMMAND} MODE CMD_PAGE 1-1;
-SG_MUL_VAL_ {_COMMAND} PART CMD_PAGE 1-1;
-SG_MUL_VAL_ {_COMMAND} U_DC_SET CMD_PAGE 1-1;
-SG_MUL_VAL_ {_COMMAND} I_LIMIT PART 8-8;
-""",
+_UNCHOSEN = paged(
+    ("REQUEST m1", "15|8@0+ (1,0) [0|255]", "CMD_PAGE 1-1"),
+    ("MODE m1", "23|4@0+ (1,0) [0|15]", "CMD_PAGE 1-1"),
+    ("PART m1M", "19|4@0+ (1,0) [0|15]", "CMD_PAGE 1-1"),
+    ("U_DC_SET m1", "31|16@0+ (0.02,0) [0|600]", "CMD_PAGE 1-1"),
+    ("I_LIMIT m8", "47|16@0+ (0.05,0) [0|1600]", "PART 8-8"),
 )
 """A page within the page of all that is commanded, which nothing selects; it begins as 0."""
 

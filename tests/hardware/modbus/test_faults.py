@@ -340,9 +340,8 @@ async def test_a_gateway_that_wakes_its_line_before_its_first_reply_keeps_its_co
         one.check_honesty()
 
 
-async def test_a_server_that_restarts_is_found_again(tcp: Wire) -> None:
-    async with watched(tcp) as one:
-        assert isinstance(one.peer, TcpPeer)
+async def test_a_restarted_server_and_an_adapter_put_back_are_found_again(wire: Wire) -> None:
+    async with watched(wire) as one:
         await one.peer.stop()
         await until(lambda: bool(one.ear.bus))
         assert one.ear.bus[0][0] is False
@@ -392,21 +391,6 @@ async def sluggish_loop() -> AsyncIterator[None]:
         yield
     finally:
         task.cancel()
-
-
-async def test_a_serial_adapter_that_is_pulled_and_put_back_is_found_again(rtu: Wire) -> None:
-    async with watched(rtu) as one:
-        assert isinstance(one.peer, RtuPeer)
-        await one.peer.stop()
-        await until(lambda: bool(one.ear.bus))
-        assert one.ear.bus[0][0] is False
-        one.port.send(SAFE_COMMAND)
-        one.peer.writes.clear()
-        await one.peer.start()
-        await one.hears(3)
-        assert one.ear.bus[-1][0] is True
-        assert {tuple(words[:2]) for _, words in one.peer.writes} == {(0, 0)}
-        one.check_honesty()
 
 
 async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(rtu: Wire) -> None:
