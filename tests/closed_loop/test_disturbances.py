@@ -9,6 +9,7 @@ from adaptdrive_sim.plants.motor import Motor
 from tests.closed_loop.life import (
     STEP,
     Motion,
+    Rows,
     disks_at,
     random_torque,
     sinusoidal_torque,
@@ -22,10 +23,14 @@ QUIET = 0.002 * STEP
 pytestmark = pytest.mark.slow
 
 
-def test_steps_of_torque_leave_the_adaptive_controller_in_force() -> None:
-    rows = Motion(noise=QUIET, seed=51).run(Mode.ADAPTIVE, torque_steps)
-    assert rows.model_error(3, LEARNT_s) <= 0.033
-    assert rows.in_force(LEARNT_s) >= 0.95
+@pytest.fixture(scope="module")
+def stepped() -> Rows:
+    return Motion(noise=QUIET, seed=51).run(Mode.ADAPTIVE, torque_steps)
+
+
+def test_steps_of_torque_leave_the_adaptive_controller_in_force(stepped: Rows) -> None:
+    assert stepped.model_error(3, LEARNT_s) <= 0.033
+    assert stepped.in_force(LEARNT_s) >= 0.95
 
 
 @pytest.mark.parametrize("seed", sample([52, 53, 60103, 60209], 1))
@@ -68,11 +73,10 @@ def test_another_load_is_found_under_steps_of_torque() -> None:
     assert value == pytest.approx(21.7, rel=0.05)
 
 
-def test_a_torque_at_constant_speed_is_shown_as_an_offset() -> None:
-    rows = Motion(noise=QUIET, seed=51).run(Mode.ADAPTIVE, torque_steps)
+def test_a_torque_at_constant_speed_is_shown_as_an_offset(stepped: Rows) -> None:
     on = [
         row["input_offset"][0]
-        for row, t in zip(rows.estimates, rows.time_s, strict=True)
+        for row, t in zip(stepped.estimates, stepped.time_s, strict=True)
         if 1160.0 < t < 1168.0
     ]
     assert on == pytest.approx([-20.0] * len(on), abs=3.0)

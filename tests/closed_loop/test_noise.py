@@ -7,6 +7,7 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from tests.closed_loop.life import CYCLE_S, STEP, Motion, Rows
+from tests.support import sample
 
 LEARNT_s, AT_REST_s = 480.0, 35.0
 NOISE = 0.05 * STEP
@@ -24,19 +25,24 @@ def voltage_noise_V(rows: Rows) -> float:
     return float(np.sqrt(np.mean([np.var(part) for part in chosen])))
 
 
-def test_noise_shakes_the_voltage_no_more_than_configured() -> None:
+def limited_to(limit_V: float) -> float:
+    """Noise of V_c with a limit, 0 V for none."""
     motion = Motion(noise=NOISE, seed=71)
-    free = voltage_noise_V(motion.run(Mode.ADAPTIVE, changes={"load": {"noise_V": 0.0}}))
-    assert free > 15.0
-    for limit_V in (10.0, 5.0):
-        rows = motion.run(Mode.ADAPTIVE, changes={"load": {"noise_V": limit_V}})
-        assert 0.6 * limit_V <= voltage_noise_V(rows) <= 1.25 * limit_V
+    return voltage_noise_V(motion.run(Mode.ADAPTIVE, changes={"load": {"noise_V": limit_V}}))
 
 
-def test_a_coarse_sensor_does_not_make_the_loop_hunt() -> None:
+@pytest.mark.parametrize("limit_V", sample([5.0, 10.0], 1))
+def test_noise_shakes_the_voltage_no_more_than_configured(limit_V: float) -> None:
+    assert 0.6 * limit_V <= limited_to(limit_V) <= 1.25 * limit_V
+
+
+def test_without_a_limit_noise_shakes_the_voltage_more() -> None:
+    assert limited_to(0.0) > 15.0
+
+
+@pytest.mark.parametrize("resolution", sample([0.0, 0.01], 1))
+def test_a_coarse_sensor_does_not_make_the_loop_hunt(resolution: float) -> None:
     """Whether its resolution is configured or has to be found (0.068 where it is neither)."""
-    motion = Motion(quantum=0.01)
-    for resolution in (0.01, 0.0):
-        rows = motion.run(Mode.ADAPTIVE, changes={"load": {"resolution": resolution}})
-        assert rows.in_force(LEARNT_s) >= 0.95
-        assert rows.model_error(3, LEARNT_s) <= 0.035
+    rows = Motion(quantum=0.01).run(Mode.ADAPTIVE, changes={"load": {"resolution": resolution}})
+    assert rows.in_force(LEARNT_s) >= 0.95
+    assert rows.model_error(3, LEARNT_s) <= 0.035
