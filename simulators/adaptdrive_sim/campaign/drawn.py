@@ -327,7 +327,7 @@ class DrawnRun(Trial):
 
     def true_loads(self) -> list[Load]:
         """Return the same for all slow periods."""
-        return [self.true_load(k) for k in range(self.times_s.size)]
+        return [self.true_load(k) for k in range(len(self.sizes))]
 
     def site(self) -> Site:
         """Return the controller and the plant."""
