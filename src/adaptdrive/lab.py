@@ -64,7 +64,7 @@ def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars
             the tables of its events and commands lack them.
         ModuleNotFoundError: The library is not installed.
     """
-    from adaptdrive.analysis.frames import session_frames  # noqa: PLC0415 - `Drive` needs none
+    from adaptdrive.analysis.flat import session_frames  # noqa: PLC0415 - `Drive` needs none
 
     return Tables(**session_frames(Path(path), frames), path=Path(path))
 

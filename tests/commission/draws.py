@@ -13,8 +13,8 @@ import numpy as np
 import tomlkit
 
 from adaptdrive.app.loads import build_load
+from adaptdrive.commission.course import Phase
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.target import Target, build_target
 from adaptdrive.config.root import Configuration
 from adaptdrive.recording.what_if import reconfigured

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adaptdrive.commission.course import Phase
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.target import Target
 from adaptdrive.errors import CommissionError
 from tests.commission.draws import KINDS, Rig, encoder_motor, finish

@@ -166,9 +166,7 @@ def recall(
         learnt = read_checkpoint(record, key, load, settings.jacket, span)
     except CheckpointError as problem:
         return None, _event(Severity.WARNING, f"checkpoint not used: {problem}")
-    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, learnt.values, strict=True))
-    detail = f"start from trusted estimates, whose gains act at once: {known}"
-    return learnt, _event(Severity.INFO, detail)
+    return learnt, _start(load, learnt, "trusted estimates")
 
 
 def measured(load: Load, learnt: Learnt | None) -> tuple[Learnt, Event]:
@@ -179,10 +177,8 @@ def measured(load: Load, learnt: Learnt | None) -> tuple[Learnt, Event]:
         learnt: What an earlier run has learnt, of which the resolution stays.
     """
     values = tuple(load.physical(list(load.numerator), list(load.denominator)))
-    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, values, strict=True))
-    detail = f"start from the measured model, whose gains act at once: {known}"
-    resolution = 0.0 if learnt is None else learnt.resolution
-    return Learnt(values, resolution), _event(Severity.INFO, detail)
+    model = Learnt(values, 0.0 if learnt is None else learnt.resolution)
+    return model, _start(load, model, "the measured model")
 
 
 def controller_from(settings: ControllerSettings, load: Load, learnt: Learnt | None) -> Controller:
@@ -202,6 +198,12 @@ def learnt_by(controller: Controller) -> Learnt | None:
     """Return the last trusted estimates and the resolution, None before there are any."""
     values = controller.trusted
     return None if values is None else Learnt(values, controller.resolution)
+
+
+def _start(load: Load, learnt: Learnt, source: str) -> Event:
+    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, learnt.values, strict=True))
+    detail = f"start from {source}, whose gains act at once: {known}"
+    return _event(Severity.INFO, detail)
 
 
 def _event(severity: Severity, detail: str) -> Event:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from adaptdrive.commission.bounds import Bounds
-from adaptdrive.commission.course import ExperimentCourse
-from adaptdrive.commission.phases import Phase, Steps
+from adaptdrive.commission.course import ExperimentCourse, Phase, Steps
 from adaptdrive.commission.rest import Rest, until_rest
 from adaptdrive.errors import CommissionError
 

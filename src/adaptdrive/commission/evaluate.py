@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adaptdrive.commission.course import Outcome
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.phases import Outcome
 from adaptdrive.commission.samples import Samples
 from adaptdrive.control.load import Load
 from adaptdrive.errors import CommissionError

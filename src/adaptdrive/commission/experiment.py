@@ -13,10 +13,8 @@ A load without overshoot stays within that movement. Time is that of the samples
 from __future__ import annotations
 
 from adaptdrive.commission.climb import Climb, Summit
-from adaptdrive.commission.course import ExperimentCourse
-from adaptdrive.commission.onset import find_onset
-from adaptdrive.commission.phases import Outcome, Phase, Steps
-from adaptdrive.commission.rest import Rest, until_rest
+from adaptdrive.commission.course import ExperimentCourse, Outcome, Phase, Steps
+from adaptdrive.commission.rest import Rest, find_onset, until_rest
 from adaptdrive.commission.switching import Switching
 from adaptdrive.commission.target import Target
 

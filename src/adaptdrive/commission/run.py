@@ -13,8 +13,7 @@ from adaptdrive.app.lock import LockedError, locked
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.file import with_values, write_values
 from adaptdrive.commission.guide import HOLD_S, Guide
-from adaptdrive.commission.live import carry_out
-from adaptdrive.commission.picture import Picture
+from adaptdrive.commission.picture import Picture, carry_out
 from adaptdrive.commission.report import Commissioned, judged
 from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.commission.bounds import Bounds
-from adaptdrive.commission.course import ExperimentCourse
-from adaptdrive.commission.phases import Outcome, Steps
+from adaptdrive.commission.course import ExperimentCourse, Outcome, Steps
 from adaptdrive.errors import CommissionError
 
 _BAND = 0.5
