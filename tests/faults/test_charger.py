@@ -8,6 +8,8 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from tests.faults.course import Course, example
 
+pytestmark = pytest.mark.slow
+
 BATTERY_V_MAX = 82.0
 
 

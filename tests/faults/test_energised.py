@@ -16,6 +16,8 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import SetSetpoint
 from tests.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 
+pytestmark = pytest.mark.slow
+
 STORIES = int(os.environ.get("STORIES", "40"))
 QUICK = settings(
     max_examples=STORIES,
