@@ -412,6 +412,20 @@ async def test_reports_that_waited_show_whether_a_drive_stopped_before_a_late_co
         assert bench.sent[-1].bridge is not (trips or stopped)
 
 
+@pytest.mark.parametrize(("frames", "trips"), [(1, False), (5, True)])
+async def test_where_reports_of_the_bridge_come_seldom_none_may_have_waited(
+    frames: int, *, trips: bool
+) -> None:
+    async with running_bench(timed(stale_s=0.5, command_timeout_s=1.0), frames=10) as bench:
+        heard_s = bench.around.now
+        for _ in range(frames):
+            bench.frame(bridge=True, bridge_s=heard_s)
+        bench.frame()
+        bench.stand_still_in_next_command(0.4)
+        bench.frame()
+        assert bench.machine.energised is not trips
+
+
 async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
     """Its own cable was out for longer than its time-out; what clocks the readings still came."""
     async with running_bench(timed(stale_s=0.5), frames=10) as bench:
