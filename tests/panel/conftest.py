@@ -1,4 +1,4 @@
-"""One browser for all tests of the panel, one site for each file of them."""
+"""One browser and one site for each file of tests of the panel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MakePanel(Protocol):
     def __call__(self, **options: Any) -> Panel: ...
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # its event loop would keep the tests of other files from running
 def browser() -> Iterator[Browser]:
     program = chromium()
     if program is None:
