@@ -34,7 +34,7 @@ demo: $(demonstrable) ## watch the motor being held while disks drop onto its sh
 test: $(installed) ## run the whole test suite
 	@tests/install-peers
 	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
-	@tests/suite $(bin)/python
+	@tests/suite $(bin)/python $(BESIDE)
 
 quick: $(installed) ## run the tests that need no clock, process, network or virtual machine
 	$(bin)/python -m pytest -rfE -m 'calculating and not slow' --numprocesses auto --dist loadfile

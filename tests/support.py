@@ -40,7 +40,8 @@ def sample(values: Sequence[Any], count: int) -> list[Any]:
 def _own_ports() -> Iterator[int]:
     """Ports of this test process alone, below those that the kernel gives to clients."""
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    ports = list(range(10_000 + 1_000 * (worker % 20), 11_000 + 1_000 * (worker % 20)))
+    first = int(os.environ.get("PORTS_FROM", "10000")) + 1_000 * (worker % 10)
+    ports = list(range(first, first + 1_000))
     start = random.randrange(len(ports))
     return itertools.cycle(ports[start:] + ports[:start])
 
