@@ -18,26 +18,14 @@ _LATE_HEARTBEATS = 2.0
 class CanOpenBus(CanLink, BusSection):
     """`[bus]` with `type = "canopen"`: a CiA 402 drive."""
 
-    type: Literal["canopen"] = Field(description="kind of bus")
-    eds: FilePath = Field(
-        description="electronic data sheet of the drive, relative to the configuration file"
-    )
-    node_id: int = Field(ge=1, le=127, description="node id of the drive")
-    own_node_id: int = key(
-        127, "node id of the daemon, for its heartbeat; no other node may have it", span=(1, 127)
-    )
-    sync: Literal["drive", "daemon"] = key(
-        "daemon", "sender of SYNC each half line cycle; the drive sends it at a fixed line phase"
-    )
-    heartbeat_s: PositiveFloat = key(
-        0.02, "time between two heartbeats, of the drive and of the daemon", span=(0.005, 1.0)
-    )
-    heartbeat_timeout_s: PositiveFloat = key(
-        0.1, "silence after which the drive makes itself safe, and the daemon trips", le=2.0
-    )
-    sdo_timeout_s: PositiveFloat = key(
-        0.3, "longest time from an SDO request to its reply", span=(0.01, 10.0)
-    )
+    type: Literal["canopen"]
+    eds: FilePath
+    node_id: int = Field(ge=1, le=127)
+    own_node_id: int = key(127, span=(1, 127))
+    sync: Literal["drive", "daemon"] = "daemon"
+    heartbeat_s: PositiveFloat = key(0.02, span=(0.005, 1.0))
+    heartbeat_timeout_s: PositiveFloat = key(0.1, le=2.0)
+    sdo_timeout_s: PositiveFloat = key(0.3, span=(0.01, 10.0))
 
     @property
     def command_timeout_s(self) -> float:

@@ -8,7 +8,6 @@ from typing import Literal
 
 from pydantic import Field
 
-from adaptdrive.config.section import key
 from adaptdrive.config.units import Converted
 from adaptdrive.errors import Flaw
 
@@ -20,19 +19,9 @@ _PAIRS = ("difference", "ratio")
 class Derived(Converted):
     """`[derived.NAME]`: a quantity of `[signals]`, or any other name, from measured values."""
 
-    rule: Rule = Field(
-        description="rule: `difference` is the first minus the second, `ratio` the first "
-        "divided by the second"
-    )
-    of: list[str] = Field(
-        min_length=1, description="names of values: of the drive, of sensor buses, or derived"
-    )
-    follows: list[str] | None = key(
-        None,
-        "names of `of` that the load moves: each is watched for a frozen value "
-        "(`interlocks.stuck_distance`, `stuck_s`). All when left out, of a `difference` and a "
-        "`ratio` the first",
-    )
+    rule: Rule
+    of: list[str] = Field(min_length=1)
+    follows: list[str] | None = None
 
     @property
     def moved(self) -> list[str]:

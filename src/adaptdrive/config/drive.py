@@ -15,24 +15,14 @@ BROKER_USERS = frozenset({"operator", "viewer"})
 class DriveLimits(Section):
     """`[drive.limits]`: what the drive may be asked for."""
 
-    boost_reference_min_V: FiniteFloat = key(
-        200.0,
-        "lowest V_c: above the line's peak where the daemon holds the voltage; "
-        "below 0 for a motor that turns both ways",
-    )
-    boost_reference_max_V: PositiveFloat = key(400.0, "highest V_c")
-    current_scale_max_S: PositiveFloat = key(
-        0.15, "largest line-current scale k (line current over line voltage)"
-    )
-    regeneration_scale_max_S: PositiveFloat | None = key(
-        None,
-        "largest -k of a bidirectional drive: times the line voltage squared, the "
-        "power that the line takes; current_scale_max_S when left out",
-    )
-    current_scale_slew_S: PositiveFloat = key(0.15, "largest change of k from one tick to the next")
+    boost_reference_min_V: FiniteFloat = 200.0
+    boost_reference_max_V: PositiveFloat = 400.0
+    current_scale_max_S: PositiveFloat = 0.15
+    regeneration_scale_max_S: PositiveFloat | None = None
+    current_scale_slew_S: PositiveFloat = 0.15
 
-    manual_slew_V_per_s: PositiveFloat = key(100.0, "largest slope of V_c in mode `manual`")
-    load_power_max_W: PositiveFloat = key(1500.0, "load power above which V_c is held back")
+    manual_slew_V_per_s: PositiveFloat = 100.0
+    load_power_max_W: PositiveFloat = 1500.0
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -50,34 +40,19 @@ class Manipulated(Section):
     All keys and topics that end in `_V` are then in its unit.
     """
 
-    name: str = key(
-        "v_bst",
-        "name in texts, such as `frequency`, `torque` or `duty`",
-        pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$",
-    )
-    unit: str = key("V", "unit in texts, such as `Hz`, `Nm`, `A` or `%`", max_length=16)
+    name: str = key("v_bst", pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$")
+    unit: str = key("V", max_length=16)
 
 
 class DriveSection(Section):
     """`[drive]`: the power-electronic drive."""
 
-    name: str = Field(
-        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$",
-        description="name in topics, sessions, commands, and of the drive's user on the broker",
-    )
-    kind: Literal["unidirectional", "bidirectional"] = key(
-        "unidirectional", "whether load current may be negative"
-    )
-    line_frequency_Hz: Literal[50, 60] = key(60, "line frequency; two fast ticks fit in one period")
-    line_voltage_V: PositiveFloat = key(
-        120.0, "nominal line voltage, rms, of a drive whose voltage the daemon holds"
-    )
-    boost_capacitance_F: PositiveFloat = key(1.0e-3, "boost capacitor")
-    enable_bit: Literal["bridge", "bridge-and-boost"] = key(
-        "bridge",
-        "stages that `signals.command.bridge` switches: the bridge, on from `running`, or also the "
-        "boost stage, on from `starting`; the load is then energised while v_bst rises",
-    )
+    name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$")
+    kind: Literal["unidirectional", "bidirectional"] = "unidirectional"
+    line_frequency_Hz: Literal[50, 60] = 60
+    line_voltage_V: PositiveFloat = 120.0
+    boost_capacitance_F: PositiveFloat = 1.0e-3
+    enable_bit: Literal["bridge", "bridge-and-boost"] = "bridge"
     limits: DriveLimits = Field(default_factory=DriveLimits)
     manipulated: Manipulated = Field(default_factory=Manipulated)
 
@@ -114,12 +89,6 @@ class DriveSection(Section):
 class VoltageLoop(Section):
     """`[voltage_loop]`: the fast loop that makes v_bst follow V_c."""
 
-    where: Literal["daemon", "drive"] = key(
-        "daemon", "place of the voltage loop (from V_c to the current scale)"
-    )
-    feed_forward: bool = key(True, "add the measured load power")
-    lag_s: NonNegativeFloat | None = key(
-        None,
-        "mean delay from V_c to v_bst of a drive that holds its own v_bst; at most "
-        "the slow period; 9 half line cycles when left out",
-    )
+    where: Literal["daemon", "drive"] = "daemon"
+    feed_forward: bool = True
+    lag_s: NonNegativeFloat | None = None

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from adaptdrive.config.bus import PolledBus, Signals, TcpHost
 from adaptdrive.config.modbus import ModbusTcp, Register, RegisterRange
@@ -30,18 +30,12 @@ _WHOLE = re.compile(r"[+-]?(\d+)(,.*)?", re.ASCII)
 class ScpiValue(Section):
     """`[bus.values.NAME]`: one value of the supply, and the lines that ask for it and set it."""
 
-    query: str | None = key(None, "question, as `MEAS:VOLT?`", pattern=r"^[!-~][ -~]*\?[ -~]*$")
-    write: str | None = key(
-        None, "command with a Python format, as `VOLT {:.3f}`", pattern=r"^[!-~][ -~]*$"
-    )
-    integer: bool = key(
-        False,
-        "whole number without its sign, as where there are `names`; text may follow, as of "
-        "`SYST:ERR?`",
-    )
-    unit: str = key("", "unit of the value, for people")
-    range: RegisterRange | None = key(None, "a value outside is refused")
-    names: dict[str, int] = key({}, "words for numbers, such as { OFF = 0, ON = 1 }")
+    query: str | None = key(None, pattern=r"^[!-~][ -~]*\?[ -~]*$")
+    write: str | None = key(None, pattern=r"^[!-~][ -~]*$")
+    integer: bool = False
+    unit: str = ""
+    range: RegisterRange | None = None
+    names: dict[str, int] = key({})
 
     @model_validator(mode="after")
     def _can_be_used(self) -> Self:
@@ -98,9 +92,9 @@ class ScpiValue(Section):
 class ScpiBus(PolledBus, TcpHost):
     """`[bus]` with `type = "scpi"`."""
 
-    type: Literal["scpi"] = Field(description="kind of bus")
-    port: int = key(5025, "port of the device", span=(1, 65535))
-    values: dict[str, ScpiValue] = key({}, "values, by name; set in this order", max_length=1000)
+    type: Literal["scpi"]
+    port: int = key(5025, span=(1, 65535))
+    values: dict[str, ScpiValue] = key({}, max_length=1000)
 
     def as_registers(self) -> ModbusTcp:
         """Return a bus with a register for each value, which is polled in the same way."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
+from collections import ChainMap
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -49,28 +52,41 @@ FilePath = Annotated[  # TOML has no paths, only strings
 """A path from the folder of the configuration, which is the context of the validation."""
 
 
-def key(default: Any, meaning: str, **rules: Any) -> Any:  # noqa: ANN401 - as pydantic's own
+_MEANINGS: dict[str, dict[str, str]] = tomllib.loads(
+    (resources.files("adaptdrive.config") / "keys.toml").read_text(encoding="utf-8")
+)
+"""Meaning of each key by the class of its section; that of a base class holds for all below."""
+
+
+def key(default: Any, **rules: Any) -> Any:  # noqa: ANN401 - as pydantic's own
     """Return a key that may be left out.
 
     Args:
         default: Its value then.
-        meaning: Its description.
         rules: As pydantic's `Field` takes them; `span` has the lowest and the highest value.
     """
     if "span" in rules:
         rules["ge"], rules["le"] = rules.pop("span")
-    return Field(default=default, description=meaning, **rules)
+    return Field(default=default, **rules)
 
 
 class Section(BaseModel):
     """One table of the configuration file: immutable, and unknown keys are errors.
 
-    Types are those of TOML: neither `"1883"` nor `true` is a number.
+    Types are those of TOML: neither `"1883"` nor `true` is a number. `keys.toml` describes the
+    keys.
     """
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
     )
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: object) -> None:
+        """Give each key its meaning."""
+        meanings = ChainMap(*(_MEANINGS.get(base.__name__, {}) for base in cls.__mro__))
+        for name, field in cls.model_fields.items():
+            field.description = meanings.get(name)
 
 
 class Range(Section):

@@ -30,27 +30,16 @@ LONGEST_STALE_S = 10.0
 class SensorRegister(Register):
     """`[sensor_bus.registers.NAME]`: one value of a module's register map."""
 
-    device_id: int | None = key(
-        None,
-        "device on the same link that has the register; the bus's when left out",
-        span=(1, 255),
-    )
+    device_id: int | None = key(None, span=(1, 255))
 
 
 class SensorBusSection(Section):
     """Keys of `[[sensor_bus]]` for every kind of bus."""
 
-    name: str = Field(
-        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$",
-        description="name in telemetry, events and messages",
-    )
-    cycle_s: PositiveFloat = Field(ge=1e-3, description="time from one measurement to the next")
-    stale_s: PositiveFloat | None = key(
-        None, "age at which a needed value trips the drive; three cycles when left out"
-    )
-    signals: dict[str, Quantity] = Field(
-        description="values by name: a quantity of `[signals]`, or any other name for `[derived]`"
-    )
+    name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$")
+    cycle_s: PositiveFloat = Field(ge=1e-3)
+    stale_s: PositiveFloat | None = None
+    signals: dict[str, Quantity]
 
     @property
     def oldest_s(self) -> float:
@@ -61,25 +50,25 @@ class SensorBusSection(Section):
 class ModbusSensorSection(SensorBusSection, ModbusLink):
     """Keys of `[[sensor_bus]]` for every kind of Modbus."""
 
-    registers: dict[str, SensorRegister] = key({}, "register map, by name")
+    registers: dict[str, SensorRegister] = key({})
 
 
 class ModbusTcpSensors(ModbusSensorSection, TcpLink):
     """`[[sensor_bus]]` with `type = "modbus-tcp"`."""
 
-    type: Literal["modbus-tcp"] = Field(description="kind of bus")
+    type: Literal["modbus-tcp"]
 
 
 class ModbusRtuSensors(ModbusSensorSection, RtuLink):
     """`[[sensor_bus]]` with `type = "modbus-rtu"`."""
 
-    type: Literal["modbus-rtu"] = Field(description="kind of bus")
+    type: Literal["modbus-rtu"]
 
 
 class CanSensorSection(SensorBusSection, CanDescription):
     """`[[sensor_bus]]` with `type = "can"`: sensors that send by themselves."""
 
-    type: Literal["can"] = Field(description="kind of bus")
+    type: Literal["can"]
 
 
 AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors

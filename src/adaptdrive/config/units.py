@@ -9,7 +9,7 @@ from typing import Literal
 
 from pydantic import field_validator, model_validator
 
-from adaptdrive.config.section import FiniteFloat, Section, key
+from adaptdrive.config.section import FiniteFloat, Section
 
 Unit = Literal[
     "V", "A", "W", "K", "rad/s", "mV", "kV", "mA", "kA", "kW", "degC", "degF", "rpm", "Hz"
@@ -94,11 +94,9 @@ def multiple_of(written: str) -> tuple[float, str]:
 class Converted(Section):
     """Conversion of a value to a quantity; scale and offset lead to `unit`, which leads to SI."""
 
-    scale: FiniteFloat = key(1.0, "units per unit of the value")
-    offset: FiniteFloat = key(0.0, "added to the scaled value")
-    unit: Unit | None = key(
-        None, "unit after scale and offset, converted to SI (K, rad/s, V, A, W); SI when left out"
-    )
+    scale: FiniteFloat = 1.0
+    offset: FiniteFloat = 0.0
+    unit: Unit | None = None
 
     @model_validator(mode="before")
     @classmethod
