@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section, key
 from adaptdrive.config.services import check_host
 from adaptdrive.config.units import Converted
+from adaptdrive.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 WORDS = ("counter", "fault", "bridge")
@@ -33,13 +34,11 @@ class Crc(Section):
     after: list[Byte] = key([], max_length=64)
     by_counter: list[Byte] = key([], max_length=256)
 
-    @model_validator(mode="after")
-    def _fits_its_width(self) -> Self:
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield the numbers that are longer than the checksum."""
         for name in ("poly", "init", "xorout", "check"):
-            value = getattr(self, name)
-            if value is not None and value >> self.width:
-                raise ValueError(f"{name} = {value:#x} has more than width = {self.width} bits")
-        return self
+            if (value := getattr(self, name) or 0) >> self.width:
+                yield Flaw("", f"{name} = {value:#x} has more than width = {self.width} bits")
 
 
 class FrameIntegrity(Section):
@@ -193,13 +192,12 @@ class FaultSource(SignalSource):
     mask: int | None = key(None, ge=1)
     names: dict[str, str] = key({})
 
-    @field_validator("names")
-    @classmethod
-    def _are_bits(cls, names: dict[str, str]) -> dict[str, str]:
-        for bit in names:
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield the names of what is no bit."""
+        yield from super().flaws()
+        for bit in self.names:
             if not (bit.isdecimal() and int(bit) < 64):
-                raise ValueError(f"{bit!r} is no number of a bit from 0 to 63")
-        return names
+                yield Flaw("names", f"{bit!r} is no number of a bit from 0 to 63")
 
 
 FaultQuantity = Annotated[

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from collections.abc import Iterator
+from typing import Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field
 
 from adaptdrive.config.section import FiniteFloat, NonNegativeFloat, PositiveFloat, Section, key
+from adaptdrive.errors import Flaw
 
 BROKER_USERS = frozenset({"operator", "viewer"})
 """Users of `deploy/mosquitto/adaptdrive.acl` that are operators, not drives."""
@@ -24,14 +26,12 @@ class DriveLimits(Section):
     manual_slew_V_per_s: PositiveFloat = 100.0
     load_power_max_W: PositiveFloat = 1500.0
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.boost_reference_min_V >= self.boost_reference_max_V:
-            raise ValueError(
-                f"boost_reference_min_V = {self.boost_reference_min_V} must be below "
-                f"boost_reference_max_V = {self.boost_reference_max_V}"
-            )
-        return self
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield limits in the wrong order."""
+        low, high = self.boost_reference_min_V, self.boost_reference_max_V
+        if low >= high:
+            problem = f"boost_reference_min_V = {low} must be below boost_reference_max_V = {high}"
+            yield Flaw("", problem)
 
 
 class Manipulated(Section):
@@ -69,21 +69,13 @@ class DriveSection(Section):
         limits = self.limits
         return -(limits.regeneration_scale_max_S or limits.current_scale_max_S)
 
-    @field_validator("name")
-    @classmethod
-    def _is_no_user(cls, name: str) -> str:
-        if name.lower() in BROKER_USERS:
-            raise ValueError(
-                "is a user of the broker: a drive of that name could command all others; "
-                "choose another name"
-            )
-        return name
-
-    @model_validator(mode="after")
-    def _regenerates(self) -> Self:
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield a name with too many rights, and a limit of another kind of drive."""
+        if self.name.lower() in BROKER_USERS:
+            problem = f"{self.name!r} is a user of the broker: a drive of that name could command"
+            yield Flaw("name", f"{problem} all others; choose another name")
         if self.kind == "unidirectional" and self.limits.regeneration_scale_max_S is not None:
-            raise ValueError("limits.regeneration_scale_max_S needs kind = 'bidirectional'")
-        return self
+            yield Flaw("", "limits.regeneration_scale_max_S needs kind = 'bidirectional'")
 
 
 class VoltageLoop(Section):

@@ -18,7 +18,6 @@ from adaptdrive.config.buses import BUS_TYPES
 from adaptdrive.config.load import LOAD_TYPES
 from adaptdrive.config.proposals import key_proposal
 from adaptdrive.config.root import Configuration, consistency_flaws
-from adaptdrive.config.section import INCONSISTENT
 from adaptdrive.config.tables import shortened, valid_sections, value_flaws, without
 from adaptdrive.errors import ConfigurationError, Flaw
 
@@ -169,8 +168,7 @@ def _examine_sections(tables: dict[str, Any], problem: ValidationError, folder: 
     sound = valid_sections(without(tables, unknown), folder)
     mended = {**valid_sections(without(tables, flawed), folder), **sound}
     whole = Configuration.model_construct(None, **mended)
-    if not any(error["type"] == INCONSISTENT for error in errors):  # those are listed already
-        flaws += consistency_flaws(whole, sound.keys())
+    flaws += [one for one in consistency_flaws(whole, sound.keys()) if one not in flaws]
     return Findings(whole, frozenset(sound), frozenset(mended), tuple(flaws))
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, Self, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from adaptdrive.config.section import (
     FiniteFloat,
@@ -15,6 +16,7 @@ from adaptdrive.config.section import (
     Section,
     key,
 )
+from adaptdrive.errors import Flaw
 
 LoadName = Literal["motor", "bath", "battery"]
 LOAD_TYPES: tuple[str, ...] = get_args(LoadName)
@@ -73,19 +75,14 @@ class LoadSection(Section):
     output_name: str = "output"
     output_unit: str = ""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.reference_min >= self.reference_max:
-            raise ValueError(
-                f"reference_min = {self.reference_min} must be below "
-                f"reference_max = {self.reference_max}"
-            )
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield limits in the wrong order, and a pole outside of its limits."""
+        low, high = self.reference_min, self.reference_max
+        if low >= high:
+            yield Flaw("", f"reference_min = {low} must be below reference_max = {high}")
         if not self.pole_min <= self.pole <= self.pole_max:
-            raise ValueError(
-                f"pole = {self.pole} must lie in pole_min…pole_max = "
-                f"{self.pole_min}…{self.pole_max}"
-            )
-        return self
+            span = f"pole_min…pole_max = {self.pole_min}…{self.pole_max}"
+            yield Flaw("", f"pole = {self.pole} must lie in {span}")
 
 
 class MotorModel(Section):

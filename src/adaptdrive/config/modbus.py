@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from adaptdrive.config.bus import Answering, PolledBus, TcpHost
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
+from adaptdrive.errors import Flaw
 
 
 class RegisterRange(Range):
@@ -98,12 +100,10 @@ class RtuLink(ModbusLink):
     parity: Literal["even", "odd", "none"] = "even"
     stop_bits: Literal[1, 2] = 1
 
-    @field_validator("device_id")
-    @classmethod
-    def _is_one_device(cls, device_id: int) -> int:
-        if device_id == 0:
-            raise ValueError("0 is all devices of a serial line, and none of them replies")
-        return device_id
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield an id that no device has."""
+        if self.device_id == 0:
+            yield Flaw("device_id", "0 is all devices of a serial line, and none of them replies")
 
 
 class ModbusBus(PolledBus, ModbusLink):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.buses import BUS_CHECKS, AnyBus
@@ -14,7 +14,7 @@ from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.estimator import Estimator, Supervisor
 from adaptdrive.config.load import AnyLoad, BathSection, MotorSection, SimulatorSection
-from adaptdrive.config.section import Section, inconsistent
+from adaptdrive.config.section import Section
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import line_flaws, needed_names, supply_flaws, voltage_flaws
@@ -63,12 +63,9 @@ class Configuration(Section):
             voltage_parts=frozenset(needed_names(self.derived, voltage)),
         )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        flaws = list(consistency_flaws(self, frozenset(type(self).model_fields)))
-        if flaws:
-            raise inconsistent(flaws)
-        return self
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield what contradicts each other between sections."""
+        return consistency_flaws(self, type(self).model_fields.keys())
 
 
 def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:

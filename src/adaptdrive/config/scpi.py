@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from typing import Literal, Self
-
-from pydantic import model_validator
+from typing import Literal
 
 from adaptdrive.config.bus import PolledBus, Signals, TcpHost
 from adaptdrive.config.modbus import ModbusTcp, Register, RegisterRange
@@ -37,16 +35,15 @@ class ScpiValue(Section):
     range: RegisterRange | None = None
     names: dict[str, int] = key({})
 
-    @model_validator(mode="after")
-    def _can_be_used(self) -> Self:
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield what keeps a value from being asked for, and from being set."""
         if self.query is None and self.write is None:
-            raise ValueError("needs `query` or `write`")
+            yield Flaw("", "needs `query` or `write`")
         try:
             for number in (0.5, *self.names.values()):
                 self.line(number)
         except (ValueError, LookupError, AttributeError) as problem:
-            raise ValueError(f"write = {self.write!r} takes no value: {problem}") from problem
-        return self
+            yield Flaw("", f"write = {self.write!r} takes no value: {problem}")
 
     @property
     def whole(self) -> bool:
@@ -98,18 +95,13 @@ class ScpiBus(PolledBus, TcpHost):
 
     def as_registers(self) -> ModbusTcp:
         """Return a bus with a register for each value, which is polled in the same way."""
-        values = self.values.items()
+        values, polled = self.values.items(), self.model_dump(include={*PolledBus.model_fields})
         unread = [name for name, value in values if value.query is None]
         return ModbusTcp(
             type="modbus-tcp",
             host=self.host,
             port=self.port,
-            timeout_s=self.timeout_s,
-            turnaround_s=self.turnaround_s,
-            poll_ticks=self.poll_ticks,
-            command_timeout_s=self.command_timeout_s,
-            setup=self.setup,
-            setup_unread=[*self.setup_unread, *unread],
+            **{**polled, "setup_unread": [*self.setup_unread, *unread]},
             max_gap=0,
             max_block=4,
             registers={

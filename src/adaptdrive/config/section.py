@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import tomllib
 from collections import ChainMap
-from collections.abc import Sequence
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import (
     AfterValidator,
@@ -17,13 +17,11 @@ from pydantic import (
     Field,
     ValidationError,
     ValidationInfo,
+    model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from adaptdrive.errors import Flaw
-
-INCONSISTENT = "inconsistent"
-"""Type of the errors that `inconsistent` makes."""
 
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
@@ -88,22 +86,27 @@ class Section(BaseModel):
         for name, field in cls.model_fields.items():
             field.description = meanings.get(name)
 
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield what is wrong with keys that are valid each by itself; places are within this."""
+        return iter(())
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> Self:
+        details = [
+            InitErrorDetails(
+                type=PydanticCustomError("inconsistent", "{message}", {"message": flaw.message}),
+                loc=tuple(flaw.place.split(".")) if flaw.place else (),
+                input=None,
+            )
+            for flaw in self.flaws()
+        ]
+        if details:
+            raise ValidationError.from_exception_data("configuration", details)
+        return self
+
 
 class Range(Section):
     """A closed interval."""
 
     low: FiniteFloat = Field(description="lower end")
     high: FiniteFloat = Field(description="upper end")
-
-
-def inconsistent(flaws: Sequence[Flaw]) -> ValidationError:
-    """The error of a validator that found several flaws, each in its own place."""
-    details = [
-        InitErrorDetails(
-            type=PydanticCustomError(INCONSISTENT, "{message}", {"message": flaw.message}),
-            loc=tuple(flaw.place.split(".")),
-            input=None,
-        )
-        for flaw in flaws
-    ]
-    return ValidationError.from_exception_data("configuration", details)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ipaddress
 import re
-from typing import Annotated, Self
+from collections.abc import Iterator
+from typing import Annotated
 
-from pydantic import AfterValidator, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator
 
 from adaptdrive.config.section import (
     FilePath,
@@ -16,6 +17,7 @@ from adaptdrive.config.section import (
     Section,
     key,
 )
+from adaptdrive.errors import Flaw
 
 LONGEST_STALE_S = 2.0
 """A drive that is read each half cycle is then commanded 240 times on held values; one that is
@@ -69,12 +71,10 @@ class InterlocksSection(Section):
     stop_s: float = key(0.5, gt=0.0, le=5.0)
     refused_share: float = key(0.0, span=(0.0, 1.0))
 
-    @field_validator("response_factor")
-    @classmethod
-    def _is_a_factor(cls, factor: float) -> float:
-        if 0.0 < factor < 1.0:
-            raise ValueError(f"{factor:g} must be 0, or at least 1")
-        return factor
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield a factor that lets a healthy load trip."""
+        if 0.0 < self.response_factor < 1.0:
+            yield Flaw("response_factor", f"{self.response_factor:g} must be 0, or at least 1")
 
 
 class Mqtt(Section):
@@ -89,14 +89,12 @@ class Mqtt(Section):
     telemetry_Hz: float = key(10.0, span=(0.01, 10.0))
     home_assistant: str | None = key(None, pattern="^[A-Za-z0-9_/-]+$")
 
-    @model_validator(mode="after")
-    def _authority_needs_tls(self) -> Self:
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield an authority that nothing asks."""
         if self.ca_file is not None and not self.tls:
-            raise ValueError(
-                f"ca_file = {str(self.ca_file)!r} without tls: user name and password would go "
-                "over the wire in clear; set tls = true, or leave ca_file out"
-            )
-        return self
+            problem = "user name and password would go over the wire in clear"
+            remedy = "set tls = true, or leave ca_file out"
+            yield Flaw("", f"ca_file = {str(self.ca_file)!r} without tls: {problem}; {remedy}")
 
 
 class Recording(Section):
@@ -125,20 +123,11 @@ class Realtime(Section):
     spin_us: float = key(0.0, span=(0.0, 1000.0))
     late_us: PositiveFloat = key(2000.0, span=(10.0, 1e6))
 
-    @field_validator("spin_us")
-    @classmethod
-    def _comes_after_the_rehearsal(cls, spin_us: float, info: ValidationInfo) -> float:
-        rehearse_us = info.data.get("rehearse_us", 0.0)
-        if spin_us >= rehearse_us > 0.0:
-            raise ValueError(
-                f"{spin_us:g} leaves no time for the rehearsal before it: rehearse_us = "
-                f"{rehearse_us:g} must be larger"
-            )
-        return spin_us
-
-    @field_validator("cpus")
-    @classmethod
-    def _are_cpus(cls, cpus: list[int]) -> list[int]:
-        if any(cpu < 0 for cpu in cpus):
-            raise ValueError(f"{cpus}: CPUs are counted from 0")
-        return cpus
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield a wait without time for the rehearsal before it, and CPUs that no computer has."""
+        if self.spin_us >= self.rehearse_us > 0.0:
+            larger = f"rehearse_us = {self.rehearse_us:g} must be larger"
+            problem = f"{self.spin_us:g} leaves no time for the rehearsal before it: {larger}"
+            yield Flaw("spin_us", problem)
+        if any(cpu < 0 for cpu in self.cpus):
+            yield Flaw("cpus", f"{self.cpus}: CPUs are counted from 0")

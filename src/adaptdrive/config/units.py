@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections.abc import Iterator
 from typing import Literal
 
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
 from adaptdrive.config.section import FiniteFloat, Section
+from adaptdrive.errors import Flaw
 
 Unit = Literal[
     "V", "A", "W", "K", "rad/s", "mV", "kV", "mA", "kA", "kW", "degC", "degF", "rpm", "Hz"
@@ -103,12 +105,10 @@ class Converted(Section):
     def _in_si(cls, table: object) -> object:
         return in_si(table) if isinstance(table, dict) else table
 
-    @field_validator("scale")
-    @classmethod
-    def _says_something(cls, scale: float) -> float:
-        if scale == 0.0:
-            raise ValueError("must not be 0")
-        return scale
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield a scale that makes all values equal."""
+        if self.scale == 0.0:
+            yield Flaw("scale", "must not be 0")
 
 
 def si_unit(unit: str) -> str | None:
