@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config import Configuration, parse_configuration
-from adaptdrive.config.derived import in_order, moved_inputs
 from adaptdrive.config.sensors import ModbusRtuSensors
-from adaptdrive.config.supply import needed_names
+from adaptdrive.config.supply import in_order, moved_inputs, needed_names
 from adaptdrive.errors import ConfigurationError
 from tests.config import modbus_documents
 from tests.config.documents import SOURCE, document

@@ -9,9 +9,8 @@ from dataclasses import replace
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
-from adaptdrive.config.derived import moved_inputs
 from adaptdrive.config.load import BatterySection
-from adaptdrive.config.supply import absent_names
+from adaptdrive.config.supply import absent_names, moved_inputs
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.runtime.interlocks import Limits, Watch
 from adaptdrive.runtime.response import Response, ResponseLimits

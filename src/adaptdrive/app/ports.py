@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.derived import Rule, in_order
 from adaptdrive.config.sensors import AnySensorBus
-from adaptdrive.config.supply import needed_names
+from adaptdrive.config.supply import Rule, in_order, needed_names
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.bus_kind import BusKind
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of

@@ -14,10 +14,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from adaptdrive.config.buses import BUS_TYPES
 from adaptdrive.config.load import LOAD_TYPES
 from adaptdrive.config.proposals import key_proposal
-from adaptdrive.config.root import Configuration, consistency_flaws
+from adaptdrive.config.root import BUS_TYPES, Configuration, consistency_flaws
 from adaptdrive.config.tables import shortened, valid_sections, value_flaws, without
 from adaptdrive.errors import ConfigurationError, Flaw
 

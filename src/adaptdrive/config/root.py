@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator
-from typing import Annotated
+from typing import Annotated, get_args
 
 from pydantic import Field
 
-from adaptdrive.config.bus import Signals
-from adaptdrive.config.buses import BUS_CHECKS, AnyBus
-from adaptdrive.config.derived import Derived
+from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.cadence import clock_flaws, poll_flaws, sync_flaws
+from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.estimator import Estimator, Supervisor
 from adaptdrive.config.load import AnyLoad, BathSection, MotorSection, SimulatorSection
+from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.config.references import modbus_flaws
+from adaptdrive.config.scpi import ScpiBus, scpi_flaws
 from adaptdrive.config.section import Section
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
-from adaptdrive.config.supply import line_flaws, needed_names, supply_flaws, voltage_flaws
+from adaptdrive.config.supply import Derived, line_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
 from adaptdrive.config.units import WANTED, stated_problem
 from adaptdrive.errors import Flaw
+
+AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu | ScpiBus
+
+BUS_TYPES: tuple[str, ...] = tuple(
+    name for kind in get_args(AnyBus) for name in get_args(kind.model_fields["type"].annotation)
+)
 
 SensorBus = Annotated[AnySensorBus, Field(discriminator="type")]
 
@@ -86,14 +95,26 @@ def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    check, _ = BUS_CHECKS[type(configuration.bus)]
-    yield from check(configuration.bus, configuration.signals)
+    """Do the signals fit the bus? Those of a DBC are compared with that."""
+    bus, signals = configuration.bus, configuration.signals
+    if isinstance(bus, CanOpenBus):
+        yield from canopen_flaws(bus, signals)
+    elif isinstance(bus, ScpiBus):
+        yield from scpi_flaws(bus, signals)
+    elif not isinstance(bus, CanBus):
+        yield from modbus_flaws(bus, signals)
 
 
 def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """Does the pace of the drive fit what surrounds it?"""
-    _, check = BUS_CHECKS[type(configuration.bus)]
-    yield from check(configuration.bus, configuration)
+    bus = configuration.bus
+    if isinstance(bus, CanBus):
+        yield from clock_flaws(bus, configuration)
+    elif isinstance(bus, CanOpenBus):
+        yield from sync_flaws(bus, configuration)
+    else:
+        registers = bus.as_registers() if isinstance(bus, ScpiBus) else bus
+        yield from poll_flaws(registers, configuration)
 
 
 def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
