@@ -25,11 +25,11 @@ from adaptdrive.operation.messages import drive_message, encode
 from adaptdrive.operation.profile import Output
 from adaptdrive.recording.records import TickTable
 from adaptdrive.runtime.accounts import drive_report
-from adaptdrive.runtime.collector import IdleCollector
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
 from adaptdrive.runtime.reports import TickReport
 from adaptdrive.runtime.statistics import TimeWindow
+from adaptdrive.runtime.tick_support import IdleCollector
 from tests.benchmarks import compute
 from tests.benchmarks.rows import Extent, Row
 from tests.benchmarks.tools import GROUP, bus_ports

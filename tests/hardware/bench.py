@@ -20,7 +20,7 @@ from crccheck.crc import Crc8SaeJ1850
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.timing import Timing
-from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.hardware.counting import BusBackoff
 from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.port import Reading

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
+from adaptdrive.runtime.tick_support import DressRehearsal, FrameWatch
 from tests.runtime.bench import until
 
 SPIN_S, LOOK_S = 0.01, 0.001

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config.services import Realtime
-from adaptdrive.runtime.collector import IdleCollector
 from adaptdrive.runtime.realtime import real_time
+from adaptdrive.runtime.tick_support import IdleCollector
 
 ROOT = Path(__file__).parents[2]
 NOBODY = 65534

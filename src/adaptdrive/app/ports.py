@@ -72,11 +72,11 @@ def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:
 
             return CANOPEN
         case "scpi":
-            from adaptdrive.hardware.scpi.kind import SCPI  # noqa: PLC0415
+            from adaptdrive.hardware.scpi.port import SCPI  # noqa: PLC0415
 
             return SCPI
         case _:
-            from adaptdrive.hardware.modbus.kind import MODBUS  # noqa: PLC0415
+            from adaptdrive.hardware.modbus.port import MODBUS  # noqa: PLC0415
 
             return MODBUS
 

@@ -25,11 +25,11 @@ from adaptdrive.control.settings import (
     Rates,
 )
 from adaptdrive.control.voltage_loop import LAG_TICKS
-from adaptdrive.runtime.collector import COLLECT_TICKS
 from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.machine_limits import MachineLimits
+from adaptdrive.runtime.tick_support import COLLECT_TICKS
 
 _LOWEST_LINE = 0.5
 """Share of the nominal line voltage below which the voltage loop does not divide by it."""

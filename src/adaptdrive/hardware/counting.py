@@ -1,10 +1,20 @@
-"""Counts of a port, answers that most drives have in common, and the presence of a bus."""
+"""Counts of a port, answers that most drives have in common, and the presence of a bus.
+
+A lost bus is opened again after a delay.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 from adaptdrive.hardware.port import Listener, PortStatistics, SensorListener
+
+_FIRST_S = 0.1
+"""An interface or a server that is restarted is soon back."""
+
+_LONGEST_S = 2.0
+"""A cable or an adapter that is plugged in again should not be waited for."""
 
 
 class CountedPort:
@@ -75,3 +85,25 @@ class SensingPort(CountedPort):
         if news:
             detail = self.description if up else f"{self.description}: {problem}"
             listener.on_bus(up=up, detail=detail)
+
+
+class BusBackoff:
+    """Delays that double until the bus has carried something."""
+
+    def __init__(self, heard: Callable[[], int]) -> None:
+        """Start with the shortest delay.
+
+        Args:
+            heard: Returns the number of frames or replies since the port was built.
+        """
+        self._heard = heard
+        self._before = heard()
+        self._delay_s = _FIRST_S
+
+    def next_s(self) -> float:
+        """Return the delay before the next attempt, in s; the shortest after any reception."""
+        heard = self._heard()
+        if heard > self._before:
+            self._before, self._delay_s = heard, _FIRST_S
+        delay_s, self._delay_s = self._delay_s, min(2.0 * self._delay_s, _LONGEST_S)
+        return delay_s

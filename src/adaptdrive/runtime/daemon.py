@@ -13,8 +13,7 @@ from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port, Reading
-from adaptdrive.runtime.accounts import drive_report
-from adaptdrive.runtime.announcer import Announcer
+from adaptdrive.runtime.accounts import Announcer, drive_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.loop_interface import DaemonSettings

@@ -16,8 +16,7 @@ import pytest
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.demands import Demands
-from adaptdrive.hardware.modbus.sensors import ModbusSensorPort, build_modbus_sensors
-from adaptdrive.hardware.modbus.turns import SELDOM_CYCLES
+from adaptdrive.hardware.modbus.sensors import SELDOM_CYCLES, ModbusSensorPort, build_modbus_sensors
 from tests.hardware.bench import SensorEar, until
 from tests.hardware.modbus.bench import Peer, Pieces, RtuPeer, TcpPeer, Wire
 from tests.hardware.modbus.virtual import VirtualDrive, VirtualLoop, use_memory

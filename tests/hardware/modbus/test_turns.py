@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
 
-from adaptdrive.hardware.modbus.turns import SELDOM_CYCLES, SensorBlock, Turns
+from adaptdrive.hardware.modbus.sensors import SELDOM_CYCLES, SensorBlock, Turns
 from adaptdrive.hardware.polled.blocks import Block
 from adaptdrive.hardware.polled.capacity import Exchange
 

@@ -15,9 +15,8 @@ import can
 
 from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import BusError, ConfigurationError
-from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.binding import Source, sensor_entries
-from adaptdrive.hardware.counting import SensingPort
+from adaptdrive.hardware.counting import BusBackoff, SensingPort
 from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, describe
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.arrival import ArrivalClock

@@ -12,7 +12,7 @@ import can
 
 from adaptdrive.config.bus import CanLink
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.hardware.counting import BusBackoff
 from adaptdrive.hardware.doubts import Uptake
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import open_bus

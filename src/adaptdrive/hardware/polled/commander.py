@@ -13,8 +13,7 @@ from adaptdrive.hardware.polled.blocks import Block
 from adaptdrive.hardware.polled.capacity import Exchange
 from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void
 from adaptdrive.hardware.polled.mapping import HEARTBEAT, Poll, block_words
-from adaptdrive.hardware.polled.pace import WritePace, has_switch
-from adaptdrive.hardware.polled.untaken import UntakenCommands
+from adaptdrive.hardware.polled.pace import UntakenCommands, WritePace, has_switch
 from adaptdrive.hardware.polled.witness import PollWitness
 
 

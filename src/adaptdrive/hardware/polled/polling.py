@@ -9,8 +9,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.backoff import BusBackoff
-from adaptdrive.hardware.counting import SensingPort
+from adaptdrive.hardware.counting import BusBackoff, SensingPort
 from adaptdrive.hardware.polled.link import PolledLink
 from adaptdrive.hardware.port import Listener, SensorListener
 

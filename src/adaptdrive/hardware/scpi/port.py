@@ -1,15 +1,121 @@
-"""Port of a supply that speaks SCPI: polled like one with a register for each value."""
+"""A supply that speaks SCPI: one line of text at a time, polled like a register for each value.
+
+Nothing numbers the replies. After one that is missing, or that nothing asked for, the next one
+could be that to an earlier request: the connection is given up, which no late reply outlives.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
+from adaptdrive.config import Configuration
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.timing import Timing
-from adaptdrive.hardware.polled.link import PolledLink
+from adaptdrive.hardware.bus_kind import BusKind, bus_of
+from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.codec import count, encode_count
+from adaptdrive.hardware.polled.kind import planned, polled_cautions, tcp_locks
+from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
 from adaptdrive.hardware.polled.mapping import Poll
 from adaptdrive.hardware.polled.port import PolledPort
-from adaptdrive.hardware.scpi.link import ScpiConnection, describe_supply
+from adaptdrive.hardware.port import Port
+
+_DONE = "*OPC?"
+"""Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
+
+
+class ScpiConnection(PolledLink):
+    """An open connection to one supply."""
+
+    def __init__(
+        self,
+        config: ScpiBus,
+        counts: Counter[str],
+        clock: Callable[[], float],
+        replies: dict[str, str],
+    ) -> None:
+        """Prepare a connection; nothing is opened yet.
+
+        Args:
+            config: Which supply.
+            counts: What is counted on it.
+            clock: Monotonic clock, in s.
+            replies: The last reply to each question is kept here.
+        """
+        super().__init__(describe_supply(config), config.timeout_s, counts, clock)
+        self._config = config
+        registers = config.as_registers().registers
+        self._values = {one.address: (config.values[name], one) for name, one in registers.items()}
+        self._replies = replies
+
+    async def _connect(self) -> None:
+        await self._stream.connect(self._config.host, self._config.port)
+
+    def suspect(self) -> None:
+        """Give the connection up: a reply may be one to another request."""
+        self.lost = self.lost or "a reply came that nothing asked for"
+
+    async def exchange(
+        self, exchange: Exchange, words: list[int], void: Void | None = never
+    ) -> list[int]:
+        """Ask for a value, or set one and wait until the supply has done so."""
+        if exchange.read is not None:
+            return await self._read(exchange.read, void)
+        if exchange.write is not None:
+            value, register = self._values[exchange.write.address]
+            line = value.line(count(register, words))
+            reply = await self._ask(f"{line}\n{_DONE}", void)
+            if reply.lstrip("+") != "1":
+                raise ExchangeError(f"{reply!r} came in reply to {line!r} and {_DONE}")
+        return []
+
+    async def _read(self, block: Block, void: Void | None) -> list[int]:
+        """Return the registers of a value; one that is no number is NaN, or fails."""
+        value, register = self._values[block.address]
+        question = value.query or ""
+        reply = self._replies[question] = await self._ask(question, void)
+        try:
+            return encode_count(register, value.number(reply))
+        except ValueError as problem:
+            raise ExchangeError(f"{reply!r} came in reply to {question!r}") from problem
+
+    async def _ask(self, line: str, void: Void | None) -> str:
+        """Send a line, and return the line that answers it.
+
+        Raises:
+            ExchangeError: There is none.
+        """
+        stream = self._stream
+        if stream.received:
+            self._counts["foreign"] += 1
+            self.suspect()
+        self._require()
+        self.asked_s = self._clock()
+        if void is not None and void():  # asked last: the process may have stood still until here
+            raise OvertakenError("not sent: it was no longer wanted")
+        reply = await self._reply(f"{line}\n".encode(), _first_line)
+        if reply is None:
+            self._counts["timeouts"] += 1
+            self._note_end()
+            asked = line.partition("\n")[0]
+            self.lost = self.lost or f"no reply within {self._timeout_s:g} s to {asked!r}"
+            raise ExchangeError(self.lost)
+        stream.received = stream.received[len(reply) :]
+        self._counts["received"] += 1
+        return reply.decode("ascii", "replace").strip()
+
+
+def _first_line(received: bytes) -> bytes | None:
+    line, end, _ = received.partition(b"\n")
+    return line + end if end else None
+
+
+def describe_supply(config: ScpiBus) -> str:
+    """Return the bus in one phrase, such as `scpi 10.0.0.7:5025`."""
+    return f"scpi {config.host}:{config.port}"
 
 
 class ScpiPort(PolledPort):
@@ -47,3 +153,21 @@ class ScpiPort(PolledPort):
 
     def _new_link(self) -> PolledLink:
         return ScpiConnection(self._supply, self._counts, self._clock, self._replies)
+
+
+def _build(
+    configuration: Configuration, clock: Callable[[], float], source: Path | str, *, passive: bool
+) -> Port:
+    bus = bus_of(configuration, ScpiBus)
+    poll = planned(configuration, bus.as_registers(), source, passive=passive)
+    return ScpiPort(bus, poll, configuration.timing, clock)
+
+
+def _lock_names(configuration: Configuration) -> Iterator[str]:
+    """Yield a supply by its name and its addresses."""
+    bus = bus_of(configuration, ScpiBus)
+    yield describe_supply(bus)
+    yield from tcp_locks("scpi", bus.host, bus.port)
+
+
+SCPI = BusKind(_build, polled_cautions, lock_names=_lock_names)
