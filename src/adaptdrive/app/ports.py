@@ -48,7 +48,7 @@ def build_port(
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
     """
     kind = bus_kind(configuration.bus.type, source)
-    return kind.build_port(configuration, clock, source, passive=passive)
+    return kind.build_port(configuration, clock, source, passive)
 
 
 def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:

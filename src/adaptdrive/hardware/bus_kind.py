@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import MEASURED
@@ -20,29 +20,12 @@ Row = tuple[str, float, str]
 """Name of a limit, its duration in seconds, and the keys that set it."""
 
 
-class BuildPort(Protocol):
-    """Builds the port of a drive; nothing is opened yet."""
+BuildPort = Callable[[Configuration, Callable[[], float], Path | str, bool], Port]
+"""Builds the port of a drive from it, clock, source, and whether nothing may be written to it.
 
-    def __call__(
-        self,
-        configuration: Configuration,
-        clock: Callable[[], float],
-        source: Path | str,
-        *,
-        passive: bool,
-    ) -> Port:
-        """Build the port.
-
-        Args:
-            configuration: The drive.
-            clock: Monotonic clock in seconds.
-            source: The configuration's file, for error messages.
-            passive: Whether the port must write nothing to the drive.
-
-        Raises:
-            ConfigurationError: Bus and signals do not fit; every flaw is listed.
-        """
-
+Nothing is opened yet. It raises `ConfigurationError` with every flaw where bus and signals do not
+fit.
+"""
 
 BuildSensors = Callable[[Any, str, Callable[[], float], Path | str, Demands], SensorPort]
 """Builds the port of an entry of `[[sensor_bus]]` from it, its place, clock, source and demands."""

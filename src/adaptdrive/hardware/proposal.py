@@ -9,15 +9,15 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-_VOLT = ("V", "mV", "kV")
-_WATT = ("W", "kW")
+_VOLT = "V mV kV"
+_WATT = "W kW"
 
 _NAME_POINTS = 2  # one word that names a quantity outweighs one that contradicts it
 _UNIT_POINTS = 3  # a unit counts more than one word of a name
 _LEAST_BITS = 8  # shorter values are flags and states, no quantities
 
-_OF_THE_BUS = ("node", "id", "baud", "address", "version", "lockout", "discharge")
-_OPPOSITES = (*_OF_THE_BUS, "disable", "disabled", "inhibit", "off", "not")
+_OF_THE_BUS = "node id baud address version lockout discharge"
+_OPPOSITES = f"{_OF_THE_BUS} disable disabled inhibit off not"
 
 _ON = ("run", "on", "enabled", "enable", "operation", "active", "start")
 _OFF = ("stop", "off", "disabled", "disable", "standby", "idle", "ready")
@@ -60,6 +60,8 @@ class Candidate:
 class Wanted:
     """Units and names by which a quantity is recognised in foreign descriptions.
 
+    Blanks separate words and units.
+
     Attributes:
         words: Parts of a name that count for it.
         against: Parts of a name that count against it.
@@ -68,55 +70,36 @@ class Wanted:
         commanded: True for a value that the daemon sends.
     """
 
-    words: tuple[str, ...]
-    against: tuple[str, ...]
-    units: tuple[str, ...]
-    never: tuple[str, ...] = ()
+    words: str
+    against: str = ""
+    units: str = ""
+    never: str = ""
     commanded: bool = False
 
 
 QUANTITIES: Mapping[str, Wanted] = {
-    "boost_voltage_V": Wanted(
-        ("boost", "bst", "dc", "link", "zwk", "cap", "bus"), ("set", "ref", "line", "mains"), _VOLT
-    ),
-    "line_voltage_V": Wanted(
-        ("line", "mains", "grid", "netz", "ac", "supply"), ("dc", "boost", "link"), _VOLT
-    ),
-    "load_power_W": Wanted(("power", "load", "out", "p"), ("limit", "max"), _WATT),
-    "counter": Wanted(("half", "cycle", "count", "tick"), ("alive", "crc", "hours"), ()),
-    "fault": Wanted(("fault", "error", "alarm", "trip"), ("crc", "alive"), ()),
-    "bridge": Wanted(
-        ("bridge", "run", "state", "status", "enabled", "on"),
-        ("fault", "alive", "crc"),
-        (),
-        _OPPOSITES,
-    ),
-    "command.current_scale_S": Wanted(
-        ("current", "scale", "k", "conductance"), (), ("S",), commanded=True
-    ),
+    "boost_voltage_V": Wanted("boost bst dc link zwk cap bus", "set ref line mains", _VOLT),
+    "line_voltage_V": Wanted("line mains grid netz ac supply", "dc boost link", _VOLT),
+    "load_power_W": Wanted("power load out p", "limit max", _WATT),
+    "counter": Wanted("half cycle count tick", "alive crc hours"),
+    "fault": Wanted("fault error alarm trip", "crc alive"),
+    "bridge": Wanted("bridge run state status enabled on", "fault alive crc", "", _OPPOSITES),
+    "command.current_scale_S": Wanted("current scale k conductance", units="S", commanded=True),
     "command.boost_reference_V": Wanted(
-        ("boost", "dc", "link", "voltage", "set", "ref"),
-        ("line", "mains"),
-        _VOLT,
-        _OF_THE_BUS,
-        commanded=True,
+        "boost dc link voltage set ref", "line mains", _VOLT, _OF_THE_BUS, commanded=True
     ),
     "command.bridge": Wanted(
-        ("bridge", "enable", "run", "request", "start"),
-        ("alive", "crc", "page", "mode"),
-        (),
-        _OPPOSITES,
-        commanded=True,
+        "bridge enable run request start", "alive crc page mode", "", _OPPOSITES, commanded=True
     ),
 }
 
-NO_PROPOSAL = Wanted((), (), ())
+NO_PROPOSAL = Wanted("")
 """Fits no candidate: the output of a load that `OUTPUTS` does not describe is left to its user."""
 
 OUTPUTS: Mapping[str, Wanted] = {
-    "motor": Wanted(("speed", "tach", "rpm", "n", "act", "omega"), (), ("rpm", "rad/s", "V", "Hz")),
-    "bath": Wanted(("temp", "bath", "water", "t"), ("heatsink", "igbt"), ("K", "degC", "degF")),
-    "battery": Wanted(("current", "batt", "out", "i"), ("line", "limit"), ("A", "mA", "kA")),
+    "motor": Wanted("speed tach rpm n act omega", units="rpm rad/s V Hz"),
+    "bath": Wanted("temp bath water t", "heatsink igbt", "K degC degF"),
+    "battery": Wanted("current batt out i", "line limit", "A mA kA"),
 }
 
 
@@ -143,14 +126,14 @@ def _points(wanted: Wanted, candidate: Candidate) -> int:
     """Return the score of a candidate; 0 for one that it cannot be."""
     if candidate.commanded is not wanted.commanded:
         return 0
-    if candidate.unit and candidate.unit not in wanted.units:
+    if candidate.unit and candidate.unit not in wanted.units.split():
         return 0
     parts = _parts(candidate.words)
     short = bool(wanted.units) and candidate.bits < _LEAST_BITS
-    if short or any(word in parts for word in wanted.never):
+    if short or any(word in parts for word in wanted.never.split()):
         return 0
-    named = sum(1 for word in wanted.words if _speaks(word, parts))
-    against = sum(1 for word in wanted.against if _speaks(word, parts))
+    named = sum(1 for word in wanted.words.split() if _speaks(word, parts))
+    against = sum(1 for word in wanted.against.split() if _speaks(word, parts))
     fits = _UNIT_POINTS if candidate.unit else 0
     return max(0, fits + _NAME_POINTS * named - against) if named else 0
 

@@ -21,7 +21,7 @@ _LOST_HEARTBEATS = 2
 
 
 def _build(
-    configuration: Configuration, clock: Callable[[], float], source: Path | str, *, passive: bool
+    configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
     bus, mapping = bus_of(configuration, CanOpenBus), _mapped(configuration, source)
     if passive:

@@ -18,7 +18,7 @@ from adaptdrive.hardware.port import Port
 
 
 def _build(
-    configuration: Configuration, clock: Callable[[], float], source: Path | str, *, passive: bool
+    configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
     return CanPort(
         bus_of(configuration, CanBus), _mapped(configuration, source), clock, hears_all=passive

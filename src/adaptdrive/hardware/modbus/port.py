@@ -42,7 +42,7 @@ class ModbusPort(PolledPort):
 
 
 def _build(
-    configuration: Configuration, clock: Callable[[], float], source: Path | str, *, passive: bool
+    configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
     bus = _bus(configuration)
     poll = planned(configuration, bus, source, passive=passive)

@@ -50,7 +50,6 @@ class Commander:
         self._written: Command | None = None
         self._withheld = False
         self._witness = witness
-        self._safe = False
         self._untaken = UntakenCommands()
         self._alive = 0
         self._stopped_s = math.inf
@@ -68,7 +67,7 @@ class Commander:
     @property
     def urgent(self) -> bool:
         """True if the safe command must be sent before anything else."""
-        return self._command == SAFE_COMMAND and not self._safe
+        return self._command == SAFE_COMMAND and self.safe_s == math.inf
 
     @property
     def _at_once(self) -> bool:
@@ -81,7 +80,7 @@ class Commander:
         now_s = self._clock()
         on = self._obedience.overdue_s(powered=self._witness.may_be_on) > 0.0
         untaken_s = now_s - max(self._stopped_s, self._begun_s)
-        return on or (not self._safe and untaken_s > self._taken_s)
+        return on or (self.safe_s == math.inf and untaken_s > self._taken_s)
 
     @property
     def pending(self) -> bool:
@@ -111,7 +110,6 @@ class Commander:
         self._untaken.forget()
         self._pace.forget()
         self._witness.begin()
-        self._safe = False
         self._begun_s = self._clock()
 
     def note_read(self, *, answered: bool) -> None:
@@ -219,7 +217,7 @@ class Commander:
 
     async def leave_safe(self, link: PolledLink) -> None:
         """Write the safe command as the last one, unless it is in force or none was ever given."""
-        if link.lost is None and not self._safe and self._command is not None:
+        if link.lost is None and self.safe_s == math.inf and self._command is not None:
             self._command = SAFE_COMMAND
             await self.write(link)
 
@@ -314,15 +312,13 @@ class Commander:
         self._witness.attempt(command)
         if command == SAFE_COMMAND:
             self._obedience.hear()
-        self._safe = self._safe and command == SAFE_COMMAND
-        if command != SAFE_COMMAND:
+        else:
             self.safe_s = math.inf
 
     def _confirm(self, command: Command, asked_s: float, *, sent: bool = True) -> None:
         self._counts["sent"] += sent
         self._written = command
         self._witness.take(command, asked_s)
-        self._safe = command == SAFE_COMMAND
         self._untaken.clear()
-        if self._safe and self.safe_s == math.inf:
-            self.safe_s = self._clock()
+        if command == SAFE_COMMAND:
+            self.safe_s = min(self.safe_s, self._clock())

@@ -5,6 +5,7 @@ Everything that can be wrong is found here, before a link is opened, and all of 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -154,8 +155,9 @@ def written(sink: Sink[Named], command: Command, heartbeat: int) -> list[int]:
         ValueError: They cannot hold it.
     """
     register = sink.item.register
-    if sink.name == HEARTBEAT:
-        return encode_count(register, heartbeat % heartbeat_modulus(register))
+    if sink.name == HEARTBEAT:  # a signed register stays positive
+        bits = 16 * register.words - register.type.startswith("int")
+        return encode_count(register, heartbeat % (1 << bits))
     return encode_count(register, sink.field.raw(sink.value(command)))
 
 
@@ -180,11 +182,6 @@ class Poll:
     setup: tuple[tuple[Block, Sink[Named], bool], ...] = ()
     other: tuple[str, ...] = ()
     faults: Mapping[str, FaultWord] = field(default_factory=dict)
-
-    @property
-    def reports_bridge(self) -> bool:
-        """True for a drive whose map has a register for its bridge."""
-        return self.bridge_block is not None
 
     @property
     def bridge_block(self) -> Block | None:
@@ -243,17 +240,10 @@ def map_drive(
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
     longest = 1 if bus.write == "single" else _MAX_WRITE
+    plan = functools.partial(plan_blocks, max_gap=0, max_count=longest, write=True)
     written_to = [one.item.register for one in sinks]
-    writes = tuple(
-        block
-        for limited in (False, True)
-        for block in plan_blocks(
-            (one for one in written_to if (one.write_limit is not None) is limited),
-            0,
-            longest,
-            write=True,
-        )
-    )
+    limited = [one for one in written_to if one.write_limit is not None]
+    writes = *plan(one for one in written_to if one.write_limit is None), *plan(limited)
     poll = Poll(
         reads=tuple((block, inside(block, sources)) for block in reads),
         writes=tuple((block, inside(block, sinks)) for block in writes),
@@ -262,7 +252,7 @@ def map_drive(
         setup=tuple(
             (block, one, one.name not in bus.setup_unread)
             for one in setup
-            for block in plan_blocks([one.item.register], 0, longest, write=True)
+            for block in plan([one.item.register])
         ),
         other=other_names(bound),
         faults=fault_words(bound, signals),
@@ -272,11 +262,6 @@ def map_drive(
     if flaws:
         raise ConfigurationError(source, flaws)
     return poll
-
-
-def heartbeat_modulus(register: Register) -> int:
-    """Return the modulus of a heartbeat: a signed register stays positive."""
-    return 1 << (16 * register.words - register.type.startswith("int"))
 
 
 def inside(block: Block, bound: Iterable[Bound]) -> tuple[Bound, ...]:

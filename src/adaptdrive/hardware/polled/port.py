@@ -49,10 +49,10 @@ class PolledPort(Polling[PolledLink], CountingPort):
         super().__init__(description, clock)
         self._timeout_s = bus.timeout_s
         self._poll = poll
-        self.stop_slack_s = 0.0 if poll.reports_bridge else None
+        self.stop_slack_s = 0.0 if poll.bridge_block else None
         self._poll_s = timing.reading_s
         look_s = look_limit_s(bus.timeout_s, len(poll.writes))
-        self._witness = PollWitness(poll.reports_bridge, timing, look_s, clock)
+        self._witness = PollWitness(poll.bridge_block is not None, timing, look_s, clock)
         self._commander = Commander(poll, self._witness, self._counts, clock, timing)
         self._listener: Listener | None = None
         self._link: PolledLink | None = None

@@ -156,7 +156,7 @@ class ScpiPort(PolledPort):
 
 
 def _build(
-    configuration: Configuration, clock: Callable[[], float], source: Path | str, *, passive: bool
+    configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
     bus = bus_of(configuration, ScpiBus)
     poll = planned(configuration, bus.as_registers(), source, passive=passive)
