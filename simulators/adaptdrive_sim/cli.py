@@ -54,7 +54,7 @@ def device(config: Path, *, settings: DeviceSettings | None = None) -> None:
     run_device(config, settings or DeviceSettings())
 
 
-@app.command
+@app.command(usage="Usage: adaptdrive-sim disturb [OPTIONS] DRIVE ACTION [VALUES]")
 def disturb(
     drive: DriveName,
     action: str,
@@ -167,7 +167,7 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
         run_campaign(file, output, scheduler=scheduler, processes=processes, runs=runs)
 
 
-@app.command
+@app.command(usage="Usage: adaptdrive-sim demo [OPTIONS] [STORY]")
 def demo(story: str = "motor", /, *, settings: DemoSettings | None = None) -> int:
     """Watch a simulated drive being controlled while things happen to its load.
 

@@ -11,14 +11,16 @@ import signal
 import subprocess
 import sys
 import tomllib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from cyclopts import App
 
 from adaptdrive import __version__
 from adaptdrive.cli import main, operate
+from adaptdrive.cli.commands import build_app
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Estimate, Mode
 from adaptdrive.control.waveform import Shape, Waveform
@@ -34,6 +36,7 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from adaptdrive_sim.cli import app as sim_app
 from tests.operation.peers import (
     STANDBY,
     Bench,
@@ -322,6 +325,19 @@ async def test_help_names_every_command() -> None:
     assert (outcome.status, outcome.errors) == (0, "")
     for command in ("run", "check", "schema", "probe", "replay", "status", "setpoint"):
         assert command in outcome.output
+
+
+@pytest.mark.parametrize("build", [build_app, lambda: sim_app])
+def test_help_names_each_argument_as_a_person_would(
+    build: Callable[[], App], capsys: pytest.CaptureFixture[str]
+) -> None:
+    app = build()
+    for name in app:
+        if not name.startswith("-") and name != "sessions":
+            app([name, "--help"])
+    text = capsys.readouterr().out
+    assert "Usage: " in text
+    assert not re.findall(r".*(?:ARGS|--empty-).*", text)
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,11 @@ _COMMANDS = {
     "manual": ("operate", "Hold the present V_c until the command voltage."),
 }
 
+# Where an argument may be left out: cyclopts calls it [ARGS] in the first line of --help.
+_ARGUMENTS = {"start": "[CONFIG]", "waveform": "DRIVE SHAPE [LOW HIGH PERIOD]"} | dict.fromkeys(
+    ("replay", "events", "plot", "identify", "whatif"), "[SESSION]"
+)
+
 _LIST = "List the drives of a broker."
 _SESSIONS = "List, show, verify and prune recorded sessions."
 
@@ -84,15 +89,22 @@ def build_app() -> App:
     )
     for name, (module, purpose) in _COMMANDS.items():
         # By name, so that a command imports what it needs and no other command does.
-        app.command(f"adaptdrive.cli.{module}:{name}", name=name, help=purpose)
+        path = f"adaptdrive.cli.{module}:{name}"
+        app.command(path, name=name, help=purpose, usage=_usage(name))
     for verb, request in REQUESTS.items():
-        app.command(f"adaptdrive.cli.operate:{verb}", name=verb, help=_first_line(request))
+        path = f"adaptdrive.cli.operate:{verb}"
+        app.command(path, name=verb, help=_first_line(request), usage=_usage(verb))
     app.command("adaptdrive.cli.operate:list_drives", name="list", help=_LIST)
     app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
     app.register_install_completion_command(
         add_to_startup=False, help="Install completion for the present shell."
     )
     return app
+
+
+def _usage(command: str) -> str | None:
+    arguments = _ARGUMENTS.get(command)
+    return arguments and f"Usage: adaptdrive {command} [OPTIONS] {arguments}"
 
 
 def _first_line(request: type[Request]) -> str:

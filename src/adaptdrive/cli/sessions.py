@@ -204,7 +204,7 @@ def events(
     session: str | None = None,
     /,
     *,
-    kind: tuple[str, ...] = (),
+    kind: Annotated[tuple[str, ...], Parameter(negative=())] = (),
     directory: Folder = None,
     as_json: Json = False,
 ) -> int:
