@@ -26,7 +26,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.frames import Kind, Record, framed
 from adaptdrive.recording.log_files import LogFile, new_file, recall
 from adaptdrive.recording.log_tables import logged_batches
-from adaptdrive.recording.memory import Begin
+from adaptdrive.recording.memory import Begin, Recalled
 from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import EventRow, Header
@@ -125,7 +125,8 @@ def _log() -> bytes:
 
 def _payloads() -> tuple[bytes, ...]:
     ticks = make_batch([make_tick(0)]).ticks
-    begin = Begin(Header(INFO, ""), 1, replies=(("a", 1.0, b"{}"),), learnt=b"{}")
+    left = Recalled(replies=(("a", 1.0, b"{}"),), learnt=b"{}")
+    begin = Begin(Header(INFO, ""), 1, left)
     rows = [{"monotonic_s": 1.0, "k": 1}]
     return tuple(msgspec.msgpack.encode(one) for one in (ticks, begin, rows, ("a", b"{}")))
 

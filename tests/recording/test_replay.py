@@ -221,7 +221,7 @@ def test_a_decision_that_took_effect_from_nowhere_is_reported(
 ) -> None:
     daemon.ticks[200] = replace(daemon.ticks[200], applied_k=4711)
     report = replay(recorded(directory, daemon.ticks, daemon.slow), StandIn())
-    assert report.unmatched == (4711,)
+    assert report.unmatched == [4711]
     assert not report.exact
     assert "the first at k = 4711" in str(report)
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -20,12 +19,14 @@ from adaptdrive.recording.tables import NOTE_ROWS, rows_batch, ticks_batch
 _TICKS_AT_ONCE = 5_000
 _ROWS_AT_ONCE = 200
 """Rows of a batch: as Python values they take many times their size on disk."""
-_KINDS = {
-    SLOW: Kind.SLOW,
-    SENSORS: Kind.SENSORS,
-    EVENTS: Kind.EVENT,
-    COMMANDS: Kind.COMMAND,
+_KINDS: dict[str, tuple[Kind, Any]] = {
+    TICKS: (Kind.TICKS, Ticks),
+    SLOW: (Kind.SLOW, list[dict[str, Any]]),
+    SENSORS: (Kind.SENSORS, list[dict[str, Any]]),
+    EVENTS: (Kind.EVENT, NOTE_ROWS[EVENTS]),
+    COMMANDS: (Kind.COMMAND, NOTE_ROWS[COMMANDS]),
 }
+"""Kind and contents of the records of each table."""
 
 
 def logged_batches(
@@ -43,64 +44,32 @@ def logged_batches(
         RecordingError: A file cannot be read at all.
     """
     losses = [] if losses is None else losses
-    found = records(files, losses)
-    return _ticks(found, schema, losses) if table == TICKS else _rows(found, table, schema, losses)
-
-
-def _ticks(
-    found: Iterator[Record], schema: pa.Schema, losses: list[str]
-) -> Iterator[pa.RecordBatch]:
-    columns: dict[str, Any] = {}
-    offsets: list[tuple[int, float]] = []
+    kind, contents = _KINDS[table]
+    timed: list[tuple[Any, float]] = []
     rows = 0
-    for record in found:
-        ticks = content_of(record, Ticks, losses) if record.kind is Kind.TICKS else None
-        if ticks is None:
+    for record in records(files, losses):
+        found = content_of(record, contents, losses) if record.kind is kind else None
+        if found is None:
             continue
-        for name, values in ticks.columns.items():
-            if name in columns:
-                columns[name] += values
-            else:
-                columns[name] = list(values) if isinstance(values, list) else bytearray(values)
-        offsets.append((ticks.rows, record.wall_s - record.monotonic_s))
-        rows += ticks.rows
-        if rows >= _TICKS_AT_ONCE:
-            yield from _made(partial(ticks_batch, columns, rows, schema, offsets), losses)
-            columns, offsets, rows = {}, [], 0
+        if table in NOTE_ROWS:
+            found = [msgspec.structs.asdict(found)]
+        timed.append((found, record.wall_s - record.monotonic_s))
+        rows += found.rows if isinstance(found, Ticks) else len(found)
+        if rows >= (_TICKS_AT_ONCE if table == TICKS else _ROWS_AT_ONCE):
+            yield from _made(timed, table, schema, losses)
+            timed, rows = [], 0
     if rows:
-        yield from _made(partial(ticks_batch, columns, rows, schema, offsets), losses)
+        yield from _made(timed, table, schema, losses)
 
 
-def _rows(
-    found: Iterator[Record], table: str, schema: pa.Schema, losses: list[str]
+def _made(
+    timed: Sequence[tuple[Any, float]], table: str, schema: pa.Schema, losses: list[str]
 ) -> Iterator[pa.RecordBatch]:
-    rows: list[dict[str, Any]] = []
-    for record in found:
-        if record.kind is not _KINDS[table]:
-            continue
-        offset = {"offset_s": record.wall_s - record.monotonic_s}
-        rows += [row | offset for row in _plain_rows(record, table, losses)]
-        if len(rows) >= _ROWS_AT_ONCE:
-            yield from _made(partial(rows_batch, rows, schema), losses)
-            rows = []
-    if rows:
-        yield from _made(partial(rows_batch, rows, schema), losses)
-
-
-def _made(make: Callable[[], pa.RecordBatch], losses: list[str]) -> Iterator[pa.RecordBatch]:
     """Yield a batch, or note that its rows do not fit their table, as those of another version."""
     try:
-        yield make()
+        yield ticks_batch(timed, schema) if table == TICKS else rows_batch(timed, schema)
     except (LookupError, TypeError, ValueError, OverflowError) as problem:
         losses.append(f"rows that make no table: {problem}")
-
-
-def _plain_rows(record: Record, table: str, losses: list[str]) -> list[dict[str, Any]]:
-    """Return the rows of a record by name of their column."""
-    if table not in NOTE_ROWS:
-        return content_of(record, list[dict[str, Any]], losses) or []
-    note = content_of(record, NOTE_ROWS[table], losses)
-    return [] if note is None else [msgspec.structs.asdict(note)]
 
 
 def content_of(record: Record, kind: type[Any], losses: list[str]) -> Any:  # noqa: ANN401 - of a kind

@@ -24,7 +24,7 @@ from adaptdrive.recording import reserve
 from adaptdrive.recording.frames import Kind, Record, framed
 from adaptdrive.recording.log_files import new_file
 from adaptdrive.recording.log_syncs import LogNews, LogSyncs
-from adaptdrive.recording.memory import LogMemory, Recalled
+from adaptdrive.recording.memory import Begin, LogMemory, Recalled
 from adaptdrive.recording.records import Header
 
 _LARGEST_FILE_BYTES = 4 << 20
@@ -81,7 +81,7 @@ class LogWriter:
         self._begin_rows = begin_rows
         self._start_thread = start_thread
         self._memory = LogMemory(recalled, clock()[0])
-        self._number, self._file_number = recalled.number, recalled.file
+        self._file_number = recalled.file
         self._wakes: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._syncs = LogSyncs(tell)
         self._descriptor, self._path, self._size = -1, Path(), 0
@@ -171,10 +171,9 @@ class LogWriter:
 
     def _append(self, items: list[Record]) -> None:
         self._require_file()
-        numbered = enumerate(items, self._number + 1)
+        numbered = enumerate(items, self._memory.number + 1)
         records = [replace(item, number=number) for number, item in numbered]
         self._write(b"".join(map(framed, records)))
-        self._number += len(items)
         for record in records:
             self._memory.take(record)
 
@@ -225,10 +224,10 @@ class LogWriter:
 
     def _append_begin(self) -> None:
         now_s, wall_s = self._clock()
-        begin = self._memory.begin(self._header, self._part, now_s)
+        begin = Begin(self._header, self._part, self._memory.left(now_s))
         payload = msgspec.msgpack.encode(begin)
         # without a separate number: the next record has the same one in whichever file it is
-        self._write(framed(Record(self._number, now_s, wall_s, Kind.BEGIN, payload)))
+        self._write(framed(Record(self._memory.number, now_s, wall_s, Kind.BEGIN, payload)))
         # before an archiver may remove the files before this one
         self._syncs.keep(self._descriptor, self._notes_written)
 

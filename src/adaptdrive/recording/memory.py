@@ -7,9 +7,9 @@ removed once its rows are in the folder of their session.
 
 from __future__ import annotations
 
+import contextlib
 from collections import OrderedDict, deque
 from datetime import datetime
-from typing import Any
 
 import msgspec
 
@@ -23,62 +23,61 @@ TRIP = "trip"
 """Kind of the event of a trip."""
 
 
-class Left(msgspec.Struct, frozen=True, kw_only=True):
-    """State that survives segments and runs.
+class Recalled(msgspec.Struct, frozen=True, omit_defaults=True):
+    """State that earlier segments and runs have left.
 
     Attributes:
         replies: Id, age in seconds and contents of each reply, the oldest first.
         unsent: Events that the broker does not have.
         trip: Event of the last trip.
         learnt: Estimates for the next run; empty for none.
+        number: Number of the last record.
+        file: Number of the last file.
+        flaws: What of it cannot be read, in words.
     """
 
     replies: tuple[tuple[str, float, bytes], ...] = ()
     unsent: tuple[EventRow, ...] = ()
     trip: EventRow | None = None
     learnt: bytes = b""
-
-
-class Begin(Left, frozen=True):
-    """First record of a segment: what is left of those before it.
-
-    Attributes:
-        header: The session that it belongs to.
-        part: Segment of the session that its rows are in, from 1.
-    """
-
-    header: Header
-    part: int
-
-
-class Recalled(Left, frozen=True, kw_only=True):
-    """State that an earlier run has left.
-
-    Attributes:
-        number: Number of its last record.
-        file: Number of its last file.
-        flaws: What of it cannot be read, in words.
-    """
-
     number: int = 0
     file: int = 0
     flaws: tuple[str, ...] = ()
 
 
+class Begin(msgspec.Struct, frozen=True):
+    """First record of a segment.
+
+    Attributes:
+        header: The session that it belongs to.
+        part: Segment of the session that its rows are in, from 1.
+        left: What segments before it have left.
+    """
+
+    header: Header
+    part: int
+    left: Recalled = Recalled()
+
+
 class LogMemory:
     """The fold."""
 
-    def __init__(self, left: Left, now_s: float) -> None:
-        """Begin with what an earlier run or segment has left.
+    def __init__(self, recalled: Recalled, now_s: float) -> None:
+        """Begin with what an earlier run has left.
 
         Args:
-            left: That.
+            recalled: That.
             now_s: Present time, monotonic.
         """
-        self._last: Record | None = None
-        self._begin(left, now_s)
+        self._last = Record(recalled.number, now_s, 0.0, Kind.BEGIN, b"")
+        self._begin(recalled, now_s)
 
-    def _begin(self, left: Left, now_s: float) -> None:
+    @property
+    def number(self) -> int:
+        """Number of the last record."""
+        return self._last.number
+
+    def _begin(self, left: Recalled, now_s: float) -> None:
         self._replies = OrderedDict(
             (identity, (now_s - age_s, body)) for identity, age_s, body in left.replies
         )
@@ -92,16 +91,15 @@ class LogMemory:
         Args:
             record: The next one of the log.
         """
-        try:
-            self._take(record)
-        except NOT_JSON:
-            return
         self._last = record
+        with contextlib.suppress(*NOT_JSON):
+            self._take(record)
 
     def _take(self, record: Record) -> None:
         match record.kind:
             case Kind.BEGIN:
-                self._begin(msgspec.msgpack.decode(record.payload, type=Begin), record.monotonic_s)
+                begin = msgspec.msgpack.decode(record.payload, type=Begin)
+                self._begin(begin.left, record.monotonic_s)
             case Kind.REPLY:
                 identity, body = msgspec.msgpack.decode(record.payload, type=tuple[str, bytes])
                 self._replies.pop(identity, None)
@@ -121,15 +119,17 @@ class LogMemory:
             case _:
                 pass
 
-    def begin(self, header: Header, part: int, now_s: float) -> Begin:
-        """Return the first record of a segment.
+    def left(self, now_s: float) -> Recalled:
+        """Return what the next segment begins with.
 
         Args:
-            header: The session.
-            part: Segment of the session.
             now_s: Present time, monotonic.
         """
-        return Begin(header, part, **self._left(now_s))
+        replies = tuple(
+            (identity, max(0.0, now_s - born_s), body)
+            for identity, (born_s, body) in self._replies.items()
+        )
+        return Recalled(replies, tuple(self._unsent), self._trip, self._learnt, self.number)
 
     def recalled(self, now: datetime, file: int, flaws: tuple[str, ...]) -> Recalled:
         """Return what the next run begins with; ages follow the wall clock.
@@ -139,20 +139,6 @@ class LogMemory:
             file: Number of the last file.
             flaws: What could not be read.
         """
-        if self._last is None:
-            return Recalled(file=file, flaws=flaws)
         since_s = max(0.0, now.timestamp() - self._last.wall_s)
-        left = self._left(self._last.monotonic_s + since_s)
-        return Recalled(number=self._last.number, file=file, flaws=flaws, **left)
-
-    def _left(self, now_s: float) -> dict[str, Any]:
-        replies = (
-            (identity, max(0.0, now_s - born_s), body)
-            for identity, (born_s, body) in self._replies.items()
-        )
-        return {
-            "replies": tuple(replies),
-            "unsent": tuple(self._unsent),
-            "trip": self._trip,
-            "learnt": self._learnt,
-        }
+        left = self.left(self._last.monotonic_s + since_s)
+        return msgspec.structs.replace(left, file=file, flaws=flaws)

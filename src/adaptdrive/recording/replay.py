@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -18,13 +19,101 @@ from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import Command, Decision, Snapshot
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
-from adaptdrive.recording.replay_report import Difference, Gap, ReplayReport
 from adaptdrive.recording.session import INFO_FILE, SLOW, TICKS
 from adaptdrive.runtime.reports import TICK_COLUMNS, TickReport
 
 _COLUMNS = tuple(column.name for column in TICK_COLUMNS)
 _COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
 _DECIDED = ("boost_reference_V", "controller", "accepted", "gains")
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The values recorded and replayed at one tick."""
+
+    tick: int
+    recorded: Mapping[str, Any]
+    replayed: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        return f"at tick {self.tick}: recorded {_text(self.recorded)}; now {_text(self.replayed)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Ticks that were run and not recorded.
+
+    Attributes:
+        before_tick: First recorded tick after them.
+        missing: How many; negative where the record goes back.
+    """
+
+    before_tick: int
+    missing: int
+
+    def __str__(self) -> str:
+        return f"{self.missing} before tick {self.before_tick}"
+
+
+@dataclass(slots=True)
+class ReplayReport:
+    """Result of a replay.
+
+    Attributes:
+        session: Name of the session.
+        ticks: Fast ticks replayed.
+        slow_steps: Slow steps replayed.
+        differing_commands: Commands that are not the recorded ones to the last bit.
+        first_command: The first of them.
+        largest: Largest difference by quantity of the command; only quantities that differ.
+        differing_decisions: Slow steps that came out differently.
+        first_decision: The first of them.
+        gaps: Where ticks are missing from the record.
+        unmatched: Slow indices that took effect in the record, but had no decision in the replay.
+    """
+
+    session: str
+    ticks: int = 0
+    slow_steps: int = 0
+    differing_commands: int = 0
+    first_command: Difference | None = None
+    largest: dict[str, float] = field(default_factory=dict)
+    differing_decisions: int = 0
+    first_decision: Difference | None = None
+    gaps: list[Gap] = field(default_factory=list)
+    unmatched: list[int] = field(default_factory=list)
+
+    @property
+    def exact(self) -> bool:
+        """True when the record is whole and every command came out bit-equal."""
+        return not (self.gaps or self.unmatched or self.differing_commands)
+
+    def __str__(self) -> str:
+        lines = [f"{self.session}: replayed {self.ticks} ticks and {self.slow_steps} slow steps"]
+        lines += self._told_gaps() + self._told_commands() + self._told_decisions()
+        return "\n".join(lines)
+
+    def _told_gaps(self) -> list[str]:
+        lines = []
+        if self.gaps:
+            shown = ", ".join(map(str, self.gaps[:5])) + (", ..." if len(self.gaps) > 5 else "")
+            lines.append(f"cannot be exact, the record lacks ticks: {shown}")
+        if self.unmatched:
+            count, first = len(self.unmatched), self.unmatched[0]
+            lines.append(f"no decision to apply for {count} slow steps, the first at k = {first}")
+        return lines
+
+    def _told_commands(self) -> list[str]:
+        if self.first_command is None:
+            return ["every command is bit-equal"]
+        share = f"{self.differing_commands} of {self.ticks} commands differ"
+        return [share, f"first {self.first_command}", f"largest difference {_text(self.largest)}"]
+
+    def _told_decisions(self) -> list[str]:
+        if self.first_decision is None:
+            return []
+        share = f"{self.differing_decisions} of {self.slow_steps} slow steps differ"
+        return [share, f"first {self.first_decision}"]
 
 
 def replay(session: Session, controller: TwoRate) -> ReplayReport:
@@ -45,10 +134,9 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
     player = _Player(session, controller)
     for recorded in islice(recorded_ticks(session), player.known):
         player.play(recorded)
-    report = player.report()
-    if not report.ticks:
+    if not player.report.ticks:
         raise RecordingError(session.path, "it holds no ticks to replay")
-    return report
+    return player.report
 
 
 def recorded_ticks(session: Session) -> Iterator[TickReport]:
@@ -74,11 +162,12 @@ class _Player:
     """One replay under way.
 
     Attributes:
+        report: Its result so far.
         known: Ticks whose decisions are known; a session in progress grows while it is replayed.
     """
 
     def __init__(self, session: Session, controller: TwoRate) -> None:
-        self._session = session
+        self.report = ReplayReport(session.path.name)
         self._controller = controller
         self._schedule = Schedule(controller, latency_ticks=0)  # delivered when it took effect
         self._slow = {row["k"]: row for row in table_rows(session, SLOW, ("k", *_DECIDED))}
@@ -90,107 +179,64 @@ class _Player:
             self.known += 1
         self._pending: dict[int, tuple[Snapshot, Decision]] = {}
         self._next_sequence = 0
-        self._ticks = 0
-        self._slow_steps = 0
-        self._gaps: list[Gap] = []
-        self._unmatched: list[int] = []
-        self._commands = _Comparison()
-        self._decisions = _Comparison()
 
     def play(self, recorded: TickReport) -> None:
         """Replay one tick."""
-        self._note_gap(recorded)
+        tick, missing = recorded.measurement.tick, recorded.sequence - self._next_sequence
+        if missing:
+            self.report.gaps.append(Gap(before_tick=tick, missing=missing))
+        self._next_sequence = recorded.sequence + 1
         if recorded.applied_k >= 0:
             self._deliver(recorded.applied_k)
         command = self._schedule.tick(recorded.measurement, recorded.order)
-        tick = recorded.measurement.tick
-        self._commands.compare(tick, _command_values(recorded.command), _command_values(command))
-        self._ticks += 1
+        self.report.ticks += 1
+        self._compare_commands(tick, recorded.command, command)
         snapshot = self._schedule.take_snapshot()
         if snapshot is not None and snapshot.k in self._decided:
             self._decide(snapshot)
 
-    def report(self) -> ReplayReport:
-        """Return the result."""
-        return ReplayReport(
-            session=self._session.path.name,
-            ticks=self._ticks,
-            slow_steps=self._slow_steps,
-            differing_commands=self._commands.differing,
-            first_command=self._commands.first,
-            largest=self._commands.largest,
-            differing_decisions=self._decisions.differing,
-            first_decision=self._decisions.first,
-            gaps=tuple(self._gaps),
-            unmatched=tuple(self._unmatched),
-        )
-
-    def _note_gap(self, recorded: TickReport) -> None:
-        missing = recorded.sequence - self._next_sequence
-        if missing != 0:
-            self._gaps.append(Gap(before_tick=recorded.measurement.tick, missing=missing))
-        self._next_sequence = recorded.sequence + 1
-
     def _deliver(self, k: int) -> None:
         decided = self._pending.pop(k, None)
         if decided is None or not self._schedule.deliver(*decided):
-            self._unmatched.append(k)
+            self.report.unmatched.append(k)
         self._pending = {other: kept for other, kept in self._pending.items() if other > k}
+
+    def _compare_commands(self, tick: int, recorded: Command, replayed: Command) -> None:
+        then, now = (
+            {name: getattr(command, name) for name in _COMMANDED}
+            for command in (recorded, replayed)
+        )
+        unlike = [name for name in then if _bits(then[name]) != _bits(now[name])]
+        if unlike:
+            report = self.report
+            report.differing_commands += 1
+            report.first_command = report.first_command or Difference(tick, then, now)
+        for name in unlike:
+            distance = _distance(then[name], now[name])
+            report.largest[name] = max(distance, report.largest.get(name, 0.0))
 
     def _decide(self, snapshot: Snapshot) -> None:
         decision = self._controller.decide(snapshot)
         self._pending[snapshot.k] = snapshot, decision
-        self._slow_steps += 1
-        row = self._slow.get(snapshot.k)
-        if row is not None:
-            recorded = {name: row[name] for name in _DECIDED}
-            self._decisions.compare(snapshot.tick, recorded, _decision_values(decision))
-
-
-class _Comparison:
-    """Counts and remembers what differs in a series of named values."""
-
-    def __init__(self) -> None:
-        self.differing = 0
-        self.first: Difference | None = None
-        self.largest: dict[str, float] = {}
-
-    def compare(self, tick: int, recorded: dict[str, Any], replayed: dict[str, Any]) -> None:
-        """Compare one set of values, bit for bit."""
-        unlike = [name for name in recorded if not _alike(recorded[name], replayed[name])]
-        if not unlike:
+        report = self.report
+        report.slow_steps += 1
+        if (row := self._slow.get(snapshot.k)) is None:
             return
-        self.differing += 1
-        if self.first is None:
-            self.first = Difference(tick, recorded, replayed)
-        for name in unlike:
-            distance = _distance(recorded[name], replayed[name])
-            self.largest[name] = max(distance, self.largest.get(name, 0.0))
+        then = {name: row[name] for name in _DECIDED}
+        now = {name: getattr(decision, name) for name in _DECIDED}
+        now |= {"controller": decision.controller.value, "gains": list(decision.gains)}
+        if any(_bits(then[name]) != _bits(now[name]) for name in then):
+            report.differing_decisions += 1
+            report.first_decision = report.first_decision or Difference(snapshot.tick, then, now)
 
 
-def _command_values(command: Command) -> dict[str, Any]:
-    return {name: getattr(command, name) for name in _COMMANDED}
-
-
-def _decision_values(decision: Decision) -> dict[str, Any]:
-    whole = {name: getattr(decision, name) for name in _DECIDED}
-    return whole | {"controller": decision.controller.value, "gains": list(decision.gains)}
-
-
-def _alike(recorded: object, replayed: object) -> bool:
-    """Return whether two values are the same to the last bit; one NaN is as good as another."""
-    if isinstance(recorded, list) and isinstance(replayed, list):
-        same_length = len(recorded) == len(replayed)
-        return same_length and all(map(_alike_items, recorded, replayed))
-    return _alike_items(recorded, replayed)
-
-
-def _alike_items(recorded: object, replayed: object) -> bool:
-    if isinstance(recorded, float) and isinstance(replayed, int | float):
-        if math.isnan(recorded) and math.isnan(replayed):
-            return True
-        return struct.pack("<d", recorded) == struct.pack("<d", replayed)
-    return recorded == replayed
+def _bits(value: Any) -> Any:  # noqa: ANN401 - whatever a column holds
+    """Return numbers as their bits; one NaN is as good as another."""
+    if isinstance(value, list):
+        return [_bits(one) for one in value]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    return "NaN" if math.isnan(value) else struct.pack("<d", value)
 
 
 def _distance(recorded: object, replayed: object) -> float:
@@ -199,3 +245,7 @@ def _distance(recorded: object, replayed: object) -> float:
         distance = abs(recorded - replayed)
         return math.inf if math.isnan(distance) else distance
     return math.inf
+
+
+def _text(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} = {value!r}" for name, value in values.items())

@@ -6,14 +6,15 @@ Each field has `unit`, `description` and `source` as metadata.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
+from itertools import chain
 from typing import Any
 
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording.records import CommandRow, EventRow, SensorColumn
+from adaptdrive.recording.records import CommandRow, EventRow, SensorColumn, Ticks
 from adaptdrive.recording.session import COMMANDS, EVENTS, SENSORS, SLOW, TICKS
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
 
@@ -77,40 +78,39 @@ def table_schema(
     return pa.schema([_UTC_FIELD, *fields])
 
 
-def ticks_batch(
-    columns: Mapping[str, bytes | list[str]],
-    rows: int,
-    schema: pa.Schema,
-    offsets: Sequence[tuple[int, float]],
-) -> pa.RecordBatch:
+def ticks_batch(timed: Sequence[tuple[Ticks, float]], schema: pa.Schema) -> pa.RecordBatch:
     """Return fast ticks as a record batch.
 
     Args:
-        columns: Machine arrays and texts by column name.
-        rows: Number of ticks.
+        timed: Ticks, each with UTC minus monotonic time in seconds.
         schema: Schema of the ticks.
-        offsets: UTC minus monotonic time in seconds, each with the rows that it holds for.
     """
+    rows = sum(ticks.rows for ticks, _ in timed)
     arrays = {
-        field.name: _array(field.type, columns[field.name], rows)
+        field.name: _array(field.type, [ticks.columns[field.name] for ticks, _ in timed], rows)
         for field in schema
         if field.name != _UTC_FIELD.name
     }
-    each = [offset_s for count, offset_s in offsets for _ in range(count)]
-    times_s = arrays[MONOTONIC].to_pylist()
-    arrays[_UTC_FIELD.name] = pa.array(map(_utc, times_s, each), UTC)
+    offsets = (offset_s for ticks, offset_s in timed for _ in range(ticks.rows))
+    arrays[_UTC_FIELD.name] = pa.array(map(_utc, arrays[MONOTONIC].to_pylist(), offsets), UTC)
     return pa.RecordBatch.from_pydict(arrays, schema)
 
 
-def rows_batch(rows: Sequence[dict[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
+def rows_batch(
+    timed: Sequence[tuple[list[dict[str, Any]], float]], schema: pa.Schema
+) -> pa.RecordBatch:
     """Return rows of any other table as a record batch; a value that a row lacks is null.
 
     Args:
-        rows: Values by name of their column, and `offset_s`, UTC minus monotonic time.
+        timed: Rows by name of their columns, each with UTC minus monotonic time in seconds.
         schema: Schema of the table.
     """
-    timed = [row | {_UTC_FIELD.name: _utc(row[MONOTONIC], row["offset_s"])} for row in rows]
-    return pa.RecordBatch.from_pylist(timed, schema=schema)
+    rows = (
+        row | {_UTC_FIELD.name: _utc(row[MONOTONIC], offset_s)}
+        for rows, offset_s in timed
+        for row in rows
+    )
+    return pa.RecordBatch.from_pylist(list(rows), schema=schema)
 
 
 def conform(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
@@ -148,10 +148,11 @@ def _utc(time_s: float, offset_s: float) -> int | None:
     return round((time_s + offset_s) * 1e6) if math.isfinite(time_s) else None
 
 
-def _array(kind: pa.DataType, values: bytes | list[str], rows: int) -> pa.Array:
+def _array(kind: pa.DataType, parts: list[Any], rows: int) -> pa.Array:
     """Return a column; without `cast`, for which Arrow loads a large library."""
-    if isinstance(values, list):
-        return pa.array(values, kind)
+    if isinstance(parts[0], list):
+        return pa.array(chain.from_iterable(parts), kind)
+    values = b"".join(parts)
     if kind == pa.bool_():
         return pa.array(map(bool, values), kind)
     return pa.Array.from_buffers(kind, rows, [None, pa.py_buffer(values)])
