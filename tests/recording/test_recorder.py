@@ -17,8 +17,7 @@ import pytest
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.log_writer import LogWriter
-from adaptdrive.recording.notes import session_notes
-from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.reader import Session, read_session, session_notes
 from adaptdrive.recording.recorder import EVENT_KIND, Recorder
 from adaptdrive.recording.recorder_settings import Clocks, Place, RecordingPace
 from adaptdrive.recording.records import EventRow, Header, Keep

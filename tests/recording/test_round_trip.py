@@ -25,8 +25,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.notes import session_notes
-from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.reader import read_session, session_notes
 from adaptdrive.recording.records import CommandRow, EventRow, Header, event_row
 from adaptdrive.recording.replay import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending

@@ -216,7 +216,7 @@ def events(
         directory: Folder of the sessions.
         as_json: Print JSON.
     """
-    from adaptdrive.recording.notes import session_notes  # noqa: PLC0415 - see above
+    from adaptdrive.recording.reader import session_notes  # noqa: PLC0415 - see above
     from adaptdrive.runtime.trips import remedy  # noqa: PLC0415
 
     _refuse_unknown(kind)

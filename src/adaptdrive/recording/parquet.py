@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -71,30 +72,22 @@ def write_parquet(path: Path, batches: Iterable[pa.RecordBatch]) -> None:
         unfinished.unlink(missing_ok=True)
 
 
-def read_parquet(
-    path: Path, columns: list[str] | None = None, *, strict: bool = False
-) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of a file a batch at a time.
+def read_parquet(path: Path, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of a file a batch at a time; each page is held against its checksum.
 
     Args:
         path: The file.
         columns: The columns wanted, where the file has them; None for all.
-        strict: Whether to hold each page against its checksum.
 
     Raises:
         RecordingError: The file is damaged.
     """
-    try:
-        require_regular(path)
-        with (
-            open_file(path, "rb") as source,
-            pq.ParquetFile(source, page_checksum_verification=strict) as file,
-        ):
-            wanted = columns and [name for name in columns if name in file.schema_arrow.names]
-            # one thread: more of them take half as much processor time again, from the daemon
-            yield from file.iter_batches(_BATCH_ROWS, columns=wanted, use_threads=False)
-    except (pa.ArrowException, OSError) as problem:
-        raise RecordingError(path, str(problem)) from problem
+    with _opened(path) as file:
+        wanted = columns and [name for name in columns if name in file.schema_arrow.names]
+        # one thread: more of them take half as much processor time again, from the daemon
+        for batch in file.iter_batches(_BATCH_ROWS, columns=wanted, use_threads=False):
+            if batch.num_rows:
+                yield batch
 
 
 def parquet_schema(path: Path) -> pa.Schema:
@@ -103,10 +96,19 @@ def parquet_schema(path: Path) -> pa.Schema:
     Raises:
         RecordingError: The file is damaged.
     """
+    with _opened(path) as file:
+        return file.schema_arrow
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[pq.ParquetFile]:
     try:
         require_regular(path)
-        with open_file(path, "rb") as source:
-            return pq.read_schema(source)
+        with (
+            open_file(path, "rb") as source,
+            pq.ParquetFile(source, page_checksum_verification=True) as file,
+        ):
+            yield file
     except (pa.ArrowException, OSError) as problem:
         raise RecordingError(path, str(problem)) from problem
 

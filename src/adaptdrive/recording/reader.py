@@ -8,23 +8,26 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pyarrow as pa
 
 from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.files import read_regular
-from adaptdrive.recording.notes import session_notes
 from adaptdrive.recording.records import CommandRow, EventRow
-from adaptdrive.recording.segments import Segment, segments
+from adaptdrive.recording.segments import Segment, closed_segments, segments
 from adaptdrive.recording.session import (
+    COMMANDS,
     CONFIG_FILE,
+    EVENTS,
     SENSORS,
     SLOW,
     TICKS,
     SessionInfo,
     read_info,
 )
-from adaptdrive.recording.tables import conform, table_schema
+from adaptdrive.recording.tables import NOTE_ROWS, table_schema
 
 _LARGEST_TEXT_BYTES = 4 << 20
 """A configuration of a million characters, the longest that is accepted."""
@@ -82,12 +85,10 @@ class Session:
             columns: The columns wanted, None for all.
 
         Raises:
-            RecordingError: A file is damaged, or holds another table; a value of an enumeration
-                that is none of it shows that, too.
+            RecordingError: A file is damaged, or holds another table.
         """
-        schema = self._schema_of(table, columns)
-        for segment in segments(self.path, self.info, table):
-            yield from _rows(segment, schema)
+        for batches in self._segments(table, columns):
+            yield from batches
 
     def ends(
         self, table: str, columns: Sequence[str]
@@ -101,11 +102,10 @@ class Session:
         Raises:
             RecordingError: As for `batches`.
         """
-        schema, found = self._schema_of(table, columns), segments(self.path, self.info, table)
-        for segment in found:
-            if (first := next(_filled(segment, schema), None)) is not None:
-                lasts = (_last(_filled(one, schema)) for one in reversed(found))
-                return first, next(last for last in lasts if last is not None)
+        first = next(self.batches(table, columns), None)
+        for batches in reversed(self._segments(table, columns)):
+            for last in deque(batches, maxlen=1):
+                return first, last
         return None
 
     @property
@@ -115,43 +115,53 @@ class Session:
         found: datetime | None = ends and ends[1].column("utc")[-1].as_py()
         return found
 
-    def _schema_of(self, table: str, columns: Sequence[str] | None) -> pa.Schema:
+    def _segments(
+        self, table: str, columns: Sequence[str] | None
+    ) -> list[Iterator[pa.RecordBatch]]:
+        """Return the rows of each segment of a table, read when they are asked for."""
         schema = self.schema(table)
-        if columns is None:
-            return schema
-        return pa.schema([schema.field(name) for name in columns])
+        if columns is not None:
+            schema = pa.schema([schema.field(name) for name in columns])
+        return [segment.rows(schema) for segment in segments(self.path, self.info, table)]
 
     def _table(self, table: str) -> pa.Table:
         return pa.Table.from_batches(list(self.batches(table)), self.schema(table))
 
 
-def conformed(segment: Segment, batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
-    """Return rows of a segment as those of its table.
+def session_notes(
+    directory: Path, damage: list[str] | None = None
+) -> tuple[tuple[EventRow, ...], tuple[CommandRow, ...]]:
+    """Return the events and commands of a session, also where its facts are lost.
 
     Args:
-        segment: The segment, for the text of an error.
-        batch: Rows of it.
-        schema: The columns wanted.
+        directory: Directory of the session.
+        damage: Takes what cannot be read, in words; None to refuse that.
 
     Raises:
-        RecordingError: They are damaged, or rows of another table.
+        RecordingError: They are damaged.
     """
     try:
-        return conform(batch, schema)
-    except ValueError as problem:
-        raise RecordingError(segment.path, str(problem)) from problem
+        found = segments(directory, read_info(directory))
+    except RecordingError:
+        found = closed_segments(directory)
+    notes: dict[str, list[Any]] = {EVENTS: [], COMMANDS: []}
+    for segment in found:
+        try:
+            if segment.table in notes:
+                notes[segment.table] += _notes(segment)
+        except RecordingError as problem:
+            if damage is None:
+                raise
+            damage.append(str(problem))
+    return tuple(notes[EVENTS]), tuple(notes[COMMANDS])
 
 
-def _rows(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
-    return (conformed(segment, batch, schema) for batch in segment.batches(schema.names))
-
-
-def _filled(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
-    return (batch for batch in _rows(segment, schema) if batch.num_rows)
-
-
-def _last(batches: Iterator[pa.RecordBatch]) -> pa.RecordBatch | None:
-    return next(iter(deque(batches, maxlen=1)), None)
+def _notes(segment: Segment) -> list[Any]:
+    try:
+        rows = [row for batch in segment.batches() for row in batch.to_pylist()]
+        return [msgspec.convert(row, NOTE_ROWS[segment.table]) for row in rows]
+    except (msgspec.ValidationError, ValueError, OverflowError) as problem:
+        raise RecordingError(segment.path, f"damaged {segment.table}: {problem}") from problem
 
 
 def read_session(path: Path) -> Session:

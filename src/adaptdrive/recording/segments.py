@@ -15,7 +15,7 @@ from adaptdrive.recording.log_files import LogFile, first_begin, unarchived
 from adaptdrive.recording.log_tables import logged_batches
 from adaptdrive.recording.parquet import parquet_schema, read_parquet
 from adaptdrive.recording.session import NOTES, TABLES, SessionInfo
-from adaptdrive.recording.tables import table_schema
+from adaptdrive.recording.tables import conform, table_schema
 
 _ALL = (*TABLES, *NOTES)
 _NAME = re.compile(rf"({'|'.join(_ALL)})-(\d{{4,}})\.parquet")
@@ -39,31 +39,44 @@ class Segment:
 
     @property
     def closed(self) -> bool:
-        """True once it is a Parquet file."""
-        return not self.logged
+        """True once it is a Parquet file, perhaps since it was listed."""
+        return not self.logged or self.path.exists()
 
     def batches(
-        self, columns: list[str] | None = None, *, strict: bool = False
+        self, columns: list[str] | None = None, losses: list[str] | None = None
     ) -> Iterator[pa.RecordBatch]:
         """Yield its rows a batch at a time, as they are on disk.
 
         Args:
             columns: The columns wanted, where the segment has them; None for all.
-            strict: Whether to hold each page against its checksum and to refuse what is damaged.
+            losses: Takes what of the log cannot be read, in words.
 
         Raises:
             RecordingError: The file is damaged.
         """
-        if self.closed or self.path.exists():  # since this segment was listed
-            yield from read_parquet(self.path, columns, strict=strict)
+        if self.closed:
+            yield from read_parquet(self.path, columns)
             return
-        losses: list[str] = []
         schema = self._logged_schema()
         wanted = [name for name in schema.names if columns is None or name in columns]
         for batch in logged_batches(self.logged, self.table, schema, losses):
             yield batch.select(wanted)
-        if strict and losses:
-            raise RecordingError(self.logged[0].path.parent, "; ".join(losses))
+
+    def rows(self, schema: pa.Schema, losses: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+        """Yield its rows a batch at a time, as those of its table.
+
+        Args:
+            schema: The columns wanted.
+            losses: Takes what of the log cannot be read, in words.
+
+        Raises:
+            RecordingError: The file is damaged, or holds another table.
+        """
+        for batch in self.batches(schema.names, losses):
+            try:
+                yield conform(batch, schema)
+            except ValueError as problem:
+                raise RecordingError(self.path, str(problem)) from problem
 
     def schema(self) -> pa.Schema:
         """Return its columns as they are on disk.
@@ -71,7 +84,7 @@ class Segment:
         Raises:
             RecordingError: The file is damaged.
         """
-        if self.closed or self.path.exists():
+        if self.closed:
             return parquet_schema(self.path)
         return self._logged_schema()
 

@@ -68,8 +68,7 @@ def _first_time_s(recent: list[Segment]) -> float:
     """Return the time of the first tick that is looked at; 0 without one."""
     for segment in recent:
         for batch in segment.batches([MONOTONIC]):
-            if batch.num_rows:
-                return float(batch.column(MONOTONIC)[0].as_py())
+            return float(batch.column(MONOTONIC)[0].as_py())
     return 0.0
 
 

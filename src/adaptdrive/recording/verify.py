@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.reader import Session, conformed
+from adaptdrive.recording.reader import Session
 from adaptdrive.recording.segments import Segment, segments
 from adaptdrive.recording.session import (
     COMMANDS,
@@ -65,10 +65,9 @@ def verify(session: Session) -> Verification:
     for segment in segments(session.path, session.info):
         try:
             # the columns of sensors are the user's
-            schema = None if segment.table == SENSORS else session.schema(segment.table)
-            for batch in segment.batches(strict=True):
-                if schema is not None:
-                    conformed(segment, batch, schema)
+            known = segment.table != SENSORS
+            schema = session.schema(segment.table) if known else segment.schema()
+            for batch in segment.rows(schema, problems):
                 count.take(segment, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
@@ -80,7 +79,7 @@ def verify(session: Session) -> Verification:
     missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
     problems += session.info.losses
     shown = {table: rows[table] for table in TABLES if table in rows}
-    return Verification(shown, missing, tuple(problems))
+    return Verification(shown, missing, tuple(dict.fromkeys(problems)))
 
 
 @dataclass(slots=True)
@@ -88,13 +87,13 @@ class _Count:
     """Rows of a session, in the order in which they must be.
 
     Attributes:
-        next_sequence: Running number of the next tick; None where any may be the first.
+        next_sequence: Running number of the next tick.
         missing_ticks: Ticks between those that were counted.
         rows: Rows by table.
         last: Last key by table.
     """
 
-    next_sequence: int | None
+    next_sequence: int
     missing_ticks: int = 0
     rows: dict[str, int] = field(default_factory=dict)
     last: dict[str, float] = field(default_factory=dict)
@@ -105,30 +104,18 @@ class _Count:
         Raises:
             RecordingError: They are not later than those before them, as in a copy of a file.
         """
-        table = segment.table
-        if batch.num_rows and (table == TICKS or _KEYS[table] in batch.schema.names):
-            first, last = _last_key(segment, batch.slice(length=1)), _last_key(segment, batch)
+        table, key = segment.table, _KEYS[segment.table]
+        if key in batch.schema.names:
+            first, last = (batch.column(key)[place].as_py() for place in (0, -1))
+            if first is None or last is None:
+                raise RecordingError(segment.path, f"it does not hold the {key} of each row")
             if first <= self.last.get(table, -math.inf):
                 raise RecordingError(segment.path, "its rows are not later than those before them")
             self.last[table] = last
             if table == TICKS:
-                self._count_missing(int(first), int(last), batch.num_rows)
+                self.missing_ticks += last + 1 - self.next_sequence - batch.num_rows
+                self.next_sequence = last + 1
         self.rows[table] = self.rows.get(table, 0) + batch.num_rows
-
-    def _count_missing(self, first: int, last: int, rows: int) -> None:
-        expected = first if self.next_sequence is None else self.next_sequence
-        self.missing_ticks += last + 1 - expected - rows
-        self.next_sequence = last + 1
-
-
-def _last_key(segment: Segment, batch: pa.RecordBatch) -> float:
-    """Return the value of the key column in the last row of a batch."""
-    key = _KEYS[segment.table]
-    if batch.schema.names.count(key) == 1:
-        last = batch.column(key)[-1].as_py()
-        if isinstance(last, float if key == MONOTONIC else int):
-            return last
-    raise RecordingError(segment.path, f"it does not hold the {key} of each row")
 
 
 def _missing_rows(rows: Mapping[str, int], known: Mapping[str, int]) -> Iterator[str]:
