@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import shutil
@@ -279,6 +280,20 @@ def test_the_file_that_knows_what_the_others_left_is_never_removed(place: Place)
     place.next_start()
     assert not first.exists()
     assert len(log_files(place.log)) == 1
+
+
+def test_a_segment_that_ends_while_the_archiver_runs_stays_in_the_log(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place.begin()
+    first = place.write(0)
+    with first.open("rb") as held, monkeypatch.context() as daemon:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as its daemon does
+        daemon.setattr(
+            "adaptdrive.recording.archive.prune", lambda *_: [str(place.write(10, part=2))]
+        )
+        archive_all(place.log)
+    assert sequences(place.session) == list(range(20))
 
 
 # -- records of trips --------------------------------------------------------------------------

@@ -33,14 +33,11 @@ from adaptdrive.recording.log_files import (
     newest_sound,
 )
 from adaptdrive.recording.log_tables import content_of, logged_batches
-from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.retention import prune
-from adaptdrive.recording.segments import parquet_path
+from adaptdrive.recording.segments import write_segment
 from adaptdrive.recording.session import (
-    NOTES,
-    TABLES,
     Dropped,
     Ending,
     SessionInfo,
@@ -50,7 +47,6 @@ from adaptdrive.recording.session import (
     write_info,
 )
 from adaptdrive.recording.tables import table_schema
-from adaptdrive.recording.tick_times import Counted
 from adaptdrive.recording.trip_record import write_trips
 from adaptdrive.runtime.reports import Severity
 
@@ -68,24 +64,19 @@ class _Logged:
     Attributes:
         header: The session.
         files: Files of it, in their order.
+        newest: Whether no other session began later.
         open: Segment that is still written, 0 for none.
     """
 
     header: Header
     files: tuple[LogFile, ...]
+    newest: bool
     open: int
 
     @property
     def folder(self) -> Path:
         """Folder of the log."""
         return self.files[0].path.parent
-
-    @property
-    def closed(self) -> Iterator[tuple[int, tuple[LogFile, ...]]]:
-        """Segments that are complete, each with its files."""
-        for part, files in groupby(self.files, key=lambda file: file.part):
-            if part != self.open:
-                yield part, tuple(files)
 
 
 def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[Path]:
@@ -109,15 +100,22 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
     written: list[Path] = []
     failures: list[str] = []
     with _alone(folder):
-        for logged in _sessions(folder, report):
+        # listed once: what the daemon begins meanwhile is for the next run, and stays
+        files, live = log_files(folder), is_live(folder)
+        for session, group in groupby(files, key=lambda file: file.session):
+            of_session, newest = tuple(group), session == files[-1].session
             try:
+                if (begin := first_begin(of_session)) is None:
+                    _put_aside(of_session, report)
+                    continue
+                open_part = files[-1].part if live and newest else 0
+                logged = _Logged(begin.header, of_session, newest, open_part)
                 written += _archive(logged, now_s, after_s, report)
             except ERRORS as problem:
-                failures.append(f"session {logged.files[0].session} stays in the log: {problem}")
-        if not failures:
-            _remove_archived(folder)
-    if failures:
-        raise RecordingError(folder, "; ".join(failures))
+                failures.append(f"session {session} stays in the log: {problem}")
+        if failures:
+            raise RecordingError(folder, "; ".join(failures))
+        _remove_archived(files, live=live)
     return written
 
 
@@ -130,17 +128,6 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def _sessions(folder: Path, report: Report) -> Iterator[_Logged]:
-    files, live = log_files(folder), is_live(folder)
-    for session, group in groupby(files, key=lambda file: file.session):
-        of_session = tuple(group)
-        if (begin := first_begin(of_session)) is None:
-            _put_aside(of_session, report)
-            continue
-        is_open = live and session == files[-1].session
-        yield _Logged(begin.header, of_session, files[-1].part if is_open else 0)
 
 
 def _put_aside(files: Sequence[LogFile], report: Report) -> None:
@@ -160,12 +147,12 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
     due_s = now_s - after_s if logged.open else math.inf
     trips = _with_reserve(logged.folder, lambda: write_trips(directory, due_s, after_s))
     info = read_info(directory)
-    for part, files in logged.closed:
-        if part > info.segments:
-            info = close_segment(directory, logged.header, info, part, files)
+    for part, files in groupby(logged.files, key=lambda file: file.part):
+        if info.segments < part != logged.open:
+            info = close_segment(directory, logged.header, info, part, tuple(files))
     if not logged.open and info.ended is Ending.OPEN:
         _with_reserve(logged.folder, lambda: _end(directory, info, logged, report))
-    if logged.files[-1] == log_files(logged.folder)[-1]:
+    if logged.newest:
         for sentence in prune(directory.parent, logged.header.keep, datetime.now(UTC), directory):
             report(Severity.INFO, sentence)
     return trips
@@ -212,21 +199,16 @@ def close_segment(
         OSError: The segment cannot be written.
     """
     losses: list[str] = []
-    count = Counted(info.rows, info.histograms)
-    for table in (*TABLES, *NOTES):
+
+    def rows_of(table: str) -> Iterator[pa.RecordBatch]:
         schema = table_schema(table, header.info.output_unit, header.sensors)
-        rows = logged_batches(files, table, schema, losses)
-        write_parquet(parquet_path(directory, table, part), count.taken(table, rows))
+        return logged_batches(files, table, schema, losses)
+
+    info = write_segment(directory, info, part, rows_of)
     last = last_of(files, Kind.DROPPED)
     dropped = content_of(last, Dropped, losses) if last else None
-    info = msgspec.structs.replace(
-        info,
-        segments=part,
-        rows=count.rows,
-        histograms=count.histograms,
-        dropped=dropped or info.dropped,
-        losses=(*info.losses, *dict.fromkeys(losses)),
-    )
+    losses = [*info.losses, *dict.fromkeys(losses)]
+    info = msgspec.structs.replace(info, dropped=dropped or info.dropped, losses=tuple(losses))
     write_info(directory, info)
     return info
 
@@ -244,20 +226,14 @@ def _end(directory: Path, info: SessionInfo, logged: _Logged, report: Report) ->
         report(Severity.WARNING, f"session {directory.name}: {loss}")
 
 
-def _remove_archived(folder: Path) -> None:
+def _remove_archived(files: Sequence[LogFile], *, live: bool) -> None:
     """Remove the files before the last one that says what they have left."""
-    files = log_files(folder)
     newest = newest_sound(files)
-    open_part = (files[-1].session, files[-1].part) if files and is_live(folder) else None
-    done = [
-        file for file in files if file.number < newest and (file.session, file.part) != open_part
-    ]
-    if done:
-        _sync(next(file.path for file in files if file.number == newest))
-    for file in done:
-        file.path.unlink(missing_ok=True)
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
+    if newest is None:
+        return
+    open_part = (files[-1].session, files[-1].part) if live else None
+    with newest.path.open("rb") as kept:
+        os.fsync(kept.fileno())
+    for file in files:
+        if file.number < newest.number and (file.session, file.part) != open_part:
+            file.path.unlink(missing_ok=True)

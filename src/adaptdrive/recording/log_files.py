@@ -203,9 +203,9 @@ def recall(folder: Path, now: datetime) -> Recalled:
     return memory.recalled(now, files[-1].number if files else 0, places)
 
 
-def newest_sound(files: Sequence[LogFile]) -> int:
-    """Return the number of the last file with a first record that can be read, 0 for none."""
-    return next((file.number for file in _since_last_begin(files, [])), 0)
+def newest_sound(files: Sequence[LogFile]) -> LogFile | None:
+    """Return the last file with a first record that can be read, None for none."""
+    return next(iter(_since_last_begin(files, [])), None)
 
 
 def _since_last_begin(files: Sequence[LogFile], flaws: list[str]) -> Sequence[LogFile]:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
+import msgspec
 import pyarrow as pa
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.log_files import LogFile, first_begin, unarchived
 from adaptdrive.recording.log_tables import logged_batches
-from adaptdrive.recording.parquet import parquet_schema, read_parquet
-from adaptdrive.recording.session import NOTES, TABLES, SessionInfo
+from adaptdrive.recording.parquet import parquet_schema, read_parquet, write_parquet
+from adaptdrive.recording.session import NOTES, TABLES, TICKS, SessionInfo
 from adaptdrive.recording.tables import conform, table_schema
+from adaptdrive.runtime.statistics import BINS, bin_of
 
+EVERY_TICK = "lateness_us"
+"""The histogram that counts every tick: a stand-in tick has no turnaround."""
+
+_TIMES = (EVERY_TICK, "turnaround_us", "tick_us")
+Batches = Iterator[pa.RecordBatch]
 _ALL = (*TABLES, *NOTES)
 _NAME = re.compile(rf"({'|'.join(_ALL)})-(\d{{4,}})\.parquet")
 
@@ -42,9 +50,7 @@ class Segment:
         """True once it is a Parquet file, perhaps since it was listed."""
         return not self.logged or self.path.exists()
 
-    def batches(
-        self, columns: list[str] | None = None, losses: list[str] | None = None
-    ) -> Iterator[pa.RecordBatch]:
+    def batches(self, columns: list[str] | None = None, losses: list[str] | None = None) -> Batches:
         """Yield its rows a batch at a time, as they are on disk.
 
         Args:
@@ -62,7 +68,7 @@ class Segment:
         for batch in logged_batches(self.logged, self.table, schema, losses):
             yield batch.select(wanted)
 
-    def rows(self, schema: pa.Schema, losses: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+    def rows(self, schema: pa.Schema, losses: list[str] | None = None) -> Batches:
         """Yield its rows a batch at a time, as those of its table.
 
         Args:
@@ -114,6 +120,48 @@ def segments(directory: Path, info: SessionInfo, table: str | None = None) -> li
     every = (*_logged(directory, info, tables), *closed_segments(directory))
     found = {(one.number, one.table): one for one in every if one.table in tables}
     return sorted(found.values())
+
+
+def write_segment(
+    directory: Path,
+    info: SessionInfo,
+    part: int,
+    rows_of: Callable[[str], Batches],
+) -> SessionInfo:
+    """Write a segment of each table, and count its rows and the times of its ticks.
+
+    Args:
+        directory: Directory of the session.
+        info: Its facts.
+        part: Number of the segment.
+        rows_of: Returns the rows of a table.
+
+    Returns:
+        Its facts with the segment.
+
+    Raises:
+        RecordingError: Its rows cannot be read.
+        OSError: It cannot be written.
+    """
+    rows = dict(info.rows)
+    times = {name: list(info.histograms.get(name, [0] * BINS)) for name in _TIMES}
+    for table in _ALL:
+        counted = _counted(rows_of(table), table, rows, times)
+        write_parquet(parquet_path(directory, table, part), counted)
+    histograms = {name: tuple(counts) for name, counts in times.items()}
+    return msgspec.structs.replace(info, segments=part, rows=rows, histograms=histograms)
+
+
+def _counted(
+    batches: Batches, table: str, rows: dict[str, int], times: dict[str, list[int]]
+) -> Batches:
+    for batch in batches:
+        rows[table] = rows.get(table, 0) + batch.num_rows
+        for name, counts in times.items() if table == TICKS else ():
+            for time_us in batch.column(name).to_pylist():
+                if not math.isnan(time_us):  # a stand-in tick has no turnaround
+                    counts[bin_of(time_us)] += 1
+        yield batch
 
 
 def closed_segments(directory: Path) -> list[Segment]:

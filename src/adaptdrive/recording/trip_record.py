@@ -5,15 +5,15 @@ from __future__ import annotations
 import bisect
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pyarrow as pa
 
 from adaptdrive.recording.memory import TRIP
-from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import EventRow
-from adaptdrive.recording.segments import Segment, parquet_path, segments
+from adaptdrive.recording.segments import Segment, segments, write_segment
 from adaptdrive.recording.session import (
     NOTES,
     TABLES,
@@ -25,7 +25,6 @@ from adaptdrive.recording.session import (
     unfinished_folder,
     write_facts,
 )
-from adaptdrive.recording.tick_times import Counted
 from adaptdrive.runtime.reports import MONOTONIC
 
 TEXT_FILE = "trip.txt"
@@ -52,7 +51,7 @@ def write_trips(directory: Path, due_s: float, after_s: float) -> list[Path]:
     trips = [one for one in session.events if one.kind == TRIP and one.monotonic_s <= due_s]
     missing = [(one, path) for one in trips if not (path := _path(directory, one)).exists()]
     recent = {table: segments(directory, session.info, table)[-2:] for table in (*TABLES, *NOTES)}
-    begin_s = _first_time_s(recent[TICKS])
+    begin_s = _first(recent[TICKS], MONOTONIC)
     return [
         _write(session, recent, trip, path, after_s)
         for trip, path in missing
@@ -64,12 +63,10 @@ def _path(directory: Path, trip: EventRow) -> Path:
     return directory / f"{TRIP_PREFIX}{time_in_name(trip.time)}-{trip.number}"
 
 
-def _first_time_s(recent: list[Segment]) -> float:
-    """Return the time of the first tick that is looked at; 0 without one."""
-    for segment in recent:
-        for batch in segment.batches([MONOTONIC]):
-            return float(batch.column(MONOTONIC)[0].as_py())
-    return 0.0
+def _first(found: list[Segment], column: str) -> Any:  # noqa: ANN401 - of the column
+    """Return the first value of a column; 0 without one."""
+    values = (batch.column(column)[0].as_py() for one in found for batch in one.batches([column]))
+    return next(values, 0)
 
 
 def _write(
@@ -80,24 +77,21 @@ def _write(
     after_s: float,
 ) -> Path:
     begin_s, end_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
+    info = msgspec.structs.replace(
+        session.info,
+        ended=Ending.ORDERLY,
+        dropped=Dropped(),
+        rows={},
+        histograms={},
+        losses=(),
+        log="",
+    )
     with unfinished_folder(session.path / f".{path.name}") as unfinished:
-        count = Counted()
-        for table, found in recent.items():
-            rows = _between(found, begin_s, end_s)
-            write_parquet(parquet_path(unfinished, table, 1), count.taken(table, rows))
-        events = [one for one in session.events if begin_s <= one.monotonic_s <= end_s]
-        info = msgspec.structs.replace(
-            session.info,
-            ended=Ending.ORDERLY,
-            dropped=Dropped(),
-            segments=1,
-            rows=count.rows,
-            histograms=count.histograms,
-            first_sequence=count.first_sequence,
-            losses=(),
-            log="",
-        )
+        info = write_segment(unfinished, info, 1, lambda one: _between(recent[one], begin_s, end_s))
+        first = _first(segments(unfinished, info, TICKS), "sequence")
+        info = msgspec.structs.replace(info, first_sequence=first)
         write_facts(unfinished, info, session.config_text)
+        events = [one for one in session.events if begin_s <= one.monotonic_s <= end_s]
         (unfinished / TEXT_FILE).write_text(_text(info.drive, trip, events), encoding="utf-8")
         return unfinished.rename(path)
 

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
-from adaptdrive.recording.segments import Segment, segments
+from adaptdrive.recording.segments import EVERY_TICK, Segment, segments
 from adaptdrive.recording.session import (
     COMMANDS,
     EVENTS,
@@ -20,7 +20,6 @@ from adaptdrive.recording.session import (
     TICKS,
     Dropped,
 )
-from adaptdrive.recording.tick_times import EVERY_TICK
 from adaptdrive.runtime.reports import MONOTONIC
 
 _KEYS = {
