@@ -43,6 +43,7 @@ class Column:
         meaning: What the value is.
         source: Path of the field in the report.
         read: Takes the value from a report.
+        choices: All values that it can have, none where it can have any.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Column:
     meaning: str
     source: str
     read: Callable[[Any], Any]
+    choices: tuple[str, ...] = ()
 
 
 def columns_of(report: type, path: str = "") -> tuple[Column, ...]:
@@ -61,9 +63,10 @@ def columns_of(report: type, path: str = "") -> tuple[Column, ...]:
         if is_dataclass(kind):
             columns += columns_of(kind, f"{place}.")
         elif quantity is not None:
-            label, stored = quantity.name or name, str if issubclass(kind, StrEnum) else kind
+            choices = tuple(kind) if issubclass(kind, StrEnum) else ()
+            label, stored = quantity.name or name, str if choices else kind
             about = (quantity.unit, quantity.meaning, place)
-            columns.append(Column(label, stored, *about, attrgetter(place)))
+            columns.append(Column(label, stored, *about, attrgetter(place), choices))
     return tuple(columns)
 
 

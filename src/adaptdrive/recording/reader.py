@@ -85,7 +85,8 @@ class Session:
             columns: The columns wanted, None for all.
 
         Raises:
-            RecordingError: A file is damaged, or holds another table.
+            RecordingError: A file is damaged, or holds another table; a value of an enumeration
+                that is none of it shows that, too.
         """
         for batches in self._segments(table, columns):
             yield from batches

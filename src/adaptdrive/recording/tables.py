@@ -34,6 +34,7 @@ _TYPES: dict[type, pa.DataType] = {
 NOTE_ROWS: dict[str, type[msgspec.Struct]] = {EVENTS: EventRow, COMMANDS: CommandRow}
 _NOTE_TYPES = _TYPES | {str: pa.string(), datetime: UTC}
 _COLUMNS = {TICKS: TICK_COLUMNS, SLOW: SLOW_COLUMNS}
+_CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
 
 
 def _field(name: str, kind: pa.DataType, unit: str, meaning: str, source: str) -> pa.Field:
@@ -132,7 +133,14 @@ def conform(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
         ]
     except (pa.ArrowException, KeyError) as problem:  # of another type, or there twice
         raise ValueError(f"a column is damaged: {problem}") from problem
-    return pa.RecordBatch.from_arrays(arrays, schema=schema)
+    rows = pa.RecordBatch.from_arrays(arrays, schema=schema)
+    for name in _CHOICES.keys() & set(schema.names):
+        for value in rows.column(name).unique().to_pylist():
+            if value not in _CHOICES[name]:
+                choices = ", ".join(_CHOICES[name])
+                flaw = f"{name} is {value!r}, which is none of {choices}"
+                raise ValueError(f"it is damaged, or of another table: {flaw}")
+    return rows
 
 
 def _utc(time_s: float, offset_s: float) -> int | None:
