@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -57,6 +57,9 @@ class FrameIntegrity(Section):
 class BusSection(Section):
     """Properties that every kind of `[bus]` states of the drive behind it."""
 
+    has_bridge_words: ClassVar[bool] = False
+    """Whether the protocol itself switches the bridge and confirms that it is off."""
+
     setup: dict[str, int | FiniteFloat | str] = key({})
     setup_unread: list[str] = key([])
 
@@ -68,11 +71,6 @@ class BusSection(Section):
     @property
     def drive_clocks(self) -> bool:
         """True when the drive decides when a reading comes."""
-        return False
-
-    @property
-    def has_bridge_words(self) -> bool:
-        """True when the protocol itself switches the bridge and confirms that it is off."""
         return False
 
 

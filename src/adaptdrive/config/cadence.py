@@ -25,7 +25,12 @@ def poll_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
         bus: `[bus]`.
         configuration: The other sections.
     """
-    yield from _cycle_flaws(bus, configuration)
+    poll_s = bus.poll_ticks * configuration.drive.half_cycle_s
+    poll = f"one poll of bus.poll_ticks = {bus.poll_ticks} half cycles"
+    if bus.timeout_s >= poll_s:
+        given = f"{bus.timeout_s} must be below {poll} ({poll_s * 1e3:.4g} ms)"
+        yield Flaw("bus.timeout_s", given)
+    yield from _pace_flaws(bus.poll_ticks, configuration, poll)
     if configuration.voltage_loop.where == "daemon":
         yield Flaw(
             "voltage_loop.where",
@@ -73,7 +78,7 @@ def clock_flaws(bus: CanBus, configuration: Configuration) -> Iterator[Flaw]:
         bus: `[bus]`.
         configuration: The other sections.
     """
-    stride, load = bus.clock_ticks, configuration.load
+    stride = bus.clock_ticks
     yield from _pace_flaws(stride, configuration, f"bus.clock_ticks = {stride}")
     if stride == 1:
         return
@@ -82,12 +87,6 @@ def clock_flaws(bus: CanBus, configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("voltage_loop.where", problem)
     if configuration.signals.counter is not None:
         yield Flaw("signals.counter", "counts half cycles, which needs bus.clock_ticks = 1")
-    for place, ticks in (
-        ("load.latency_ticks", load.latency_ticks),
-        ("load.period_s", configuration.ticks_per_period),
-    ):
-        if ticks % stride:
-            yield Flaw(place, f"its {ticks} ticks must be a multiple of bus.clock_ticks = {stride}")
 
 
 def sync_flaws(bus: CanOpenBus, configuration: Configuration) -> Iterator[Flaw]:
@@ -113,9 +112,9 @@ def _is_below(given_s: float, lowest_s: float) -> bool:
     return given_s < lowest_s and not math.isclose(given_s, lowest_s)
 
 
-def _pace_flaws(ticks: int, configuration: Configuration, reading: str) -> Iterator[Flaw]:
-    """Yield the times that are too short for a drive that gives a reading every so many ticks."""
-    reading_s = ticks * configuration.drive.half_cycle_s
+def _pace_flaws(stride: int, configuration: Configuration, reading: str) -> Iterator[Flaw]:
+    """Yield the times that do not fit a drive that gives a reading every so many ticks."""
+    reading_s, load = stride * configuration.drive.half_cycle_s, configuration.load
     lowest_s = LATE_READINGS * reading_s
     lowest = f"{lowest_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
     if _is_below(configuration.interlocks.stale_s, lowest_s):
@@ -127,22 +126,8 @@ def _pace_flaws(ticks: int, configuration: Configuration, reading: str) -> Itera
         given = f"{timeout_s} must be at least {lowest}"
         why = "the drive would stop between two commands"
         yield Flaw("bus.command_timeout_s", f"{given}: {why}")
-
-
-def _cycle_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
-    load = configuration.load
-    half_cycle_s = configuration.drive.half_cycle_s
-    poll_s = bus.poll_ticks * half_cycle_s
-    poll = f"one poll of bus.poll_ticks = {bus.poll_ticks} half cycles"
-    cycle = f"{poll} ({poll_s * 1e3:.4g} ms)"
-    if bus.timeout_s >= poll_s:
-        yield Flaw("bus.timeout_s", f"{bus.timeout_s} must be below {cycle}")
-    yield from _pace_flaws(bus.poll_ticks, configuration, poll)
-    if load.latency_ticks % bus.poll_ticks:
-        effect = "a decision reaches the drive with a poll"
-        yield Flaw(
-            "load.latency_ticks", f"{load.latency_ticks} must be a multiple of {cycle}: {effect}"
-        )
-    ticks = round(load.period_s / half_cycle_s)
-    if ticks % bus.poll_ticks:
-        yield Flaw("load.period_s", f"{load.period_s} must be a whole multiple of {cycle}")
+    periods = {"latency_ticks": load.latency_ticks, "period_s": configuration.ticks_per_period}
+    for name, ticks in periods.items():
+        if ticks % stride:
+            wanted = f"its {ticks} ticks must be a whole multiple of {reading}"
+            yield Flaw(f"load.{name}", f"{wanted}: a decision reaches the drive with a command")

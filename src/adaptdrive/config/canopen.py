@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from adaptdrive.config.bus import BusSection, CanLink, Signals
+from adaptdrive.config.bus import BusSection, CanLink
 from adaptdrive.config.section import FilePath, PositiveFloat, key
-from adaptdrive.errors import Flaw
-
-_LATE_HEARTBEATS = 2.0
-"""Heartbeats that must fit into a time-out: one may go missing."""
 
 
 class CanOpenBus(CanLink, BusSection):
     """`[bus]` with `type = "canopen"`: a CiA 402 drive."""
+
+    has_bridge_words: ClassVar[bool] = True
+    """True: the controlword switches the bridge, the statusword confirms it."""
 
     type: Literal["canopen"]
     eds: FilePath
@@ -39,32 +37,3 @@ class CanOpenBus(CanLink, BusSection):
     def drive_clocks(self) -> bool:
         """True when the drive sends SYNC."""
         return self.sync == "drive"
-
-    @property
-    def has_bridge_words(self) -> bool:
-        """True: the controlword switches the bridge, the statusword confirms it."""
-        return True
-
-
-def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
-    """Yield the contradictions to the profile that need no EDS to detect.
-
-    Args:
-        bus: `[bus]`.
-        signals: `[signals]`.
-    """
-    if bus.own_node_id == bus.node_id:
-        yield Flaw("bus.own_node_id", f"{bus.own_node_id} is the drive's own node id")
-    if bus.heartbeat_timeout_s < _LATE_HEARTBEATS * bus.heartbeat_s:
-        lowest = f"{_LATE_HEARTBEATS:g} times bus.heartbeat_s = {bus.heartbeat_s}"
-        yield Flaw(
-            "bus.heartbeat_timeout_s", f"{bus.heartbeat_timeout_s} must be at least {lowest}"
-        )
-    if signals.bridge is not None:
-        yield Flaw("signals.bridge", "the statusword 0x6041 contains it: leave it out")
-    if signals.command.bridge is not None:
-        yield Flaw("signals.command.bridge", "the controlword 0x6040 carries it: leave it out")
-    if signals.counter is not None and bus.sync == "daemon":
-        yield Flaw(
-            "signals.counter", "bus.sync = 'daemon' makes the daemon the clock: leave it out"
-        )

@@ -6,9 +6,55 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping
 
 from adaptdrive.config.bus import COMMANDED, Signals
+from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
+from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.errors import Flaw
+
+_LATE_HEARTBEATS = 2.0
+"""Heartbeats that must fit into a time-out: one may go missing."""
+
+
+def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
+    """Yield the contradictions to the profile that need no EDS to detect.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+    """
+    if bus.own_node_id == bus.node_id:
+        yield Flaw("bus.own_node_id", f"{bus.own_node_id} is the drive's own node id")
+    if bus.heartbeat_timeout_s < _LATE_HEARTBEATS * bus.heartbeat_s:
+        lowest = f"{_LATE_HEARTBEATS:g} times bus.heartbeat_s = {bus.heartbeat_s}"
+        yield Flaw(
+            "bus.heartbeat_timeout_s", f"{bus.heartbeat_timeout_s} must be at least {lowest}"
+        )
+    if signals.bridge is not None:
+        yield Flaw("signals.bridge", "the statusword 0x6041 contains it: leave it out")
+    if signals.command.bridge is not None:
+        yield Flaw("signals.command.bridge", "the controlword 0x6040 carries it: leave it out")
+    if signals.counter is not None and bus.sync == "daemon":
+        yield Flaw(
+            "signals.counter", "bus.sync = 'daemon' makes the daemon the clock: leave it out"
+        )
+
+
+def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
+    """Yield the errors in the values of a supply, and in references to them.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+    """
+    for name, register in bus.as_registers().registers.items():
+        yield from register_flaws(f"bus.values.{name}", register)
+    written = [*commanded_names(signals), *((f"bus.setup.{name}", name) for name in bus.setup)]
+    for line, references in (("query", measured_names(signals)), ("write", written)):
+        yield from unknown_flaws(references, bus.values, "[bus.values] has no value")
+        for place, name in references:
+            if name in bus.values and getattr(bus.values[name], line) is None:
+                yield Flaw(place, f"bus.values.{name} has no `{line}`")
 
 
 def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:

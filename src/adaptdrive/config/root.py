@@ -10,13 +10,13 @@ from pydantic import Field
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.cadence import clock_flaws, poll_flaws, sync_flaws
-from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
+from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.estimator import Estimator, Supervisor
 from adaptdrive.config.load import AnyLoad, BathSection, MotorSection, SimulatorSection
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
-from adaptdrive.config.references import modbus_flaws
-from adaptdrive.config.scpi import ScpiBus, scpi_flaws
+from adaptdrive.config.references import canopen_flaws, modbus_flaws, scpi_flaws
+from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.section import Section
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording

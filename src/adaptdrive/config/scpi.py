@@ -7,14 +7,8 @@ import re
 from collections.abc import Iterator
 from typing import Literal
 
-from adaptdrive.config.bus import PolledBus, Signals, TcpHost
+from adaptdrive.config.bus import PolledBus, TcpHost
 from adaptdrive.config.modbus import ModbusTcp, Register, RegisterRange
-from adaptdrive.config.references import (
-    commanded_names,
-    measured_names,
-    register_flaws,
-    unknown_flaws,
-)
 from adaptdrive.config.section import Section, key
 from adaptdrive.errors import Flaw
 
@@ -108,20 +102,3 @@ class ScpiBus(PolledBus, TcpHost):
                 name: value.register(_STEP * number) for number, (name, value) in enumerate(values)
             },
         )
-
-
-def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
-    """Yield the errors in the values of a supply, and in references to them.
-
-    Args:
-        bus: `[bus]`.
-        signals: `[signals]`.
-    """
-    for name, register in bus.as_registers().registers.items():
-        yield from register_flaws(f"bus.values.{name}", register)
-    written = [*commanded_names(signals), *((f"bus.setup.{name}", name) for name in bus.setup)]
-    for line, references in (("query", measured_names(signals)), ("write", written)):
-        yield from unknown_flaws(references, bus.values, "[bus.values] has no value")
-        for place, name in references:
-            if name in bus.values and getattr(bus.values[name], line) is None:
-                yield Flaw(place, f"bus.values.{name} has no `{line}`")

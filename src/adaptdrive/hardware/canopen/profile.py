@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum, StrEnum
+from functools import cache
 from typing import Final
 
 from adaptdrive.config.timing import Timing
@@ -70,26 +71,24 @@ POWERED: Final = frozenset(
 """States in which the power stage may drive the load: in a quick stop and in the reaction to a
 fault it ramps the load down, and a word that names no state does not say that it is off."""
 
-_SHORT_MASK = 0x4F
-_SHORT = {
-    0x00: DriveState.NOT_READY,
-    0x40: DriveState.SWITCH_ON_DISABLED,
-    0x0F: DriveState.FAULT_REACTION,
-    0x08: DriveState.FAULT,
+_WORDS = {
+    DriveState.NOT_READY: (0x4F, 0x00),
+    DriveState.SWITCH_ON_DISABLED: (0x4F, 0x40),
+    DriveState.FAULT_REACTION: (0x4F, 0x0F),
+    DriveState.FAULT: (0x4F, 0x08),
+    DriveState.READY: (0x6F, 0x21),
+    DriveState.SWITCHED_ON: (0x6F, 0x23),
+    DriveState.ENABLED: (0x6F, 0x27),
+    DriveState.QUICK_STOP: (0x6F, 0x07),
 }
-_LONG_MASK = 0x6F
-_LONG = {
-    0x21: DriveState.READY,
-    0x23: DriveState.SWITCHED_ON,
-    0x27: DriveState.ENABLED,
-    0x07: DriveState.QUICK_STOP,
-}
+"""Bits of a statusword that name a state, and their value in it."""
 
 
+@cache
 def state_of(statusword: int) -> DriveState:
     """The state that a statusword shows; bits that do not name a state are left aside."""
-    short = _SHORT.get(statusword & _SHORT_MASK)
-    return short or _LONG.get(statusword & _LONG_MASK, DriveState.UNKNOWN)
+    found = (state for state, (mask, value) in _WORDS.items() if statusword & mask == value)
+    return next(found, DriveState.UNKNOWN)
 
 
 def goal_of(command: Command) -> Goal:

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import cantools
+from can.util import CAN_FD_DLC
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
@@ -25,7 +26,6 @@ from adaptdrive.hardware.dbc.mending import MendedText, mended, refuse_endless
 from adaptdrive.hardware.description import description_text, problem_text
 from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.link.codec import (
-    CLASSIC_LENGTH,
     checksum_span,
     counter_modulus,
     follows_counter,
@@ -34,9 +34,6 @@ from adaptdrive.hardware.link.codec import (
 )
 from adaptdrive.hardware.link.crc import CHECK_INPUT, crc_function
 from adaptdrive.hardware.link.layout import compile_field, is_multiplexed
-
-_FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
-"""Lengths above eight bytes that a frame of CAN FD can have."""
 
 _NIBBLE_BITS = 4
 
@@ -216,7 +213,7 @@ class SignalCatalogue(Catalogue[Located]):
         if needs_fd(message) and not self._fd:
             self.note(place, f"message {name!r} is one of CAN FD: it needs bus.fd = true")
             return None
-        if message.length > CLASSIC_LENGTH and message.length not in _FD_LENGTHS:
+        if message.length not in CAN_FD_DLC:
             self.note(place, f"message {name!r} has {message.length} bytes, which no frame has")
             return None
         return message

@@ -20,9 +20,9 @@ _CHECKSUM = re.compile(r"crc|checksum|chk", re.IGNORECASE)
 def candidates(database: Database) -> Iterator[Candidate]:
     """Yield every signal that may be a quantity."""
     for message in database.messages:
-        commanded = _is_command(message)
+        commanded = _COMMANDING.search(message.name) is not None
         for signal in message.signals:
-            if not (signal.is_multiplexer or _is_proof(signal)):
+            if not (signal.is_multiplexer or _is_alive(signal) or _is_checksum(signal)):
                 yield _candidate(message, signal, commanded=commanded)
 
 
@@ -46,14 +46,6 @@ def _candidate(message: Message, signal: Signal, *, commanded: bool) -> Candidat
         names=tuple(str(name) for name in (signal.choices or {}).values()),
         bits=signal.length,
     )
-
-
-def _is_command(message: Message) -> bool:
-    return _COMMANDING.search(message.name) is not None
-
-
-def _is_proof(signal: Signal) -> bool:
-    return _is_alive(signal) or _is_checksum(signal)
 
 
 def _is_alive(signal: Signal) -> bool:
