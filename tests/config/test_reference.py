@@ -7,8 +7,14 @@ from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 
-from adaptdrive.config.estimator import ERROR_SHARE, FORGETTING, Estimator, Supervisor
-from adaptdrive.config.load import NOISE_SHARE, LoadSection
+from adaptdrive.config.load import (
+    ERROR_SHARE,
+    FORGETTING,
+    NOISE_SHARE,
+    Estimator,
+    LoadSection,
+    Supervisor,
+)
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.section import Section
 from tests.config.reference_page import reference_page

@@ -10,7 +10,8 @@ import pytest
 
 from adaptdrive.app.examine import examine_text
 from adaptdrive.config.bus import Signals
-from adaptdrive.config.scpi import ScpiBus, scpi_flaws
+from adaptdrive.config.references import scpi_flaws
+from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.polled.mapping import map_drive
 

@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from adaptdrive.config.estimator import Estimator
+from adaptdrive.config.load import Estimator
 from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.lambda_method import LambdaMethod
 from adaptdrive.control.load import Load

@@ -9,8 +9,7 @@ from adaptdrive.app.loads import build_load, short_lag_s
 from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
 from adaptdrive.app.pole_range import pole_range
 from adaptdrive.config import Configuration
-from adaptdrive.config.estimator import ERROR_SHARE, FORGETTING, Supervisor
-from adaptdrive.config.load import NOISE_SHARE, MotorSection
+from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection, Supervisor
 from adaptdrive.control.evidence import NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
 from adaptdrive.control.load import to_input

@@ -1,4 +1,7 @@
-"""`[load]` and `[simulation]`: the load of a drive, and that of its simulated device."""
+"""`[load]`, how it is learnt, and that of the simulated device.
+
+`[estimator]` and `[supervisor]` state how the load is learnt, and when estimates are used.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from typing import Annotated, ClassVar, Literal, get_args
 from pydantic import Field
 
 from adaptdrive.config.section import (
+    Duration,
     FiniteFloat,
     Fraction,
     NonNegativeFloat,
@@ -25,6 +29,12 @@ Period = Annotated[PositiveFloat, Field(le=3600.0)]
 
 NOISE_SHARE = 0.04
 """`load.noise_V` where it is left out, as a share of the range of V_c."""
+
+FORGETTING = 0.985
+"""`estimator.forgetting` of the `exact` design where it is left out."""
+
+ERROR_SHARE = 0.1
+"""`supervisor.error_limit` where it is left out, as a share of the range of set-points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +182,42 @@ class BatterySection(LoadSection):
 
 
 AnyLoad = MotorSection | BathSection | BatterySection
+
+
+class Estimator(Section):
+    """`[estimator]`: the recursive least squares that learn the load."""
+
+    method: Literal["lm-rls", "rls"] = "lm-rls"
+    forgetting: float | None = key(None, gt=0.5, le=1.0)
+    tau_lambda_s: PositiveFloat = 10.0
+    dead_band: float = key(0.0, ge=0.0)
+    initial_covariance: PositiveFloat | None = None
+    gate: float = key(1.2, ge=0.0)
+    covariance_max: float = key(1.0e6, ge=0.0)
+    alert: bool = True
+    bias: bool = True
+    initial_state: bool = True
+    settle_s: Duration = 30.0
+
+
+class Supervisor(Section):
+    """`[supervisor]`: what estimates, and the loop, must satisfy (`exact` only but `warm_up_s`)."""
+
+    warm_up_s: Duration = 90.0
+    ratio_min: Fraction = 0.2
+    ratio_max: float = key(6.0, gt=1.0, allow_inf_nan=False)
+    damping_min: NonNegativeFloat = 0.9
+    spread_max: NonNegativeFloat = 0.05
+    residual_margin: NonNegativeFloat = 1.5
+    confidence: NonNegativeFloat = 2.0
+    dwell_periods: int = key(7, span=(1, 10_000))
+    patience_periods: int = key(0, span=(0, 10_000))
+    blend_periods: int = key(5, span=(1, 10_000))
+    saturated_s: Duration = 240.0
+    gain_slew: float = key(1.0, gt=0.0, le=1.0)
+    error_limit: NonNegativeFloat | None = None
+    response_s: Duration = 120.0
+    response_distance: NonNegativeFloat = 0.02
 
 
 class SimulatorSection(Section):

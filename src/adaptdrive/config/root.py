@@ -12,8 +12,14 @@ from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.cadence import clock_flaws, poll_flaws, sync_flaws
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.drive import DriveSection, VoltageLoop
-from adaptdrive.config.estimator import Estimator, Supervisor
-from adaptdrive.config.load import AnyLoad, BathSection, MotorSection, SimulatorSection
+from adaptdrive.config.load import (
+    AnyLoad,
+    BathSection,
+    Estimator,
+    MotorSection,
+    SimulatorSection,
+    Supervisor,
+)
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.config.references import canopen_flaws, modbus_flaws, scpi_flaws
 from adaptdrive.config.scpi import ScpiBus

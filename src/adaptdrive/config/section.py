@@ -50,9 +50,17 @@ FilePath = Annotated[  # TOML has no paths, only strings
 """A path from the folder of the configuration, which is the context of the validation."""
 
 
-_MEANINGS: dict[str, dict[str, str]] = tomllib.loads(
-    (resources.files("adaptdrive.config") / "keys.toml").read_text(encoding="utf-8")
-)
+def read_table(name: str) -> dict[str, Any]:
+    """Return a table of this package.
+
+    Args:
+        name: Name of its file.
+    """
+    text = (resources.files("adaptdrive.config") / name).read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+_MEANINGS: dict[str, dict[str, str]] = read_table("keys.toml")
 """Meaning of each key by the class of its section; that of a base class holds for all below."""
 
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import model_validator
 
-from adaptdrive.config.section import FiniteFloat, Section
+from adaptdrive.config.section import FiniteFloat, Section, read_table
 from adaptdrive.errors import Flaw
 
 Unit = Literal[
@@ -38,27 +38,7 @@ WANTED = {
 }
 """Units of the quantities that have the same one for every load."""
 
-_SPELLINGS = {
-    "V": ("V", "Volt", "Volts", "VDC", "VAC", "Vrms", "V rms", "Veff"),
-    "A": ("A", "Amp", "Amps", "Ampere", "Amperes", "Arms", "A rms", "ADC", "AAC"),
-    "W": ("W", "Watt", "Watts"),
-    "K": ("K", "Kelvin"),
-    "degC": ("degC", "°C", "º C", "Celsius", "degree C", "degrees C", "deg Celsius", "C", "¡æ"),
-    "degF": ("degF", "°F", "º F", "Fahrenheit", "degree F", "degrees F", "F"),
-    "rpm": ("rpm", "1/min", "min-1", "min^-1", "r/min", "U/min", "rev/min", "rot/min", "/min"),
-    "rad/s": ("rad/s", "1/s", "rad/sec"),
-    "S": ("S", "A/V", "1/Ohm", "Siemens"),
-    "%": ("%", "percent", "pct"),
-    "Nm": ("Nm", "N*m", "N.m", "N·m", "Newton metre", "Newton meter"),
-    "Ohm": ("Ohm", "Ohms", "Ω"),
-    "s": ("s", "sec", "second", "seconds"),
-    "Hz": ("Hz", "Hertz"),
-    **{unit: (unit,) for unit in ("mV", "kV", "mA", "kA", "kW", "mW", "MW", "ms", "h", "bar")},
-}
-"""Ways in which descriptions write units; case, spaces and underscores do not matter.
-
-The last of degC is the sign of GB2312, read as Windows code page 1252.
-"""
+_SPELLINGS: dict[str, list[str]] = read_table("units.toml")
 
 _MULTIPLE = re.compile(r"(\d*\.?\d+)\s*(?:\*\s*)?(?=[^\d\s/.*])")
 """Factor before a unit, such as 0.1 in 0.1 V."""
