@@ -10,8 +10,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 
 from adaptdrive.config import load_configuration
-from adaptdrive.config.bus import CanBus
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanBus, CanOpenBus
 from adaptdrive.config.modbus import ModbusTcp, Register
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.health import parse_emergency

@@ -13,7 +13,7 @@ import canopen
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.canopen.documents import EDS, EXAMPLE, bus_of, parse
 from tests.support import Process, Spawn, logged_events

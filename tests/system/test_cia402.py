@@ -11,7 +11,7 @@ import can
 import pytest
 
 from adaptdrive.config import load_configuration
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.hardware.link.bus import open_bus
 from tests.system.conftest import MakeSite
 from tests.system.site import EXAMPLES, Site, _with_setting, until

@@ -20,8 +20,7 @@ from pathlib import Path
 
 import can
 
-from adaptdrive.config.bus import COMMANDED, MEASURED, WORDS, SignalSource
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import COMMANDED, MEASURED, WORDS, CanOpenBus, SignalSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds

@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from adaptdrive.config.bus import CanBus, CommandWatch
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanBus, CanOpenBus, CommandWatch
 from adaptdrive.config.modbus import ModbusBus
 from adaptdrive.config.timing import LATE_READINGS
 from adaptdrive.errors import Flaw
@@ -126,8 +125,10 @@ def _pace_flaws(stride: int, configuration: Configuration, reading: str) -> Iter
         given = f"{timeout_s} must be at least {lowest}"
         why = "the drive would stop between two commands"
         yield Flaw("bus.command_timeout_s", f"{given}: {why}")
-    periods = {"latency_ticks": load.latency_ticks, "period_s": configuration.ticks_per_period}
-    for name, ticks in periods.items():
+    for name, ticks, multiple in (
+        ("latency_ticks", load.latency_ticks, "a multiple"),
+        ("period_s", configuration.ticks_per_period, "a whole multiple"),
+    ):
         if ticks % stride:
-            wanted = f"its {ticks} ticks must be a whole multiple of {reading}"
+            wanted = f"its {ticks} ticks must be {multiple} of {reading}"
             yield Flaw(f"load.{name}", f"{wanted}: a decision reaches the drive with a command")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
 
-from adaptdrive.config.bus import COMMANDED, Signals
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import COMMANDED, CanOpenBus, Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.scpi import ScpiBus

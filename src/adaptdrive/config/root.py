@@ -8,9 +8,8 @@ from typing import Annotated, get_args
 
 from pydantic import Field
 
-from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.bus import CanBus, CanOpenBus, Signals
 from adaptdrive.config.cadence import clock_flaws, poll_flaws, sync_flaws
-from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.load import (
     AnyLoad,

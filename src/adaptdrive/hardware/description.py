@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import codecs
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
+
+from adaptdrive.errors import ConfigurationError, Flaw
+
+Parsed = TypeVar("Parsed")
 
 _LARGEST_BYTES = 16 * 1024 * 1024
 """Larger than any maker's file, and small enough to be parsed."""
@@ -42,7 +48,27 @@ def description_text(path: Path) -> str:
         return content.decode("cp1252", "replace")
 
 
-def problem_text(problem: Exception) -> str:
-    """Return an error in one line of at most 300 characters."""
+def read_description(
+    path: Path, source: Path | str, place: str, parse: Callable[[str], Parsed]
+) -> Parsed:
+    """Return what a parser makes of a file.
+
+    Args:
+        path: The file.
+        source: The configuration that names it, for the error message.
+        place: Where the configuration names it.
+        parse: The parser.
+
+    Raises:
+        ConfigurationError: The file cannot be read or parsed.
+    """
+    try:
+        return parse(description_text(path))
+    except Exception as problem:  # parsers raise errors of many kinds
+        flaw = Flaw(place, f"{path} cannot be used: {_problem_text(problem)}")
+        raise ConfigurationError(source, [flaw]) from problem
+
+
+def _problem_text(problem: Exception) -> str:
     text = " ".join(str(problem).split()) or type(problem).__name__
     return text if len(text) <= _LONGEST_PROBLEM else text[:_LONGEST_PROBLEM] + "…"

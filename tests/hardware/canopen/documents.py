@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, map_drive

@@ -18,7 +18,7 @@ from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.canopen.mending import mended
-from adaptdrive.hardware.description import description_text, problem_text
+from adaptdrive.hardware.description import read_description
 from adaptdrive.hardware.field import Field, natural_limits, sensible_limits
 from adaptdrive.hardware.proposal import Candidate
 
@@ -95,15 +95,15 @@ def read_eds(
     """
     if path.suffix.lower() not in {".eds", ".dcf"}:
         raise ConfigurationError(source, [Flaw("bus.eds", f"{path} is no .eds and no .dcf file")])
-    try:
-        text, remarks = mended(description_text(path))
+
+    def parse(text: str) -> tuple[ObjectDictionary, list[str]]:
+        text, remarks = mended(text)
         dictionary = import_eds(StringIO(text), node_id)
         if not dictionary:
-            raise ValueError("it describes no object")  # noqa: TRY301 - reported as all others
-    except Exception as problem:  # the parser's own errors are of many kinds
-        flaw = Flaw("bus.eds", f"{path} cannot be used: {problem_text(problem)}")
-        raise ConfigurationError(source, [flaw]) from problem
-    return dictionary, remarks
+            raise ValueError("it describes no object")
+        return dictionary, remarks
+
+    return read_description(path, source, "bus.eds", parse)
 
 
 class ObjectCatalogue(Catalogue[Entry]):

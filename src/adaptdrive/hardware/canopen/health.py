@@ -8,7 +8,7 @@ from __future__ import annotations
 import can
 from canopen.emcy import EmcyError
 
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.master import Master
 from adaptdrive.hardware.canopen.profile import DriveControl, DriveState

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row, bus_of, stale_limits
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, map_drive

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from adaptdrive.config.bus import Signals
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus, Signals
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Sink, Source, fault_words

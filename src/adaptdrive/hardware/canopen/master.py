@@ -15,7 +15,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from adaptdrive.clock.tick_timer import TickTimer
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.sdo import describe_node
 

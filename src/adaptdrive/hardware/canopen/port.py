@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import can
 
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.health import ForeignCommands, Health

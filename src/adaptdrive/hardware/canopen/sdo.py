@@ -19,7 +19,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.dictionary import Address, Entry, label
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.hardware.canopen.dictionary import PRODUCT, VENDOR, Address
 from adaptdrive.hardware.canopen.mapping import (
     ABORT_OPTION,

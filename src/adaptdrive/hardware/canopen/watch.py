@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import can
 
-from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.binding import other_names

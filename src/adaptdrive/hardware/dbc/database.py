@@ -22,8 +22,8 @@ from adaptdrive.config.proposals import nearest
 from adaptdrive.config.tables import shortened
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
-from adaptdrive.hardware.dbc.mending import MendedText, mended, refuse_endless
-from adaptdrive.hardware.description import description_text, problem_text
+from adaptdrive.hardware.dbc.mending import mended, refuse_endless
+from adaptdrive.hardware.description import read_description
 from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.link.codec import (
     checksum_span,
@@ -70,14 +70,7 @@ def read_dbc(path: Path, source: Path | str = "configuration", bus: str = "bus")
     Raises:
         ConfigurationError: The file cannot be read or is no DBC.
     """
-    try:
-        text = description_text(path)
-        refuse_endless(text)
-        whole = mended(text)
-        return Description(_parsed(whole), whole.remarks, whole.unfit)
-    except Exception as problem:  # the parser's own errors are of many kinds
-        flaw = Flaw(f"{bus}.database", f"{path} cannot be used: {problem_text(problem)}")
-        raise ConfigurationError(source, [flaw]) from problem
+    return read_description(path, source, f"{bus}.database", _described)
 
 
 def describe(
@@ -121,8 +114,10 @@ def _readdressed(
                 yield Flaw(f"{place}.{name}", "an id of 11 bits has no source address")
 
 
-def _parsed(whole: MendedText) -> Database:
+def _described(text: str) -> Description:
     """Return what the parser finds; a line that it cannot read is left out."""
+    refuse_endless(text)
+    whole = mended(text)
     for _ in range(_MOST_LEFT_OUT):
         try:
             database = cantools.database.load_string(
@@ -135,7 +130,7 @@ def _parsed(whole: MendedText) -> Database:
             whole.leave_out(int(line[1]) - 1, "it cannot be read")
         else:
             assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
-            return database
+            return Description(database, whole.remarks, whole.unfit)
     raise ValueError(f"more than {_MOST_LEFT_OUT} lines cannot be read; {whole.remarks[-1]}")
 
 

@@ -25,8 +25,8 @@ from adaptdrive.hardware.link.layout import initial_value, signal_bits
 Page = tuple[tuple[str, float], ...]
 """The multiplexers of a frame, outermost first, and their values."""
 
-_Drafts = dict[str, dict[Page, list[Sink[Located]]]]
-"""Commanded values of each page of each message."""
+_Pages = dict[Page, list[Sink[Located]]]
+"""Commanded values of each page of a message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +64,9 @@ def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
 
 def find_orders(
     catalogue: SignalCatalogue, sinks: Iterable[Sink[Located]], section: str = "signals.command"
-) -> _Drafts:
+) -> dict[str, _Pages]:
     """Return the content of each page of each message; errors go to the catalogue."""
-    drafts: _Drafts = {}
+    drafts: dict[str, _Pages] = {}
     for sink in sinks:
         (message, signal), place = sink.item, f"{section}.{sink.name}"
         page = page_of(catalogue, message, signal, place)
@@ -83,7 +83,9 @@ def find_orders(
 
 
 def build_orders(
-    catalogue: SignalCatalogue, integrity: Mapping[str, FrameIntegrity], drafts: _Drafts
+    catalogue: SignalCatalogue,
+    integrity: Mapping[str, FrameIntegrity],
+    drafts: Mapping[str, _Pages],
 ) -> Iterator[CommandFrame]:
     """The frames of a command, from drafts without a flaw."""
     for name, pages in drafts.items():
@@ -164,15 +166,13 @@ def _fixed(draft: Iterable[Sink[Located]]) -> dict[str, float]:
     }
 
 
-def _frames(pages: Mapping[Page, list[Sink[Located]]]) -> Iterator[dict[str, float]]:
+def _frames(pages: _Pages) -> Iterator[dict[str, float]]:
     """The values that are always the same, multiplexers among them, of each frame of a message."""
     fixed = _fixed(one for draft in pages.values() for one in draft)
     return ({**fixed, **dict(page)} for page in sent_pages(pages))
 
 
-def _check_initial(
-    catalogue: SignalCatalogue, message: Message, pages: Mapping[Page, list[Sink[Located]]]
-) -> None:
+def _check_initial(catalogue: SignalCatalogue, message: Message, pages: _Pages) -> None:
     """Each signal can hold its initial value, which it has where nothing else sets it."""
     given = {selector for page in pages for selector, _ in page}
     given |= {one.item.signal.name for draft in pages.values() for one in draft}
@@ -183,9 +183,7 @@ def _check_initial(
             catalogue.note("signals.command", f"message {message.name!r}: {bits} its {problem}")
 
 
-def _check_overlap(
-    catalogue: SignalCatalogue, message: Message, pages: Mapping[Page, list[Sink[Located]]]
-) -> None:
+def _check_overlap(catalogue: SignalCatalogue, message: Message, pages: _Pages) -> None:
     """No two values that are sent share a bit of their frame."""
     for draft in pages.values():
         bits = {one.item.signal.name: signal_bits(one.item.signal) for one in draft}
@@ -195,9 +193,7 @@ def _check_overlap(
                 catalogue.note("signals.command", f"message {message.name!r}: {problem}")
 
 
-def _check_pages(
-    catalogue: SignalCatalogue, message: Message, pages: Mapping[Page, list[Sink[Located]]]
-) -> None:
+def _check_pages(catalogue: SignalCatalogue, message: Message, pages: _Pages) -> None:
     """Each frame is of a page that its message has: no other can be encoded."""
     for chosen in _frames(pages):
         for selector in message.signals:
