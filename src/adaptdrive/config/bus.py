@@ -58,7 +58,7 @@ class BusSection(Section):
     """Properties that every kind of `[bus]` states of the drive behind it."""
 
     has_bridge_words: ClassVar[bool] = False
-    """Whether the protocol itself switches the bridge and confirms that it is off."""
+    """True when the protocol itself switches the bridge and confirms that it is off."""
 
     setup: dict[str, int | FiniteFloat | str] = key({})
     setup_unread: list[str] = key([])

@@ -100,7 +100,7 @@ def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    """Do the signals fit the bus? Those of a DBC are compared with that."""
+    """Yield the signals that do not fit the bus; those of CAN are compared with the DBC."""
     bus, signals = configuration.bus, configuration.signals
     if isinstance(bus, CanOpenBus):
         yield from canopen_flaws(bus, signals)
