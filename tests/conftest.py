@@ -113,10 +113,12 @@ def _no_leaked_task(request: pytest.FixtureRequest) -> None:
 
 
 @pytest.fixture
-async def _tasks_of_test() -> AsyncIterator[None]:
+async def _tasks_of_test(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[None]:
     """Fail the test when a task outlives it and the fixtures that it asked for."""
     loop = asyncio.get_running_loop()
     loop.set_debug(True)
+    # its checks, but not the stack of each future, which is a third of the processor time
+    monkeypatch.setattr(loop, "get_debug", lambda: False)
     loop.slow_callback_duration = math.inf  # a busy machine is no failure
     before = asyncio.all_tasks()
     yield
