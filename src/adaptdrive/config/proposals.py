@@ -34,20 +34,18 @@ def key_proposal(schema: Schema, section: Sequence[str], place: Sequence[str]) -
 
 def _below(whole: Schema, schema: Schema, section: Sequence[str]) -> set[str]:
     """Keys of a section."""
-    if not section:
-        return {key for one in _options(whole, schema) for key in one.get("properties", {})}
     found: set[str] = set()
     for one in _options(whole, schema):
-        mapping = one.get("discriminator", {}).get("mapping", {})
-        below = [
-            one.get("properties", {}).get(section[0]),
-            one.get("additionalProperties"),
-            one.get("items") if section[0].isdigit() else None,
-            {"$ref": mapping[section[0]]} if section[0] in mapping else None,
-        ]
-        for part in below:
+        keys, kinds = one.get("properties", {}), one.get("discriminator", {}).get("mapping", {})
+        if not section:
+            found.update(keys)
+            continue
+        name, *rest = section
+        kind = {"$ref": kinds[name]} if name in kinds else None
+        items = one.get("items") if name.isdigit() else None
+        for part in (keys.get(name), one.get("additionalProperties"), items, kind):
             if isinstance(part, Mapping):
-                found |= _below(whole, part, section[1:])
+                found |= _below(whole, part, rest)
     return found
 
 

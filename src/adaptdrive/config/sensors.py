@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from adaptdrive.config.bus import WORDS, CanDescription, Quantity
+from adaptdrive.config.bus import CanDescription, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.references import map_flaws, register_flaws, unknown_flaws
 from adaptdrive.config.section import PositiveFloat, Section, key
@@ -96,9 +96,6 @@ def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Fla
         )
     if bus.cycle_s > period_s:
         yield Flaw(f"{place}.cycle_s", f"{bus.cycle_s} must not exceed load.period_s = {period_s}")
-    for name in WORDS:
-        if name in bus.signals:
-            yield Flaw(f"{place}.signals.{name}", "comes from the drive alone")
     if not isinstance(bus, CanSensorSection):
         yield from _modbus_flaws(bus, place)
 

@@ -5,14 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from adaptdrive.config.bus import MEASURED, WORDS, Signals
+from adaptdrive.config.bus import MEASURED, WORDS
 from adaptdrive.config.modbus import RtuLink
 from adaptdrive.config.sensors import sensor_flaws
 from adaptdrive.config.units import Converted
@@ -56,20 +57,8 @@ def moved_inputs(name: str, derived: Mapping[str, Derived]) -> tuple[str, ...]:
     """
     if name not in derived:
         return ()
-    found: dict[str, None] = {}
-    for part in derived[name].moved:
-        found.update(dict.fromkeys(moved_inputs(part, derived) or (part,)))
-    return tuple(found)
-
-
-def rule_flaws(name: str, derived: Derived) -> Iterator[Flaw]:
-    """A rule that does not fit the number of its values."""
-    if derived.rule in _PAIRS and len(derived.of) != 2:
-        problem = f"{derived.rule!r} takes two values, not {len(derived.of)}"
-        yield Flaw(f"derived.{name}.of", problem)
-    for part in derived.follows or ():
-        if part not in derived.of:
-            yield Flaw(f"derived.{name}.follows", f"{part!r} is not one of derived.{name}.of")
+    found = (moved_inputs(part, derived) or (part,) for part in derived[name].moved)
+    return tuple(dict.fromkeys(chain.from_iterable(found)))
 
 
 def in_order(derived: Mapping[str, Derived]) -> list[str]:
@@ -82,8 +71,18 @@ def in_order(derived: Mapping[str, Derived]) -> list[str]:
     return [name for name in order if name in derived]
 
 
-def cycle_flaws(derived: Mapping[str, Derived]) -> Iterator[Flaw]:
-    """A value that is made of itself, by whatever detour."""
+def _derived_flaws(derived: Mapping[str, Derived], given: Collection[str]) -> Iterator[Flaw]:
+    """Yield rules that do not fit their values, and values made of nothing or of themselves."""
+    for name, one in derived.items():
+        place = f"derived.{name}"
+        if one.rule in _PAIRS and len(one.of) != 2:
+            yield Flaw(f"{place}.of", f"{one.rule!r} takes two values, not {len(one.of)}")
+        for part in one.follows or ():
+            if part not in one.of:
+                yield Flaw(f"{place}.follows", f"{part!r} is not one of {place}.of")
+        for part in one.of:
+            if part not in given:
+                yield Flaw(f"{place}.of", f"no source gives {part!r}")
     try:
         in_order(derived)
     except CycleError as problem:
@@ -97,24 +96,22 @@ def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
     Args:
         whole: The configuration.
     """
-    derived, givers = whole.derived, dict[str, str]()
+    givers: dict[str, str] = {}
     for name, place in _givers(whole):
         if name in givers:
             yield Flaw(place, f"{name!r} is given by {givers[name]} already")
         givers.setdefault(name, place)
+        if name in _DRIVE and place.startswith("signals.other."):
+            yield Flaw(place, "is a name of the drive itself")
+        elif name in WORDS:
+            yield Flaw(place, "comes from the drive alone")
     for name in MEASURED:
         if name not in givers and name not in _optional(whole):
             yield Flaw(
                 f"signals.{name}",
                 "Field required: neither [signals], nor a [[sensor_bus]], nor [derived] gives it",
             )
-    yield from _reserved(whole.signals, derived)
-    for name, one in derived.items():
-        yield from rule_flaws(name, one)
-        for part in one.of:
-            if part not in givers:
-                yield Flaw(f"derived.{name}.of", f"no source gives {part!r}")
-    yield from cycle_flaws(derived)
+    yield from _derived_flaws(whole.derived, givers)
     names: dict[str, str] = {}
     for number, bus in enumerate(whole.sensor_bus):
         place = f"sensor_bus.{number}"
@@ -194,17 +191,6 @@ def _givers(whole: Configuration) -> Iterator[tuple[str, str]]:
     }
     for place, table in tables.items():
         yield from ((name, f"{place}.{name}") for name in table)
-
-
-def _reserved(signals: Signals, derived: Mapping[str, Derived]) -> Iterator[Flaw]:
-    """Names of quantities in places that cannot give them."""
-    for name in signals.other:
-        if name in _DRIVE:
-            yield Flaw(f"signals.other.{name}", "is a name of the drive itself")
-    for place, names in (("derived", derived), ("signals.stated", signals.stated)):
-        for name in names:
-            if name in WORDS:
-                yield Flaw(f"{place}.{name}", "comes from the drive alone")
 
 
 def line_flaws(whole: Configuration) -> Iterator[Flaw]:

@@ -8,6 +8,7 @@ commands and constants are checked here, for drives and sensors.
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -145,9 +146,15 @@ class Catalogue(ABC, Generic[Item]):
 
     on: float | None = 1.0
 
-    def __init__(self) -> None:
+    def __init__(self, remarks: Sequence[str] = ()) -> None:
+        """Find nothing yet.
+
+        Args:
+            remarks: What is wrong in the file of the device, each with its line.
+        """
         self.flaws: list[Flaw] = []
         self.cautions: list[Flaw] = []
+        self._remarks = remarks
 
     @abstractmethod
     def find(self, reference: str, place: str) -> Item | None:
@@ -175,11 +182,17 @@ class Catalogue(ABC, Generic[Item]):
         if problem:
             self.flaws.append(Flaw(place, problem))
 
-    def warn_of_file(self, place: str, remarks: Sequence[str]) -> None:
+    def remark(self, name: str) -> str:
+        """Return what is wrong in the file where it has a name, empty for nothing."""
+        named = re.compile(rf"(?<!\w){re.escape(name)}(?!\w)", re.IGNORECASE)
+        found = next(filter(named.search, self._remarks), "")
+        return found and f"; {found}"
+
+    def warn_of_file(self, place: str) -> None:
         """Collect what is wrong in the file of a device, as far as nothing uses it."""
-        self.cautions += [Flaw(place, remark) for remark in remarks[:_MOST_REMARKS]]
-        if len(remarks) > _MOST_REMARKS:
-            more = len(remarks) - _MOST_REMARKS
+        self.cautions += [Flaw(place, remark) for remark in self._remarks[:_MOST_REMARKS]]
+        if len(self._remarks) > _MOST_REMARKS:
+            more = len(self._remarks) - _MOST_REMARKS
             self.cautions.append(Flaw(place, f"{more} more lines have such flaws"))
 
     def sources(self, given: Iterable[Given], demands: Demands = NO_DEMANDS) -> list[Source[Item]]:

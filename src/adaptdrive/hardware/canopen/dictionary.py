@@ -110,10 +110,9 @@ class ObjectCatalogue(Catalogue[Entry]):
     """Finds entries by name or number, and collects an error for each missing entry."""
 
     def __init__(self, dictionary: ObjectDictionary, remarks: Sequence[str] = ()) -> None:
-        super().__init__()
+        super().__init__(remarks)
         self._dictionary = dictionary
-        self._remarks = remarks
-        self.warn_of_file("bus.eds", remarks)
+        self.warn_of_file("bus.eds")
 
     def field(self, item: Entry, use: Use) -> Field:  # noqa: ARG002 - limits hold for all uses
         """Return how an entry is coded."""
@@ -166,13 +165,11 @@ class ObjectCatalogue(Catalogue[Entry]):
             self.note(place, f"object {reference!r} is no number of at most 64 bits")
         return entry
 
-    def remark(self, reference: str) -> str:
+    def remark(self, name: str) -> str:
         """Return what is wrong in the file with an object of that number, empty for nothing."""
-        number = _BY_NUMBER.fullmatch(reference)
+        number = _BY_NUMBER.fullmatch(name)
         sub = f"sub{int(number[2]):x}" if number and number[2] else ""
-        named = f"[{number[1]}{sub}]".lower() if number else "[]"
-        found = next((one for one in self._remarks if named in one.lower()), "")
-        return found and f"; {found}"
+        return super().remark(f"[{number[1]}{sub}]") if number else ""
 
     def variables(self) -> Iterator[ODVariable]:
         """Yield every value, members of objects too."""

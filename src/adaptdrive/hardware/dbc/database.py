@@ -151,7 +151,7 @@ class SignalCatalogue(Catalogue[Located]):
         fd: bool,
         integrity: Mapping[str, FrameIntegrity] = MappingProxyType({}),
     ) -> None:
-        super().__init__()
+        super().__init__(description.remarks)
         self._description = description
         self._messages = description.database.messages
         self._fd = fd
@@ -200,7 +200,7 @@ class SignalCatalogue(Catalogue[Located]):
         message = known.get(name) or known.get(f"_{name}")
         if message is None:
             problem = f"the database has no message {name!r}{nearest(name, known)}"
-            self.note(place, f"{problem}{self._remark(name)}")
+            self.note(place, f"{problem}{self.remark(name)}")
             return None
         ids = [f"{one.frame_id:#x}" for one in self._messages if one.name == name]
         if len(ids) > 1:
@@ -230,7 +230,7 @@ class SignalCatalogue(Catalogue[Located]):
         known = {signal.name: signal for signal in message.signals}
         found = known.get(name) or known.get(f"_{name}")
         if found is None:
-            hint = f"{nearest(name, known)}{self._remark(name)}"
+            hint = f"{nearest(name, known)}{self.remark(name)}"
             self.note(place, f"message {message.name!r} has no signal {name!r}{hint}")
         self.note(place, self._description.unfit.get((message.name, name)))
         if found is None:
@@ -245,12 +245,6 @@ class SignalCatalogue(Catalogue[Located]):
             self.note(place, problem)
             return None
         return found
-
-    def _remark(self, name: str) -> str:
-        """Return what is wrong in the file where it has a name, empty for nothing."""
-        named = re.compile(rf"\b{re.escape(name)}\b")
-        found = next(filter(named.search, self._description.remarks), "")
-        return found and f"; {found}"
 
     def check_ids(self, measuring: Iterable[str], commanding: Iterable[str], place: str) -> None:
         """Gather a flaw for each used message whose id is that of one with measurements."""

@@ -122,9 +122,8 @@ def map_drive(
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    description = describe(bus, source)
-    catalogue = SignalCatalogue(description, fd=bus.fd, integrity=bus.integrity)
-    catalogue.warn_of_file("bus.database", description.remarks)
+    catalogue = SignalCatalogue(describe(bus, source), fd=bus.fd, integrity=bus.integrity)
+    catalogue.warn_of_file("bus.database")
     catalogue.flaws.extend(channel_flaws(bus))
     clock = catalogue.message(bus.clock, "bus.clock")
     bound = {one.quantity: one for one in catalogue.sources(signals.entries(), demands)}
