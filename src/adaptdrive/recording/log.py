@@ -13,8 +13,10 @@ import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 from adaptdrive.recording.frames import ROW_KINDS, Kind, Record
-from adaptdrive.recording.log_syncs import LogNews
+from adaptdrive.recording.log_syncs import SYNC, LogNews
 from adaptdrive.recording.log_writer import NOTES, ROWS, LogWriter
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.records import Header
@@ -32,6 +34,7 @@ class Log:
 
     Attributes:
         dropped: Rows that went because too many waited.
+        closed: True once the disk keeps all of it, and the file is closed.
         problems: Why nothing (`notes`), no rows (`rows`) or nothing that outlasts a power cut
             (`sync`) is written; empty texts while all is.
     """
@@ -61,7 +64,8 @@ class Log:
             backlog_bytes: Rows that may wait.
         """
         self.dropped = Dropped()
-        self.problems = {NOTES: "", ROWS: ""}
+        self.closed = False
+        self.problems = {NOTES: "", ROWS: "", SYNC: ""}
         self._clock = clock
         self._hear = hear
         self._backlog_bytes = backlog_bytes
@@ -71,19 +75,14 @@ class Log:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._notes = self._synced = self._rows_bytes = 0
         self._in_vain_s = 0.0
-        self._waiters: list[tuple[int, asyncio.Event]] = []
         self._written = False
-        self._ended = asyncio.Event()
+        self._told = dict(self.problems)
+        self._news = asyncio.Event()
 
     @property
     def failing(self) -> bool:
         """True while what is appended is not written."""
         return any(self.problems.values())
-
-    @property
-    def closed(self) -> bool:
-        """True once the disk keeps all of it, and the file is closed."""
-        return self._ended.is_set()
 
     @property
     def behind(self) -> bool:
@@ -138,19 +137,13 @@ class Log:
         Args:
             patience_s: Longest wait.
         """
-        answers = self._loop is not None and not self.problems[NOTES]
-        if self._synced >= self._notes or not answers or self._in_vain_s >= patience_s:
+        if self._loop is None or self._in_vain_s >= patience_s:
             return
-        waiter = self._notes, asyncio.Event()
-        self._waiters.append(waiter)
-        try:
-            async with asyncio.timeout(patience_s):
-                await waiter[1].wait()
-        except TimeoutError:
+        notes = self._notes
+        if not await self._until(
+            lambda: self._synced >= notes or bool(self.problems[NOTES]), patience_s
+        ):
             self._in_vain_s = patience_s
-        finally:
-            with contextlib.suppress(ValueError):
-                self._waiters.remove(waiter)
 
     async def close(self, patience_s: float) -> bool:
         """Write what waits and close the file.
@@ -161,13 +154,18 @@ class Log:
         Returns:
             Whether all is written; `closed` is False where the disk has not confirmed that.
         """
-        if self._loop is None:
-            return False
-        self._writer.close()
+        if self._loop is not None:
+            self._writer.close()
+            await self._until(lambda: self.closed, patience_s)
+        return self._written
+
+    async def _until(self, done: Callable[[], bool], patience_s: float) -> bool:
+        """Wait until news of the threads make something true; return whether it is."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(patience_s):
-                await self._ended.wait()
-        return self._written
+                while not done():
+                    await self._news.wait()
+        return done()
 
     def _bound(self) -> None:
         """Drop the oldest rows where too many wait."""
@@ -183,20 +181,22 @@ class Log:
             elif oldest.kind is Kind.SLOW:
                 self.dropped += Dropped(slow=oldest.rows)
 
-    def _tell(self, outcome: LogNews) -> None:
-        """Pass news of a thread to the event loop, which may have ended."""
-        if self._loop is not None:
+    def _tell(self, news: LogNews) -> None:
+        """Pass what is new of a thread to the event loop, which may have ended."""
+        told = self._told.items()
+        problems = {what: why for what, why in news.problems.items() if (what, why) not in told}
+        self._told |= problems
+        news = msgspec.structs.replace(news, problems=problems)
+        if self._loop is not None and news != LogNews():
             with contextlib.suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._take, outcome)
+                self._loop.call_soon_threadsafe(self._take, news)
 
-    def _take(self, outcome: LogNews) -> None:
-        self.problems.update(outcome.problems)
-        if outcome.synced is not None:
-            self._synced, self._in_vain_s = outcome.synced, 0.0
-        for number, waiter in self._waiters:
-            if number <= self._synced or self.problems[NOTES]:
-                waiter.set()
-        self._written |= outcome.written
-        if outcome.ended:
-            self._ended.set()
-        self._hear(outcome)
+    def _take(self, news: LogNews) -> None:
+        self.problems |= news.problems
+        if news.synced is not None:
+            self._synced, self._in_vain_s = news.synced, 0.0
+        self._written |= news.written
+        self.closed |= news.ended
+        self._news.set()
+        self._news = asyncio.Event()
+        self._hear(news)

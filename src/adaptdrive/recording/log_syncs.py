@@ -43,7 +43,6 @@ class LogSyncs:
         """
         self._tell = tell
         self._jobs: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
-        self._problem = ""
 
     def keep(self, descriptor: int, notes: int) -> None:
         """Have the disk keep a file; returns at once.
@@ -70,20 +69,17 @@ class LogSyncs:
                 self._tell(LogNews(synced=notes, ended=True))
                 return
             if notes == _CLOSE:
-                self._sync(descriptor)
+                self._sync(descriptor, None)
                 with contextlib.suppress(OSError):
                     os.close(descriptor)
             elif self._jobs.empty():  # a later sync of this file serves those before it
-                self._sync(descriptor)
-                self._tell(LogNews(synced=notes))
+                self._sync(descriptor, notes)
 
-    def _sync(self, descriptor: int) -> None:
-        """Have the disk keep a file; report its failure once, and its success after that."""
+    def _sync(self, descriptor: int, notes: int | None) -> None:
+        """Have the disk keep a file."""
         problem = ""
         try:
             os.fdatasync(descriptor)
         except OSError as failure:
             problem = str(failure)
-        if problem != self._problem:
-            self._problem = problem
-            self._tell(LogNews(problems={SYNC: problem}))
+        self._tell(LogNews(notes, {SYNC: problem}))

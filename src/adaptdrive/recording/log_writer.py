@@ -89,7 +89,7 @@ class LogWriter:
         self._taken: list[Record] = []
         self._taken_rows: list[Record] = []
         self._notes_written = 0
-        self._problems = {NOTES: "", ROWS: ""}
+        self._rows_fail = False
         self._closing = threading.Event()
         self._rows_begun = threading.Event()
 
@@ -135,11 +135,11 @@ class LogWriter:
     @property
     def _idle(self) -> bool:
         waiting = self.notes or self.rows or self._taken or self._taken_rows
-        return not (waiting or self._problems[ROWS])
+        return not (waiting or self._rows_fail)
 
     def _write_all(self) -> None:
         if self._tried(NOTES, self._write_notes) and self._rows_begun.is_set():
-            self._tried(ROWS, self._write_rows)
+            self._rows_fail = not self._tried(ROWS, self._write_rows)
 
     def _write_notes(self) -> None:
         """Write events, commands and replies, on a full disk into the reserve."""
@@ -243,21 +243,16 @@ class LogWriter:
             return False
 
     def _tried(self, what: str, act: Callable[[], None]) -> bool:
-        """Do something, report its failure once and its success after that."""
+        """Do something, and report its failure or its success."""
+        why = ""
         try:
             act()
         except Exception as problem:  # noqa: BLE001 - reported; nobody else would notice
-            self._report(what, str(problem) if isinstance(problem, OSError) else repr(problem))
-            # keep a broken disk from taking the processor
-            time.sleep(_PAUSE_S / 10.0) if self._closing.wait(_PAUSE_S) else None
-            return False
-        self._report(what, "")
-        return True
-
-    def _report(self, what: str, problem: str) -> None:
-        if problem != self._problems[what]:
-            self._problems[what] = problem
-            self._tell(LogNews(problems={what: problem}))
+            why = str(problem) if isinstance(problem, OSError) else repr(problem)
+        self._tell(LogNews(problems={what: why}))
+        if why and self._closing.wait(_PAUSE_S):
+            time.sleep(_PAUSE_S / 10.0)  # keep a broken disk from taking the processor
+        return not why
 
 
 def _compressed(item: Record) -> Record:
