@@ -25,11 +25,11 @@ from adaptdrive.control.settings import Jacket
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.frames import Kind, Record, framed
 from adaptdrive.recording.log_files import LogFile, new_file, recall
-from adaptdrive.recording.log_tables import logged_batches
 from adaptdrive.recording.memory import Begin, Recalled
 from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import EventRow, Header
+from adaptdrive.recording.segments import logged_batches
 from adaptdrive.recording.session import CONFIG_FILE, EVENTS, INFO_FILE, NOTES, TABLES
 from adaptdrive.recording.tables import table_schema
 from tests.fuzz.target import EXAMPLES, Target, scratch

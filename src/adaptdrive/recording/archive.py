@@ -32,11 +32,10 @@ from adaptdrive.recording.log_files import (
     log_files,
     newest_sound,
 )
-from adaptdrive.recording.log_tables import content_of, logged_batches
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.retention import prune
-from adaptdrive.recording.segments import write_segment
+from adaptdrive.recording.segments import content_of, logged_batches, write_segment
 from adaptdrive.recording.session import (
     Dropped,
     Ending,

@@ -248,7 +248,7 @@ class LogWriter:
         try:
             act()
         except Exception as problem:  # noqa: BLE001 - reported; nobody else would notice
-            why = str(problem) if isinstance(problem, OSError) else repr(problem)
+            why = (isinstance(problem, OSError) and str(problem)) or repr(problem)
         self._tell(LogNews(problems={what: why}))
         if why and self._closing.wait(_PAUSE_S):
             time.sleep(_PAUSE_S / 10.0)  # keep a broken disk from taking the processor

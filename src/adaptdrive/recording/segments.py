@@ -4,29 +4,49 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.errors import RecordingError
-from adaptdrive.recording.log_files import LogFile, first_begin, unarchived
-from adaptdrive.recording.log_tables import logged_batches
+from adaptdrive.errors import NOT_JSON, RecordingError
+from adaptdrive.recording.frames import ROW_KINDS, Kind, Record
+from adaptdrive.recording.log_files import LogFile, first_begin, records, unarchived
 from adaptdrive.recording.parquet import parquet_schema, read_parquet, write_parquet
-from adaptdrive.recording.session import NOTES, TABLES, TICKS, SessionInfo
-from adaptdrive.recording.tables import conform, table_schema
+from adaptdrive.recording.records import CommandRow, EventRow, Ticks
+from adaptdrive.recording.session import (
+    COMMANDS,
+    EVENTS,
+    NOTES,
+    SENSORS,
+    SLOW,
+    TABLES,
+    TICKS,
+    SessionInfo,
+)
+from adaptdrive.recording.tables import conform, rows_batch, table_schema, ticks_batch
 from adaptdrive.runtime.statistics import BINS, bin_of
 
-EVERY_TICK = "lateness_us"
-"""The histogram that counts every tick: a stand-in tick has no turnaround."""
-
-_TIMES = (EVERY_TICK, "turnaround_us", "tick_us")
+_TIMES = ("lateness_us", "turnaround_us", "tick_us")
 Batches = Iterator[pa.RecordBatch]
 _ALL = (*TABLES, *NOTES)
 _NAME = re.compile(rf"({'|'.join(_ALL)})-(\d{{4,}})\.parquet")
+_TICKS_AT_ONCE = 5_000
+_ROWS_AT_ONCE = 200
+"""Rows of a batch: as Python values they take many times their size on disk."""
+_KINDS: dict[str, tuple[Kind, Any]] = {
+    TICKS: (Kind.TICKS, Ticks),
+    SLOW: (Kind.SLOW, list[dict[str, Any]]),
+    SENSORS: (Kind.SENSORS, list[dict[str, Any]]),
+    EVENTS: (Kind.EVENT, EventRow),
+    COMMANDS: (Kind.COMMAND, CommandRow),
+}
+"""Kind and contents of the records of each table."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -178,3 +198,63 @@ def _logged(directory: Path, info: SessionInfo, tables: Iterable[str]) -> Iterat
         files = tuple(group)
         for table in tables:
             yield Segment(part, table, parquet_path(directory, table, part), files)
+
+
+def logged_batches(
+    files: Sequence[LogFile], table: str, schema: pa.Schema, losses: list[str] | None = None
+) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of a table in files of the log.
+
+    Args:
+        files: Files of one segment of a session, in their order.
+        table: Name of the table.
+        schema: Its columns.
+        losses: Takes what cannot be read, in words.
+
+    Raises:
+        RecordingError: A file cannot be read at all.
+    """
+    losses = [] if losses is None else losses
+    kind, contents = _KINDS[table]
+    timed: list[tuple[Any, float]] = []
+    rows = 0
+    for record in records(files, losses):
+        found = content_of(record, contents, losses) if record.kind is kind else None
+        if found is None:
+            continue
+        if table in NOTES:
+            found = [msgspec.structs.asdict(found)]
+        timed.append((found, record.wall_s - record.monotonic_s))
+        rows += found.rows if isinstance(found, Ticks) else len(found)
+        if rows >= (_TICKS_AT_ONCE if table == TICKS else _ROWS_AT_ONCE):
+            yield from _made(timed, table, schema, losses)
+            timed, rows = [], 0
+    if rows:
+        yield from _made(timed, table, schema, losses)
+
+
+def _made(
+    timed: Sequence[tuple[Any, float]], table: str, schema: pa.Schema, losses: list[str]
+) -> Iterator[pa.RecordBatch]:
+    """Yield a batch, or note that its rows do not fit their table, as those of another version."""
+    try:
+        yield ticks_batch(timed, schema) if table == TICKS else rows_batch(timed, schema)
+    except (LookupError, TypeError, ValueError, OverflowError) as problem:
+        losses.append(f"rows that make no table: {problem}")
+
+
+def content_of(record: Record, kind: type[Any], losses: list[str]) -> Any:  # noqa: ANN401 - of a kind
+    """Return what a record holds, None where it cannot be decoded.
+
+    Args:
+        record: The record.
+        kind: Type of its contents.
+        losses: Takes what cannot be read, in words.
+    """
+    try:
+        packed = record.kind in ROW_KINDS
+        payload = zlib.decompress(record.payload) if packed else record.payload
+        return msgspec.msgpack.decode(payload, type=kind)
+    except (zlib.error, *NOT_JSON) as problem:
+        losses.append(f"record {record.number}: {problem}")
+        return None

@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
+from adaptdrive.control.columns import Column
 from adaptdrive.recording.records import CommandRow, EventRow, SensorColumn, Ticks
 from adaptdrive.recording.session import COMMANDS, EVENTS, SENSORS, SLOW, TICKS
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
@@ -37,13 +38,15 @@ _COLUMNS = {TICKS: TICK_COLUMNS, SLOW: SLOW_COLUMNS}
 _CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
 
 
-def _field(name: str, kind: pa.DataType, unit: str, meaning: str, source: str) -> pa.Field:
-    about = {"unit": unit, "description": meaning, "source": source}
-    return pa.field(name, kind, metadata=about)
+def _field(column: Column | SensorColumn, kind: pa.DataType, unit: str) -> pa.Field:
+    about = {"unit": unit, "description": column.meaning, "source": column.source}
+    return pa.field(column.name, kind, metadata=about)
 
 
-_UTC_FIELD = _field("utc", UTC, "", "wall-clock time of the row, UTC", f"{MONOTONIC} + offset")
-_MONOTONIC_FIELD = _field(MONOTONIC, pa.float64(), "s", "monotonic time of the row", "daemon")
+_UTC_FIELD = _field(
+    SensorColumn("utc", "", "wall-clock time of the row, UTC", f"{MONOTONIC} + offset"), UTC, ""
+)
+_MONOTONIC = SensorColumn(MONOTONIC, "s", "monotonic time of the row", "daemon")
 
 
 def table_schema(
@@ -60,21 +63,12 @@ def table_schema(
         found = msgspec.structs.fields(NOTE_ROWS[table])
         return pa.schema([(field.name, _NOTE_TYPES[field.type]) for field in found])
     if table == SENSORS:
-        values = [
-            _field(one.name, pa.float64(), one.unit, one.meaning, one.source) for one in sensors
+        fields = [_field(one, pa.float64(), one.unit) for one in (_MONOTONIC, *sensors)]
+    else:
+        units = {"y": output_unit, "u": INPUT_UNIT}
+        fields = [
+            _field(one, _TYPES[one.kind], units.get(one.unit, one.unit)) for one in _COLUMNS[table]
         ]
-        return pa.schema([_UTC_FIELD, _MONOTONIC_FIELD, *values])
-    special = {"y": output_unit, "u": INPUT_UNIT}
-    fields = [
-        _field(
-            column.name,
-            _TYPES[column.kind],
-            special.get(column.unit, column.unit),
-            column.meaning,
-            column.source,
-        )
-        for column in _COLUMNS[table]
-    ]
     return pa.schema([_UTC_FIELD, *fields])
 
 

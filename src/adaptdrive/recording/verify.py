@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
-from adaptdrive.recording.segments import EVERY_TICK, Segment, segments
+from adaptdrive.recording.segments import Segment, segments
 from adaptdrive.recording.session import (
     COMMANDS,
     EVENTS,
@@ -18,7 +18,7 @@ from adaptdrive.recording.session import (
     SLOW,
     TABLES,
     TICKS,
-    Dropped,
+    SessionInfo,
 )
 from adaptdrive.runtime.reports import MONOTONIC
 
@@ -70,13 +70,11 @@ def verify(session: Session) -> Verification:
                 count.take(segment, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
-    rows, missing = count.rows, count.missing_ticks
-    problems += _missing_rows(rows, session.info.rows)
-    problems += _unrecorded(session.info.dropped)
+    info, rows = session.info, count.rows
+    problems += [*_missing(info, rows), *info.losses]
     # a whole file that is gone leaves no gap in the running numbers
-    counted = sum(session.info.histograms.get(EVERY_TICK, ()))
-    missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
-    problems += session.info.losses
+    gone = info.rows.get(TICKS, 0) - rows.get(TICKS, 0)
+    missing = max(count.missing_ticks, info.dropped.ticks, gone)
     shown = {table: rows[table] for table in TABLES if table in rows}
     return Verification(shown, missing, tuple(dict.fromkeys(problems)))
 
@@ -117,17 +115,12 @@ class _Count:
         self.rows[table] = self.rows.get(table, 0) + batch.num_rows
 
 
-def _missing_rows(rows: Mapping[str, int], known: Mapping[str, int]) -> Iterator[str]:
-    """Yield which tables lack rows that were in them; missing ticks are counted on their own."""
-    for table, number in known.items():
+def _missing(info: SessionInfo, rows: Mapping[str, int]) -> Iterator[str]:
+    """Yield what is missing but ticks, which are counted on their own."""
+    for table, number in info.rows.items():
         missing = number - rows.get(table, 0)
         if table != TICKS and missing > 0:
             yield f"{missing} of {number} rows of the table {table} are missing"
-
-
-def _unrecorded(dropped: Dropped) -> Iterator[str]:
-    """Yield what the recorder counted as lost; missing ticks are counted on their own."""
-    lost = {"slow steps": dropped.slow, "events": dropped.events}
-    for kind, number in lost.items():
+    for kind, number in {"slow steps": info.dropped.slow, "events": info.dropped.events}.items():
         if number:
             yield f"{number} {kind} were not recorded"
