@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.aside import in_thread
-from adaptdrive.recording.recorder_settings import RecordingPace
+from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session, session_of
 from adaptdrive.runtime.reports import Severity
@@ -30,8 +30,7 @@ class Archiving:
 
     def __init__(
         self,
-        log: Path,
-        sessions: Path,
+        place: Place,
         header: Header,
         report: Callable[[Severity, str], None],
         pace: RecordingPace,
@@ -39,17 +38,16 @@ class Archiving:
         """Start nothing yet.
 
         Args:
-            log: Folder of the log.
-            sessions: Folder of all sessions.
+            place: Folders; without one of sessions there is nothing to do.
             header: The session that is recorded.
             report: Takes events, in the event loop.
             pace: Intervals of the recorder.
         """
         self.directory: Path | None = None
-        self._sessions = sessions
+        self._sessions = place.sessions
         self._header = header
         program = [sys.executable, "-P", "-m", "adaptdrive.recording.archiver"]
-        self._command = [*program, str(log), str(sessions), str(pace.trip_s)]
+        self._command = [*program, str(place.log), str(place.sessions), str(pace.trip_s)]
         self._report = report
         self._pace = pace
         self._due = asyncio.Event()
@@ -60,10 +58,10 @@ class Archiving:
         Raises:
             OSError: It cannot be made.
         """
-        if self.directory is None:
-            info, sessions = self._header.info, self._sessions
-            found = session_of(sessions, info)
-            self.directory = found or create_session(sessions, info, self._header.config_text)
+        if self._sessions is not None and self.directory is None:
+            info, text = self._header.info, self._header.config_text
+            found = session_of(self._sessions, info)
+            self.directory = found or create_session(self._sessions, info, text)
 
     def due(self) -> None:
         """Have it run as soon as it can."""
@@ -73,14 +71,8 @@ class Archiving:
         """Have it run once the record of a trip that has just been is complete."""
         asyncio.get_running_loop().call_later(self._pace.trip_s + 0.1, self._due.set)
 
-    async def run(self, begin: asyncio.Event | None) -> None:
-        """Run it until cancelled.
-
-        Args:
-            begin: It does not run before this is set; None to begin at once.
-        """
-        if begin is not None:
-            await begin.wait()
+    async def run(self) -> None:
+        """Run it until cancelled."""
         said = ""
         while True:
             problem = await self.once()

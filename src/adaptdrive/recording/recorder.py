@@ -7,7 +7,7 @@ import contextlib
 import itertools
 from collections import deque
 from collections.abc import Iterable, Sequence
-from typing import Any, TypeGuard
+from typing import Any
 
 import msgspec
 
@@ -87,7 +87,7 @@ class Recorder:
         """
         self.complete = True
         self._place = place
-        self._header = place.seen_in(header)
+        header = place.seen_in(header)
         reports = max(1000, round(_RATE_Hz * pace.flush_s))
         self._ticks = hub.subscribe(TickReport, size=reports)
         self._slow = hub.subscribe(LoadReport, size=reports)
@@ -96,17 +96,14 @@ class Recorder:
         self._publish = hub.publish
         self._clocks = clocks
         self._pace = pace
-        self._archiving: Archiving | None = None
-        if place.sessions is not None:
-            header = self._header
-            self._archiving = Archiving(place.log, place.sessions, header, self._report, pace)
+        self._archiving = Archiving(place, header, self._report, pace)
         self._log = Log(
             place.log,
-            self._header,
+            header,
             recalled,
             clocks.both,
             hear=self._hear,
-            begin_rows=self._archiving.make_session if self._archiving else lambda: None,
+            begin_rows=self._archiving.make_session,
             start_thread=pace.start_thread,
             backlog_bytes=pace.backlog_bytes,
         )
@@ -143,9 +140,8 @@ class Recorder:
             self._report(Severity.ALARM, f"{UNBEGUN}: {problem}")
         try:
             async with asyncio.TaskGroup() as group:
-                group.create_task(self._feed_for_ever(begin), name="recorder-feed")
-                if self._archiving is not None:
-                    group.create_task(self._archiving.run(begin), name="recorder-archive")
+                group.create_task(self._feed_for_ever(), name="recorder-feed")
+                group.create_task(self._archive(begin), name="recorder-archive")
         finally:
             await self._finish()
 
@@ -160,28 +156,26 @@ class Recorder:
         self._note(self._events.drain())
         await self._log.kept(self._pace.keep_s if patience_s is None else patience_s)
 
+    async def _archive(self, begin: asyncio.Event | None) -> None:
+        if self._place.sessions is None:
+            return
+        if begin is not None:
+            await begin.wait()
+        self._log.let_rows_in()
+        await self._archiving.run()
+
     # -- from the feed to the log ----------------------------------------------------------------
 
-    async def _feed_for_ever(self, begin: asyncio.Event | None) -> None:
+    async def _feed_for_ever(self) -> None:
         deadline = self._clocks.monotonic() + self._pace.flush_s
-        begun = False
         while True:
-            if not begun and (begin is None or begin.is_set()):
-                begun = True
-                if self._place.sessions is not None:
-                    self._log.let_rows_in()
-            self._note(await self._events_until(deadline))
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(max(0.0, deadline - self._clocks.monotonic())):
+                    self._note(await self._events.take())
             if self._clocks.monotonic() >= deadline:
                 deadline = self._clocks.monotonic() + self._pace.flush_s
                 await self._gather()
                 self._count()
-
-    async def _events_until(self, deadline: float) -> Iterable[Report]:
-        try:
-            async with asyncio.timeout(max(0.0, deadline - self._clocks.monotonic())):
-                return await self._events.take()
-        except TimeoutError:
-            return ()
 
     def _note(self, reports: Iterable[Report]) -> None:
         utc, now_s = self._clocks.utc(), self._clocks.monotonic()
@@ -189,7 +183,7 @@ class Recorder:
             if isinstance(report, Event):
                 event = event_row(report, utc, now_s, next(self._numbers))
                 self._log.append(Kind.EVENT, msgspec.msgpack.encode(event))
-                if event.kind == TRIP and self._archiving is not None:
+                if event.kind == TRIP:
                     self._archiving.due_for_trip()
             elif isinstance(report, CommandReport):
                 command = command_row(report, utc, now_s, next(self._numbers))
@@ -203,8 +197,12 @@ class Recorder:
             return
         slow = [slow_row(r) for r in self._slow.drain() if isinstance(r, LoadReport)]
         self._append_rows(Kind.SLOW, slow)
-        sensors = map(sensor_row, filter(_has_sensors, self._sensors.drain()))
-        self._append_rows(Kind.SENSORS, list(sensors))
+        sensors = (
+            sensor_row(r)
+            for r in self._sensors.drain()
+            if isinstance(r, SensorSample | DriveReport)
+        )
+        self._append_rows(Kind.SENSORS, [row for row in sensors if len(row) > 1])
         self._waiting += (r for r in self._ticks.drain() if isinstance(r, TickReport))
         while self._waiting:
             await self._append_ticks()
@@ -226,9 +224,11 @@ class Recorder:
         if rows:
             self._log.append(kind, msgspec.msgpack.encode(rows), len(rows))
 
-    def _count(self) -> None:
+    def _count(self, *, last: bool = False) -> None:
         """Report what was dropped, once that has ended, and have the log say so."""
-        overflow, dropped = self._log.dropped, self._dropped()
+        overflow = self._log.dropped
+        queued = Dropped(self._ticks.dropped, self._slow.dropped, self._events.dropped)
+        dropped = overflow + queued
         stalled = overflow != self._overflow or (self._stalled and self._log.behind)
         self._overflow = overflow
         if stalled and not self._stalled:
@@ -242,44 +242,38 @@ class Recorder:
             self._reported_loss = dropped
             self._report(Severity.WARNING, f"not recorded so far: {dropped}")
         now_s = self._clocks.monotonic()
-        if new or now_s - self._counted_s >= _COUNTED_S:
+        if new or last or now_s - self._counted_s >= _COUNTED_S:
             self._counted_s = now_s
             self._log.append(Kind.DROPPED, msgspec.msgpack.encode(dropped))
-
-    def _dropped(self) -> Dropped:
-        """Everything lost so far: in the queues, and on the way to the disk."""
-        queued = Dropped(self._ticks.dropped, self._slow.dropped, self._events.dropped)
-        return self._log.dropped + queued
 
     async def _finish(self) -> None:
         part_s = self._pace.close_s / 2.0
         await self._gather()
         self._note(self._events.drain())
-        self._count()
-        self._log.append(Kind.DROPPED, msgspec.msgpack.encode(self._dropped()))
+        self._count(last=True)
         self._log.append(Kind.END, b"")
         written = await self._log.close(part_s)
-        archiving = self._archiving
-        self.complete = archiving is None or (written and archiving.directory is not None)
+        sessions, made = self._place.sessions, self._archiving.directory is not None
+        self.complete = sessions is None or (written and made)
         if not self.complete:
             why = "; ".join(filter(None, self._log.problems.values())) or "the disk does not answer"
             self._report(Severity.ALARM, f"the end of the session is not recorded: {why}")
-        elif archiving is not None:
-            await self._close_session(archiving, part_s)
+        elif sessions is not None:
+            await self._close_session(part_s)
 
-    async def _close_session(self, archiving: Archiving, patience_s: float) -> None:
+    async def _close_session(self, patience_s: float) -> None:
         problem = "the disk is slow"
         if self._log.closed:
             problem = f"it takes longer than {patience_s:g} s"
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(patience_s):
-                    problem = await archiving.once("--no-figure")
+                    problem = await self._archiving.once("--no-figure")
         if problem:
             detail = f"the archiver, or the next start, completes the session's files: {problem}"
             self._report(Severity.WARNING, detail)
 
     def _hear(self, outcome: LogNews) -> None:
-        begun = self._archiving is not None and self._archiving.directory is not None
+        begun = self._archiving.directory is not None
         for what, problem in outcome.problems.items():
             if problem and what == SYNC:
                 self._report(Severity.WARNING, f"a power cut may take what is written: {problem}")
@@ -287,14 +281,8 @@ class Recorder:
                 self._report(Severity.ALARM, f"{STOPPED if begun else UNBEGUN}: {problem}")
             elif what != SYNC and not self._log.failing:
                 self._report(Severity.INFO, "recording continues")
-        if outcome.part > 1 and self._archiving is not None:
+        if outcome.part > 1:
             self._archiving.due()
 
     def _report(self, severity: Severity, detail: str) -> None:
         self._publish(Event(EVENT_KIND, severity, detail, self._last_tick))
-
-
-def _has_sensors(report: Report) -> TypeGuard[SensorSample | DriveReport]:
-    return isinstance(report, SensorSample) or (
-        isinstance(report, DriveReport) and bool(report.sensors)
-    )
