@@ -21,7 +21,7 @@ from adaptdrive.control.settings import ControllerSettings, Learning
 from adaptdrive.control.signals import Measurement
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState
-from adaptdrive.control.vectors import Vector, total
+from adaptdrive.control.vectors import Vector, copy_into, total
 from adaptdrive_sim.compiled.room import forget_vectors
 from adaptdrive_sim.compiled.wire import CONTROL_FAULT, Wire, delayed, find_cause, rounded
 from adaptdrive_sim.world import Sample, World
@@ -259,9 +259,11 @@ def follow_ideal(
         y[k], from rest on the first reference.
     """
     order = denominators.shape[1] - 1
-    desired = desired_polynomial(pole, 2 * order)
-    outputs = np.zeros(len(references))
+    forget_vectors()
+    desired: Any = np.zeros(2 * order + 1)
     weights = desired
+    copy_into(desired, desired_polynomial(pole, 2 * order))
+    outputs = np.zeros(len(references))
     for k in range(len(references)):
         if k == 0 or changed(denominators, k) or changed(numerators, k):
             weights = ideal_weights(numerators[k], denominators[k], desired, period_s)
@@ -273,15 +275,14 @@ def follow_ideal(
     return outputs
 
 
-def ideal_weights(
-    numerator: Vector, denominator: Vector, desired: Vector, period_s: float
-) -> Vector:
+def ideal_weights(numerator: Array, denominator: Array, desired: Any, period_s: float) -> Array:
     """A_m(1)/B(1) · B."""
-    _, b = held_model(numerator, denominator, period_s, 0.0, 0.0)
-    scale = total(desired) / total(b)
+    forget_vectors()
+    _, b = held_model(list(numerator), list(denominator), period_s, 0.0, 0.0)
+    scale, weights = total(desired) / total(b), np.empty(len(b))
     for i in range(len(b)):
-        b[i] *= scale
-    return b
+        weights[i] = b[i] * scale
+    return weights
 
 
 def changed(rows: Array, k: int) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from numba.core import cgutils, types
-from numba.core.imputils import impl_ret_borrowed, lower_builtin
+from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
@@ -28,16 +28,12 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
-from numba.np.arrayobj import make_array, populate_array
 
 from adaptdrive_sim.compiled.layout import Attribute, Layout, layout_of, write
-from adaptdrive_sim.compiled.lists import WORD, ObjectsType, Pointer
+from adaptdrive_sim.compiled.lists import WORD, ListType, Pointer, make_list
 
 _SCALAR_TYPES = {"float": types.float64, "int": types.int64, "bool": types.boolean}
-_VECTOR_TYPES = {
-    "floats": types.Array(types.float64, 1, "C"),
-    "ints": types.Array(types.int64, 1, "C"),
-}
+_VECTOR_TYPES = {"floats": ListType(types.float64), "ints": ListType(types.int64)}
 
 
 class ObjectType(types.Type):
@@ -91,7 +87,7 @@ class Copies:
             for name in vars(copy):
                 owner, mark, attribute = name.partition("__")
                 if owner and mark:
-                    original = vars(getattr(copy, owner))[attribute]
+                    original = vars(getattr(copy, owner)).get(attribute)
                     self._announce(original, (module, name), attribute)
 
     def function(self, module: str, name: str) -> Any:
@@ -111,7 +107,7 @@ class Copies:
     def _announce(self, original: object, place: tuple[str, str], name: str) -> None:
         if isinstance(original, property):
             self._properties.add(place)
-        elif name not in self._methods:
+        elif original is not None and name not in self._methods:
             self._methods.add(name)
             overload_method(ObjectType, name)(_method(self, name))
 
@@ -168,7 +164,7 @@ class _Attributes(AttributeTemplate):
 def _type_of(field: Attribute) -> Any:
     if field.part is not None:
         entry = ObjectType(field.part)
-        return ObjectsType(entry, field.length) if field.kind == "objects" else entry
+        return ListType(entry) if field.kind == "objects" else entry
     if field.kind == "function":
         return types.Dispatcher(copies.function(*field.function))
     return _SCALAR_TYPES.get(field.kind) or _VECTOR_TYPES[field.kind]
@@ -185,12 +181,14 @@ def _get(context: Any, builder: Any, this: ObjectType, value: Any, name: str) ->
     if field is None:
         return _call_property(context, builder, this, value, name)
     kind = _type_of(field)
+    if isinstance(kind, ListType):
+        count = context.get_constant(types.intp, field.length)
+        first = cgutils.gep(builder, value, field.offset * WORD)
+        return make_list(context, builder, kind, first, count)
     if field.part is not None:
         return cgutils.gep(builder, value, field.offset * WORD)
     if field.kind == "function":
         return context.get_dummy_value()
-    if field.kind in _VECTOR_TYPES:
-        return _view(context, builder, value, field, kind)
     word = context.get_value_type(types.float64 if field.kind == "float" else types.int64)
     loaded = builder.load(_pointer(builder, value, field, word))
     if field.kind == "bool":
@@ -205,20 +203,6 @@ def _call_property(context: Any, builder: Any, this: ObjectType, value: Any, nam
     )
     context.add_linking_libs(getattr(call, "libs", ()))
     return call(builder, (value,))
-
-
-def _view(context: Any, builder: Any, value: Any, field: Attribute, kind: Any) -> Any:
-    array = make_array(kind)(context, builder)
-    populate_array(
-        array,
-        data=_pointer(builder, value, field, context.get_value_type(kind.dtype)),
-        shape=[context.get_constant(types.intp, field.length)],
-        strides=[context.get_constant(types.intp, WORD)],
-        itemsize=context.get_constant(types.intp, WORD),
-        meminfo=None,
-        parent=None,
-    )
-    return impl_ret_borrowed(context, builder, kind, array._getvalue())  # noqa: SLF001
 
 
 @lower_setattr_generic(ObjectType)
@@ -240,10 +224,10 @@ def _store_vector(
     context: Any, builder: Any, field: Attribute, given: Any, target: Any, value: Any
 ) -> None:
     """Copy a whole list: an object's lists keep their places, and their lengths."""
-    source = make_array(given)(context, builder, value)
+    source = context.make_helper(builder, given, value=value)
     size = context.get_constant(types.intp, field.length * WORD)
     place = cgutils.gep(builder, target, field.offset * WORD)
-    cgutils.raw_memmove(builder, place, source.data, size, 1)
+    cgutils.raw_memmove(builder, place, source.first, size, 1)
 
 
 @lower_builtin(operator.is_, ObjectType, types.none)

@@ -3,7 +3,7 @@
 A slow step makes about a hundred vectors of a few numbers each. To ask the system for the memory
 of each, to count its users and to give it back would take longer than what is done with them. So
 they stand one behind the other in memory that is part of the compiled code, and are forgotten all
-at once when the next slow period begins. When that memory is full, a vector gets separate memory.
+at once when the next slow period begins. A full room is an error.
 
 The room belongs to one thread at a time: compiled code keeps the interpreter's lock.
 """
@@ -13,25 +13,23 @@ from __future__ import annotations
 from typing import Any
 
 import numba
-import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.core.imputils import impl_ret_borrowed
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array, populate_array
+
+from adaptdrive_sim.compiled.lists import ListType, make_list
 
 _NAME = "adaptdrive_room"
-_PLACES = 16384
-_WORD = 8
-_VECTOR = types.Array(types.float64, 1, "C")
+_PLACES = 65536
+_VECTOR = ListType(types.float64)
 
 
 @numba.njit(cache=True, forceinline=True)
 def new_vector(count: int) -> Any:
     """Return a vector of so many numbers, whatever they are."""
-    if count <= _PLACES - _taken():
-        return _take(count)
-    return np.empty(count, np.float64)
+    if not 0 <= count <= _PLACES - _taken():
+        raise MemoryError("no room for a vector")
+    return _take(count)
 
 
 @numba.njit(cache=True, forceinline=True)
@@ -63,17 +61,8 @@ def _take(_: Any, count: Any) -> Any:  # noqa: ARG001  # shows how it is called
         counter, (count,) = _counter(builder), args
         first = builder.load(counter)
         builder.store(builder.add(first, count), counter)
-        array = make_array(_VECTOR)(context, builder)
-        populate_array(
-            array,
-            data=cgutils.gep_inbounds(builder, _memory(builder), 0, 1, first),
-            shape=[count],
-            strides=[context.get_constant(types.intp, _WORD)],
-            itemsize=context.get_constant(types.intp, _WORD),
-            meminfo=None,
-            parent=None,
-        )
-        return impl_ret_borrowed(context, builder, _VECTOR, array._getvalue())  # noqa: SLF001
+        place = cgutils.gep_inbounds(builder, _memory(builder), 0, 1, first)
+        return make_list(context, builder, _VECTOR, place, count)
 
     return _VECTOR(types.intp), generate
 

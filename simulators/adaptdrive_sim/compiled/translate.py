@@ -1,10 +1,11 @@
 """Copies of the project's own modules in a form that numba compiles.
 
 Every function and method of a module becomes a compiled function of the same name (methods with
-their class in front); classes stay the originals. Four things change on the way:
+their class in front); classes stay the originals. Five things change on the way:
 
-* lists of floats become arrays: a literal, a repeated value, a comprehension or generator
-  expression, a sum of lists, a slice (a copy, as with lists);
+* lists of floats become vectors: a literal, a repeated value, a sum of lists, a slice (a copy, as
+  with lists);
+* a comprehension or generator expression becomes a function with a loop;
 * `x in {a, b}` becomes comparisons;
 * members of integer enumerations become their numbers;
 * imports between translated modules lead to the copies.
@@ -29,10 +30,28 @@ import numba
 
 _HELPERS = "adaptdrive_sim.compiled.vectors"
 _HEADER = f"""from __future__ import annotations
-import numpy as _np
 from {_HELPERS} import compiled as _compiled
-from {_HELPERS} import copied as _copied, filled as _filled, joined as _joined
-from {_HELPERS} import all_of as all, any_of as any
+from {_HELPERS} import copied as _copied, filled as _filled, joined as _joined, part as _part
+from {_HELPERS} import inlined as _inlined, new_vector as _new, overwrite as _overwrite
+"""
+
+_EACH = """
+@_inlined
+def {name}({given}):
+    _over = {over}
+    _values, _n = _new(len(_over)), 0
+    for {entry} in _over:
+        _values[_n] = {value}
+        _n += 1
+    return _values
+"""
+_UNTIL = """
+@_inlined
+def {name}({given}):
+    for {entry} in {over}:
+        if bool({value}) is {found}:
+            return {found}
+    return not {found}
 """
 
 
@@ -105,12 +124,12 @@ def _top_level(node: ast.stmt, module: ModuleType, copies: dict[str, str]) -> It
         case ast.ImportFrom():
             yield from _imports(node, copies)
         case ast.FunctionDef():
-            yield _function(node, node.name, module)
+            yield from _function(node, node.name, module)
         case ast.ClassDef():
             yield ast.ImportFrom(module.__name__, [ast.alias(node.name)], 0)
             for part in node.body:
                 if isinstance(part, ast.FunctionDef) and _is_compilable(part):
-                    yield _function(part, f"{node.name}__{part.name}", module)
+                    yield from _function(part, f"{node.name}__{part.name}", module)
         case ast.If() | ast.Expr():
             pass  # imports for type checkers, and descriptions
         case _:
@@ -136,7 +155,7 @@ def _imports(node: ast.ImportFrom, copies: dict[str, str]) -> Iterator[ast.stmt]
             yield ast.ImportFrom(copies.get(str(node.module), node.module), [alias], node.level)
 
 
-def _function(node: ast.FunctionDef, name: str, module: ModuleType) -> ast.FunctionDef:
+def _function(node: ast.FunctionDef, name: str, module: ModuleType) -> list[ast.stmt]:
     arguments = node.args
     for argument in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs):
         argument.annotation = None
@@ -146,17 +165,24 @@ def _function(node: ast.FunctionDef, name: str, module: ModuleType) -> ast.Funct
     if ast.get_docstring(node) is not None:
         del node.body[0]  # another description is no reason to compile again
         node.body = node.body or [ast.Pass()]
-    copy: ast.FunctionDef = _Body(module).visit(node)
+    body = _Body(module, node, name)
+    copy: ast.FunctionDef = body.visit(node)
     copy.name, copy.returns = name, None
     copy.decorator_list = [ast.Name("_compiled", ast.Load())]
-    return copy
+    return [*body.loops, copy]
 
 
 class _Body(ast.NodeTransformer):
-    """Rewrites lists and enumerations in one function."""
+    """Rewrites lists and enumerations in one function.
 
-    def __init__(self, module: ModuleType) -> None:
-        self._module = module
+    Attributes:
+        loops: Functions that its comprehensions have become.
+    """
+
+    def __init__(self, module: ModuleType, node: ast.FunctionDef, name: str) -> None:
+        self.loops: list[ast.stmt] = []
+        self._module, self._name = module, name
+        self._locals = {one.arg for one in node.args.args} | _names(node, ast.Store)
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
         if node.value is None:
@@ -177,13 +203,23 @@ class _Body(ast.NodeTransformer):
             return _call("_copied", self.visit(part[0].value))
         return _call("_copied", ast.Tuple([self.visit(one) for one in part], ast.Load()))
 
-    def visit_ListComp(self, node: ast.ListComp) -> ast.AST:
-        function = ast.Attribute(ast.Name("_np", ast.Load()), "array", ast.Load())
-        self.generic_visit(node)
-        return ast.Call(function, [node], [])
+    def visit_ListComp(self, node: ast.ListComp | ast.GeneratorExp) -> ast.AST:
+        return self._loop(_EACH, node)
 
     def visit_GeneratorExp(self, node: ast.GeneratorExp) -> ast.AST:
-        return self.visit_ListComp(ast.ListComp(node.elt, node.generators))
+        return self._loop(_EACH, node)
+
+    def _loop(self, text: str, node: ast.ListComp | ast.GeneratorExp, found: str = "") -> ast.AST:
+        """Make a function of a comprehension, and return its call."""
+        self.generic_visit(node)
+        (over,) = node.generators
+        given = sorted((self._locals & _names(node, ast.Load)) - _names(over.target, ast.Store))
+        name = f"{self._name}_{len(self.loops)}"
+        parts = {"entry": over.target, "over": over.iter, "value": node.elt}
+        shown = {part: ast.unparse(tree) for part, tree in parts.items()}
+        text = text.format(name=name, given=", ".join(given), found=found, **shown)
+        self.loops.append(ast.parse(text).body[0])
+        return _call(name, *(ast.Name(one, ast.Load()) for one in given))
 
     def visit_Compare(self, node: ast.Compare) -> ast.AST:
         self.generic_visit(node)
@@ -207,10 +243,20 @@ class _Body(ast.NodeTransformer):
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
         self.generic_visit(node)
         if isinstance(node.slice, ast.Slice) and isinstance(node.ctx, ast.Load):
-            return _call("_copied", node)
+            return _call("_part", node.value, *_ends(node.slice))
+        return node
+
+    def visit_Assign(self, node: ast.Assign) -> ast.AST:
+        self.generic_visit(node)
+        match node.targets:
+            case [ast.Subscript(values, ast.Slice() as place)]:
+                return ast.Expr(_call("_overwrite", values, *_ends(place), node.value))
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
+        match node:
+            case ast.Call(ast.Name("any" | "all" as name), [ast.GeneratorExp() as each]):
+                return self._loop(_UNTIL, each, str(name == "any"))
         self.generic_visit(node)
         if isinstance(node.func, ast.Name) and node.func.id == "list" and len(node.args) == 1:
             return _call("_copied", node.args[0])
@@ -250,6 +296,16 @@ def _is_list(node: ast.expr) -> bool:
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Add):
         return _is_list(node.left) or _is_list(node.right)
     return isinstance(node, ast.List | ast.ListComp)
+
+
+def _ends(place: ast.Slice) -> Iterator[ast.expr]:
+    return (end or ast.Constant(None) for end in (place.lower, place.upper))
+
+
+def _names(tree: ast.AST, use: type[ast.expr_context]) -> set[str]:
+    """Names that are read, or written, somewhere in a tree."""
+    found = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
+    return {node.id for node in found if isinstance(node.ctx, use)}
 
 
 def _call(name: str, *arguments: ast.expr) -> ast.Call:

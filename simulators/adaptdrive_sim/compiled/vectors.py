@@ -26,11 +26,29 @@ def filled(value: float, count: int) -> Any:
 
 @compiled
 def copied(values: Any) -> Any:
-    """`list(values)`, `values[a:b]`, and `[a, b, c]` of a tuple."""
+    """`list(values)`, and `[a, b, c]` of a tuple."""
     result = new_vector(len(values))
     for i in range(len(values)):
         result[i] = values[i]
     return result
+
+
+@compiled
+def part(values: Any, begin: Any, end: Any) -> Any:
+    """`values[begin:end]`."""
+    first, last, _ = slice(begin, end).indices(len(values))
+    result = new_vector(max(last - first, 0))
+    for i in range(len(result)):
+        result[i] = values[first + i]
+    return result
+
+
+@compiled
+def overwrite(values: Any, begin: Any, end: Any, source: Any) -> None:
+    """`values[begin:end] = source`, of as many."""
+    first, last, _ = slice(begin, end).indices(len(values))
+    for i in range(last - first):
+        values[first + i] = source[i]
 
 
 @compiled
@@ -42,21 +60,3 @@ def joined(first: Any, second: Any) -> Any:
     for i in range(len(second)):
         result[len(first) + i] = second[i]
     return result
-
-
-@compiled
-def any_of(values: Any) -> bool:
-    """`any(values)`."""
-    for value in values:
-        if value:
-            return True
-    return False
-
-
-@compiled
-def all_of(values: Any) -> bool:
-    """`all(values)`."""
-    for value in values:
-        if not value:
-            return False
-    return True
