@@ -150,6 +150,14 @@ class BathSection(LoadSection):
     output_unit: str = "K"
     model: BathModel
 
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield what the paper's bath has not."""
+        yield from super().flaws()
+        for name in ("lag_s", "delay_s"):
+            if self.design == "paper" and (value := getattr(self.model, name)) > 0.0:
+                problem = f"{value} s needs load.design 'exact': the paper's bath has neither"
+                yield Flaw(f"model.{name}", problem)
+
 
 class BatteryModel(Section):
     """`[load.model]` of a battery: what the fixed controller is designed for."""

@@ -13,7 +13,6 @@ from adaptdrive.config.cadence import clock_flaws, poll_flaws, sync_flaws
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.load import (
     AnyLoad,
-    BathSection,
     Estimator,
     MotorSection,
     SimulatorSection,
@@ -176,15 +175,6 @@ def _lag_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("voltage_loop.lag_s", problem)
 
 
-def _bath_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    load = configuration.load
-    if isinstance(load, BathSection) and load.design == "paper":
-        for name in ("lag_s", "delay_s"):
-            if (value := getattr(load.model, name)) > 0.0:
-                problem = f"{value} s needs load.design 'exact': the paper's bath has neither"
-                yield Flaw(f"load.model.{name}", problem)
-
-
 def _course_flaws(configuration: Configuration) -> Iterator[Flaw]:
     load = configuration.load
     if not isinstance(load, MotorSection) or load.boost_course == "held":
@@ -197,19 +187,16 @@ def _course_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    interlocks = configuration.interlocks
-    limits = {
-        "boost_voltage_max_V": (
-            "drive.limits.boost_reference_max_V",
-            configuration.drive.limits.boost_reference_max_V,
-        ),
-        "output_max": ("load.reference_max", configuration.load.reference_max),
-    }
-    for name, (limit, highest) in limits.items():
-        trip = getattr(interlocks, name)
+    interlocks, load = configuration.interlocks, configuration.load
+    trip_V, limits = interlocks.boost_voltage_max_V, configuration.drive.limits
+    highest_V = limits.boost_reference_max_V
+    for name, trip, limit, highest in (
+        ("boost_voltage_max_V", trip_V, "drive.limits.boost_reference_max_V", highest_V),
+        ("output_max", interlocks.output_max, "load.reference_max", load.reference_max),
+    ):
         if trip <= highest:
             yield Flaw(f"interlocks.{name}", f"{trip} must be above {limit} = {highest}")
-    lowest = configuration.load.reference_min
+    lowest = load.reference_min
     if interlocks.output_min is not None and interlocks.output_min >= lowest:
         problem = f"{interlocks.output_min} must be below load.reference_min = {lowest}"
         yield Flaw("interlocks.output_min", problem)
@@ -226,7 +213,6 @@ _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     voltage_flaws: "drive voltage_loop interlocks sensor_bus derived",
     _command_flaws: "bus signals voltage_loop drive",
     _lag_flaws: "voltage_loop load",
-    _bath_flaws: "load",
     _trip_flaws: "drive load interlocks",
     _course_flaws: "load voltage_loop",
 }

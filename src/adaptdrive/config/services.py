@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import re
 from collections.abc import Iterator
@@ -36,14 +37,9 @@ def check_host(host: str) -> str:
     Raises:
         ValueError: It is neither an IP address nor a host name.
     """
-    try:
+    with contextlib.suppress(ValueError):
         ipaddress.ip_address(host)
-    except ValueError:
-        _check_name(host)
-    return host
-
-
-def _check_name(host: str) -> None:
+        return host
     try:
         name = host.encode("idna").decode("ascii").removesuffix(".")
     except UnicodeError as problem:
@@ -54,6 +50,7 @@ def _check_name(host: str) -> None:
             f"{host!r} is neither an IP address nor a host name: labels of 1 to 63 letters, digits "
             "and '-', separated by dots"
         )
+    return host
 
 
 class InterlocksSection(Section):

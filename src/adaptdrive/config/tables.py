@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import unicodedata
 from collections.abc import Iterable, Iterator
@@ -109,15 +110,12 @@ def valid_sections(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
     """
     found = {}
     for name, field in Configuration.model_fields.items():
-        if name not in tables:
-            if not field.is_required():
-                found[name] = field.get_default(call_default_factory=True)
-            continue
-        try:
+        if name in tables:
             section: Any = Annotated[field.annotation, field]
-            found[name] = TypeAdapter(section).validate_python(tables[name], context=folder)
-        except ValidationError:
-            continue
+            with contextlib.suppress(ValidationError):
+                found[name] = TypeAdapter(section).validate_python(tables[name], context=folder)
+        elif not field.is_required():
+            found[name] = field.get_default(call_default_factory=True)
     return found
 
 

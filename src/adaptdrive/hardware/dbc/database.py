@@ -174,9 +174,8 @@ class SignalCatalogue(Catalogue[Located]):
 
     def count_problem(self, item: Located) -> str | None:
         """Return why a signal cannot count, None where it can."""
-        signal, field = item.signal, compile_field(item.signal)
-        plain = field.is_word and not signal.is_signed and not is_multiplexed(signal)
-        if plain and signal.length > 1 and field.low == 0:
+        signal = item.signal
+        if _is_plain(signal) and signal.length > 1 and compile_field(signal).low == 0:
             return None
         return (
             f"signal {signal.name!r} cannot count: a counter is an unsigned integer of two bits"
@@ -293,8 +292,7 @@ class SignalCatalogue(Catalogue[Located]):
                 return key, None
             size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
             return key, f"signal {signal.name!r} must fill {size} of every frame"
-        plain = is_word(signal) and not signal.is_signed and not is_multiplexed(signal)
-        if signal.length == _NIBBLE_BITS and plain:
+        if signal.length == _NIBBLE_BITS and _is_plain(signal):
             return key, None
         return key, f"signal {signal.name!r} must be four bits of every frame"
 
@@ -345,3 +343,8 @@ def _key(message: Message) -> int:
 def is_word(signal: Signal) -> bool:
     """Return whether the physical value of a signal is its raw integer."""
     return not signal.is_float and signal.scale == 1 and signal.offset == 0
+
+
+def _is_plain(signal: Signal) -> bool:
+    """Return whether a signal is an unsigned integer of every frame of its message."""
+    return is_word(signal) and not signal.is_signed and not is_multiplexed(signal)
