@@ -11,7 +11,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.reach import Reach
-from adaptdrive.control.signals import SAFE_COMMAND, Decision, Mode, Order, Stage
+from adaptdrive.control.signals import SAFE_COMMAND, Decision, Mode, Stage
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
@@ -115,14 +115,14 @@ class OperatedDrive(Site):
         self.time_s += self.sample.tick_period_s
         self.machine.advance(self.ticks, self.sample.boost_voltage_V)
         measurement = self.measure(self.ticks)
-        command, decided = self.control(measurement, self._order())
+        command, decided = self.control(measurement, self.machine.order(self.ticks))
         if decided and self.decision is not None:
             self._obey(self.decision)
         if self.machine.stage is Stage.OFF:
             self.machine.forget_reach()
             self.machine.confirm_stop()
             self.world.shut()
-            command, _ = self.control(measurement, self._order())
+            command, _ = self.control(measurement, self.machine.order(self.ticks))
         self._command = command
         self.advance(command)
         return decided
@@ -131,18 +131,6 @@ class OperatedDrive(Site):
     def reference(self) -> float:
         """The set-point in force."""
         return self.machine.reference(self.ticks)
-
-    def _order(self) -> Order:
-        machine = self.machine
-        return Order(
-            machine.stage,
-            self.reference,
-            machine.mode,
-            machine.pole,
-            machine.manual_V(self.ticks),
-            machine.steady,
-            machine.told,
-        )
 
     def _obey(self, decision: Decision) -> None:
         """Trip or stop where a decision demands it, and take over what V_c can hold."""

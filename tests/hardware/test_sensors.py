@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.app.ports import _RULES, publish_samples
+from adaptdrive.app.ports import publish_samples
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import PortStatistics, Reading, SensorListener
 from adaptdrive.hardware.sensored_port import SensoredPort
-from adaptdrive.hardware.sensors import Derivation, SensorBus
+from adaptdrive.hardware.sensors import RULES, Derivation, SensorBus
 from adaptdrive.runtime.accounts import sensor_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
@@ -57,7 +57,7 @@ class Bench:
         self.drive = LoopbackPort(self.sent.append)
         self.sensors = ScriptedSensors()
         self.bus = SensorBus("thermo", self.sensors, STALE_s, ("hot", "cold"))
-        rules = [Derivation("output", _RULES["difference"], ("hot", "cold"))]
+        rules = [Derivation("output", RULES["difference"], ("hot", "cold"))]
         self.port = SensoredPort(self.drive, [self.bus], rules, self.around.now_s)
         self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
         settings = replace(FAST, timer_standin=False, drive_clocks=False)
@@ -260,16 +260,16 @@ async def test_frames_that_come_while_a_sensor_bus_dies_energise_nothing() -> No
 def test_rules_do_what_their_names_say(
     rule: str, expected: Callable[[list[float]], float], values: list[float]
 ) -> None:
-    assert _RULES[rule](values) == pytest.approx(expected(values), abs=1e-6)  # type: ignore[index]
+    assert RULES[rule](values) == pytest.approx(expected(values), abs=1e-6)  # type: ignore[index]
     with_nothing = [*values, math.nan]
-    assert math.isnan(_RULES[rule](with_nothing))  # type: ignore[index]
+    assert math.isnan(RULES[rule](with_nothing))  # type: ignore[index]
 
 
 @given(first=st.floats(-1e6, 1e6), second=st.floats(-1e6, 1e6))
 def test_pairs(first: float, second: float) -> None:
-    assert _RULES["difference"]([first, second]) == first - second
-    assert _RULES["product"]([first, second]) == first * second
-    ratio = _RULES["ratio"]([first, second])
+    assert RULES["difference"]([first, second]) == first - second
+    assert RULES["product"]([first, second]) == first * second
+    ratio = RULES["ratio"]([first, second])
     assert math.isnan(ratio) if second == 0.0 else ratio == first / second
 
 

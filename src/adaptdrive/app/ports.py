@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.sensors import AnySensorBus
-from adaptdrive.config.supply import Rule, in_order, needed_names
+from adaptdrive.config.supply import in_order, needed_names
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.bus_kind import BusKind
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.hardware.port import Port, SensorPort
 from adaptdrive.hardware.sensored_port import SensoredPort
-from adaptdrive.hardware.sensors import (
-    Derivation,
-    SensorBus,
-    difference,
-    largest,
-    mean,
-    ratio,
-    smallest,
-)
+from adaptdrive.hardware.sensors import RULES, Derivation, SensorBus
 from adaptdrive.runtime.accounts import sensor_report, sensor_sample
 from adaptdrive.runtime.reports import SensorReport, SensorSample
 
@@ -90,17 +81,6 @@ def _canopen_installed(source: Path | str) -> Iterator[None]:
             raise
         advice = "'canopen' needs the package canopen: pip install 'adaptdrive[canopen]'"
         raise ConfigurationError(source, [Flaw("bus.type", advice)]) from problem
-
-
-_RULES: dict[Rule, Callable[[Sequence[float]], float]] = {
-    "sum": sum,
-    "mean": mean,
-    "difference": difference,
-    "product": math.prod,
-    "ratio": ratio,
-    "smallest": smallest,
-    "largest": largest,
-}
 
 
 def build_whole_port(
@@ -173,7 +153,7 @@ def derivations(configuration: Configuration) -> list[Derivation]:
     """Return the rules of `[derived]`, each after those that it depends on."""
     given = configuration.derived
     return [
-        Derivation(name, _RULES[one.rule], tuple(one.of), one.scale, one.offset)
+        Derivation(name, RULES[one.rule], tuple(one.of), one.scale, one.offset)
         for name, one in ((name, given[name]) for name in in_order(given))
     ]
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from adaptdrive.config.supply import Rule
 from adaptdrive.hardware.port import SensorPort
 
 
@@ -96,28 +97,18 @@ class SensorBus:
         return f" ({self.detail})"
 
 
-def difference(values: Sequence[float]) -> float:
-    """The first less the second."""
-    first, second = values
-    return first - second
+def _unless_nan(pick: Callable[[Sequence[float]], float]) -> Callable[[Sequence[float]], float]:
+    """Return what picks one of several values, NaN when any is."""
+    return lambda values: math.nan if any(map(math.isnan, values)) else pick(values)
 
 
-def ratio(values: Sequence[float]) -> float:
-    """The first over the second; NaN where that is 0."""
-    first, second = values
-    return first / second if second else math.nan
-
-
-def mean(values: Sequence[float]) -> float:
-    """The arithmetic mean."""
-    return sum(values) / len(values)
-
-
-def smallest(values: Sequence[float]) -> float:
-    """The smallest, NaN when any is."""
-    return math.nan if any(map(math.isnan, values)) else min(values)
-
-
-def largest(values: Sequence[float]) -> float:
-    """The largest, NaN when any is."""
-    return math.nan if any(map(math.isnan, values)) else max(values)
+RULES: Mapping[Rule, Callable[[Sequence[float]], float]] = {
+    "sum": sum,
+    "mean": lambda values: sum(values) / len(values),
+    "difference": lambda values: values[0] - values[1],
+    "product": math.prod,
+    "ratio": lambda values: values[0] / values[1] if values[1] else math.nan,
+    "smallest": _unless_nan(min),
+    "largest": _unless_nan(max),
+}
+"""What each rule of `[derived]` makes of the values that it names."""

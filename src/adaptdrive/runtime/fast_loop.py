@@ -289,7 +289,10 @@ class FastLoop:
                 self._stopping.release()
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
-        order = self._current_order(tick)
+        order = self._machine.order(tick)
+        if order is not self._order and order.stage is not _RUN:
+            self._surroundings.run_ended()
+        self._order = order
         measurement = Measurement(
             tick,
             self._half_cycles.tick_period_s,
@@ -334,24 +337,3 @@ class FastLoop:
         if cause is not None:
             machine.latch(cause)
         return cause is not None
-
-    def _current_order(self, tick: int) -> Order:
-        """The order of this tick; a new object only when something changed."""
-        machine, last = self._machine, self._order
-        stage, reference = machine.stage, machine.reference(tick)
-        manual_V, steady, told = machine.manual_V(tick), machine.steady, machine.told
-        if (
-            last is not None
-            and last.stage is stage
-            and last.reference == reference
-            and last.mode is machine.mode
-            and last.pole == machine.pole
-            and last.manual_V == manual_V
-            and last.steady is steady
-            and last.waveform == told
-        ):
-            return last
-        if stage is not _RUN:
-            self._surroundings.run_ended()
-        self._order = Order(stage, reference, machine.mode, machine.pole, manual_V, steady, told)
-        return self._order

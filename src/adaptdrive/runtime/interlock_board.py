@@ -46,10 +46,9 @@ class InterlockBoard:
         """Return whether nothing that energises may be sent before the drive has reported again."""
         return self._counts.in_doubt or self._bridge.must_report(now_s - self._watched_s)
 
-    def look(self, now_s: float) -> float:
-        """Note an evaluation; return the time since the one before, in s."""
-        unwatched_s, self._watched_s = now_s - self._watched_s, now_s
-        return unwatched_s
+    def look(self, now_s: float) -> None:
+        """Note an evaluation."""
+        self._watched_s = now_s
 
     def standing_cause(self, reading: Reading | None, now_s: float) -> str | None:
         """Return the interlock that is active in any state; the drive's protocol comes first."""
@@ -78,8 +77,9 @@ class InterlockBoard:
             running: Whether the drive runs; while it starts, its bridge may be reported late.
             bridge: Whether the last command had the bridge on.
         """
-        unwatched_s = self.look(now_s)
-        cause = self._gap_cause(unwatched_s) or self.standing_cause(reading, now_s)
+        unwatched_s, gap_cause = now_s - self._watched_s, self.gap_cause(now_s)
+        self.look(now_s)
+        cause = gap_cause or self.standing_cause(reading, now_s)
         if cause is not None or reading is None:  # without a reading there is always a cause
             return cause
         cause = self._bridge.find_cause(
@@ -89,7 +89,15 @@ class InterlockBoard:
 
     def gap_cause(self, now_s: float) -> str | None:
         """Return the cause of a trip when this process did not run for long until now."""
-        return self._gap_cause(now_s - self._watched_s)
+        unwatched_s = now_s - self._watched_s
+        if unwatched_s <= self._gap_limit_s:
+            return None
+        return (
+            f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
+            f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; set "
+            f"interlocks.stale_s (now {self._stale_s:g}) to {2.0 * unwatched_s:.2g} where "
+            f"the drive's own time-out allows it, or {_PRIORITY}"
+        )
 
     def blind_cause(self, now_s: float) -> str | None:
         """Return the cause of a trip when a drive that may have stopped was just driven on.
@@ -104,16 +112,6 @@ class InterlockBoard:
             f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms while "
             "it sent a command: the drive may have stopped by itself and been switched on again; "
             f"{_PRIORITY}"
-        )
-
-    def _gap_cause(self, unwatched_s: float) -> str | None:
-        if unwatched_s <= self._gap_limit_s:
-            return None
-        return (
-            f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
-            f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; set "
-            f"interlocks.stale_s (now {self._stale_s:g}) to {2.0 * unwatched_s:.2g} where "
-            f"the drive's own time-out allows it, or {_PRIORITY}"
         )
 
     def _implausible(self, reading: Reading, *, running: bool) -> str | None:

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Final
 
 from adaptdrive.control.reach import Reach
-from adaptdrive.control.signals import Mode, Stage
+from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.machine_limits import MachineLimits
@@ -63,6 +63,7 @@ class Machine:
         self._awaited_s = math.inf
         self._waveform_tick = 0
         self._told = ""
+        self._order: Order | None = None
 
     @property
     def energised(self) -> bool:
@@ -116,11 +117,6 @@ class Machine:
         """True while the set-point is constant and a controller follows it."""
         return self.waveform is None and self.mode is not _MANUAL
 
-    @property
-    def told(self) -> str:
-        """Facts that the controller is told of a waveform, so that it knows what comes."""
-        return "" if self.waveform is None else self._told
-
     def reference(self, tick: int) -> float:
         """The set-point at a tick; governed to the edge of what V_c can hold where that is set."""
         asked = self._asked(tick)
@@ -134,6 +130,25 @@ class Machine:
     def manual_V(self, tick: int) -> float:
         """V_c asked for at a tick in mode manual, 0 in every other."""
         return self.manual.value(tick) if self.mode is _MANUAL else 0.0
+
+    def order(self, tick: int) -> Order:
+        """The order to the controller at a tick; a new object only when something changed."""
+        last, stage, reference = self._order, self.stage, self.reference(tick)
+        manual_V, steady = self.manual_V(tick), self.steady
+        told = "" if self.waveform is None else self._told
+        if (
+            last is None
+            or last.stage is not stage
+            or last.reference != reference
+            or last.mode is not self.mode
+            or last.pole != self.pole
+            or last.manual_V != manual_V
+            or last.steady is not steady
+            or last.waveform != told
+        ):
+            last = Order(stage, reference, self.mode, self.pole, manual_V, steady, told)
+            self._order = last
+        return last
 
     def carry_out(
         self,

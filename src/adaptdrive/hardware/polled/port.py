@@ -111,12 +111,8 @@ class PolledPort(Polling[PolledLink], CountingPort):
 
     def explain_age(self) -> str:
         """Return the missing registers of the last poll; every value is as old as its poll."""
-        none = (
-            "no reply has come since the last reading"
-            if self._assembly.raw
-            else "no reply has come yet"
-        )
-        return f"the polls give no reading: {self._failure or none}"
+        since = "since the last reading" if self._assembly.raw else "yet"
+        return f"the polls give no reading: {self._failure or f'no reply has come {since}'}"
 
     def details(self) -> list[str]:
         """The registers of the last poll, raw, and what was refused."""
@@ -240,14 +236,10 @@ class PolledPort(Polling[PolledLink], CountingPort):
 
     def _take(self, start_s: float) -> None:
         """Hand out the reading of a poll, unless it has none or the drive stands still."""
-        commander, assembly = self._commander, self._assembly
-        if not self._is_alive(start_s):
-            self._witness.note_refused(powered=assembly.powered_beside_refused)
-            return
-        stopped = commander.safe_s < math.inf
-        reading = assembly.reading(
-            self._clock(), start_s, bridge_sent=self._witness.bridge, stopped=stopped
-        )
+        assembly, reading = self._assembly, None
+        if self._is_alive(start_s):
+            sent, stopped = self._witness.bridge, self.safe_s < math.inf
+            reading = assembly.reading(self._clock(), start_s, bridge_sent=sent, stopped=stopped)
         if reading is None:
             self._witness.note_refused(powered=assembly.powered_beside_refused)
             return
