@@ -17,7 +17,7 @@ from adaptdrive.config.root import consistency_flaws
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Measurement, Mode, Order, Stage
 from adaptdrive.hardware.port import Reading
-from adaptdrive.hardware.sensored_port import SensoredPort
+from adaptdrive.hardware.sensors import SensoredPort
 from adaptdrive.runtime.interlocks import find_cause
 from tests.config import documents
 from tests.config.modbus_documents import flaws, parse

@@ -12,8 +12,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.hardware.modbus.frames import TcpFrames, request
 from adaptdrive.hardware.modbus.link import ModbusConnection
-from adaptdrive.hardware.polled.blocks import Block
-from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.link import ExchangeError
 from tests.fuzz.target import EXAMPLES, Target
 

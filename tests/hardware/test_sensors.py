@@ -16,8 +16,7 @@ from adaptdrive.app.ports import publish_samples
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import PortStatistics, Reading, SensorListener
-from adaptdrive.hardware.sensored_port import SensoredPort
-from adaptdrive.hardware.sensors import RULES, Derivation, SensorBus
+from adaptdrive.hardware.sensors import RULES, Derivation, SensorBus, SensoredPort
 from adaptdrive.runtime.accounts import sensor_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine

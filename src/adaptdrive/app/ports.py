@@ -13,8 +13,7 @@ from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.bus_kind import BusKind
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.hardware.port import Port, SensorPort
-from adaptdrive.hardware.sensored_port import SensoredPort
-from adaptdrive.hardware.sensors import RULES, Derivation, SensorBus
+from adaptdrive.hardware.sensors import RULES, Derivation, SensorBus, SensoredPort
 from adaptdrive.runtime.accounts import sensor_report, sensor_sample
 from adaptdrive.runtime.reports import SensorReport, SensorSample
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,12 +15,16 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.port import Port, SensorPort
+from adaptdrive.hosts import look_up
 
 Bus = TypeVar("Bus")
 
 Row = tuple[str, float, str]
 """Name of a limit, its duration in seconds, and the keys that set it."""
 
+
+_LOOK_UP_S = 2.0
+"""Longest wait for the addresses of a drive's host: its daemon starts without them, too."""
 
 BuildPort = Callable[[Configuration, Callable[[], float], Path | str, bool], Port]
 """Builds the port of a drive from it, clock, source, and whether nothing may be written to it.
@@ -76,6 +82,33 @@ def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator
             f"{timeout_s:g} s is not longer than {named}: the drive stops by itself before; set a "
             f"longer time-out in the drive, or lower {keys}",
         )
+
+
+def polled_cautions(configuration: Configuration) -> Iterator[Flaw]:
+    """Yield what the own time-out of a drive that is polled does not fit."""
+    return timeout_cautions(configuration.timing, "bus.poll_ticks")
+
+
+def tcp_locks(kind: str, host: str, port: int, rest: str = "") -> Iterator[str]:
+    """Yield a device by each address of its host, none where its name server does not answer.
+
+    Args:
+        kind: Kind of bus.
+        host: Name or address.
+        port: TCP port.
+        rest: What else tells the device from others.
+    """
+    with contextlib.suppress(OSError, ValueError, TimeoutError):
+        found = look_up(host, port).result(_LOOK_UP_S)
+        for address in sorted({*map(_plain, found)}):
+            yield f"{kind} address {address} port {port}{rest}"
+
+
+def _plain(address: str) -> str:
+    """Return the IPv4 address that an IPv6 address stands for, and each other one as it is."""
+    found = ip_address(address)
+    mapped = found.ipv4_mapped if isinstance(found, IPv6Address) else None
+    return str(mapped or found)
 
 
 def bus_of(configuration: Configuration, kind: type[Bus]) -> Bus:

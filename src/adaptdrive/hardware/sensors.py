@@ -1,17 +1,30 @@
-"""Values of sensor buses with their measurement times, and the values derived from them.
+"""Sensor buses, the values derived from them, and the port of a drive that has them.
 
-A value keeps the time of its measurement for as long as it is held. Nothing here waits: the buses
-bring their values when they have them, and the fast loop takes those that are there.
+A value keeps the time of its measurement for as long as it is held. The drive's own port clocks and
+commands. Each of its readings is completed with what the sensor buses said last and with what is
+derived from all of it. Nothing is waited for: a sensor that is silent leaves its last value, which
+grows old until the port complains.
 """
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 from adaptdrive.config.supply import Rule
-from adaptdrive.hardware.port import SensorPort
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.port import (
+    FAREWELL_GAP_S,
+    FAREWELLS,
+    Listener,
+    Port,
+    PortStatistics,
+    Reading,
+    SensorPort,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,4 +124,152 @@ RULES: Mapping[Rule, Callable[[Sequence[float]], float]] = {
     "smallest": _unless_nan(min),
     "largest": _unless_nan(max),
 }
-"""What each rule of `[derived]` makes of the values that it names."""
+"""Functions of the rules of `[derived]`, each from the values that it names to the derived one."""
+
+QUANTITIES = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
+
+
+class SensoredPort:
+    """A drive and its separate sensors, as one port.
+
+    Attributes:
+        counter_modulus: As of the drive's own port, like all that follow.
+        stop_slack_s: Additional time for the report of the bridge.
+        bridge_cycle_s: Time from one report of the bridge to the next.
+        catch_up: Hands over what has arrived from the drive; sensors are never caught up with.
+        rehearse: Does what a reading of the drive costs.
+        explain_age: Returns the oldest value of the drive; those of sensors are in the complaint.
+        details: Returns the messages of the drive's bus that were not used.
+        reset_fault: Resets a latched fault of the drive.
+    """
+
+    def __init__(
+        self,
+        drive: Port,
+        buses: Sequence[SensorBus],
+        derivations: Sequence[Derivation],
+        clock: Callable[[], float],
+        stated: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        """Join a drive and its sensors.
+
+        Args:
+            drive: The drive's own port.
+            buses: Its sensor buses.
+            derivations: Values made of others, each after those that it is made of.
+            clock: Monotonic clock in seconds.
+            stated: Values that nobody measures.
+        """
+        self._stated = stated
+        self._drive = drive
+        self.counter_modulus = drive.counter_modulus
+        self.stop_slack_s = drive.stop_slack_s
+        self.bridge_cycle_s = drive.bridge_cycle_s
+        self.catch_up = drive.catch_up
+        self.rehearse = drive.rehearse
+        self.explain_age = drive.explain_age
+        self.details = drive.details
+        self.reset_fault = drive.reset_fault
+        self.buses = tuple(buses)
+        self._derivations = tuple(derivations)
+        self._clock = clock
+        self._listener: Listener | None = None
+        self._ends = False
+        self.sampled: Callable[[], None] = lambda: None
+        """Called after a reading of the drive that had new values of a sensor bus."""
+
+    @property
+    def description(self) -> str:
+        """The drive's bus and those of the sensors in one phrase."""
+        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self.buses]
+        return "; ".join([self._drive.description, *sensors])
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts of the drive's own port."""
+        return self._drive.statistics
+
+    @property
+    def complaint(self) -> str | None:
+        """Complaint of the drive's protocol, else the sensor value that is too old."""
+        complaint, now_s = self._drive.complaint, self._clock()
+        for bus in self.buses:
+            complaint = complaint or bus.complaint(now_s)
+        return complaint
+
+    @property
+    def safe_s(self) -> float:
+        """Time at which the safe command in force was taken, infinite while none is in force."""
+        return self._drive.safe_s
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Serve the drive and the sensors until cancelled; the sensors end first.
+
+        Args:
+            listener: Receiver of readings and of the states of the buses.
+            opened: Called once, when the drive's bus is open.
+
+        Raises:
+            ExceptionGroup: A task died; a `BusError` in it when the drive's bus cannot be opened.
+        """
+        self._listener = listener
+        for bus in self.buses:
+            bus.report = listener.on_bus
+        async with asyncio.TaskGroup() as tasks:
+            for bus in self.buses:
+                tasks.create_task(self._sense(bus), name=f"sensor bus {bus.name}")
+            tasks.create_task(self._drive.run(self, opened), name="drive")
+
+    async def _sense(self, bus: SensorBus) -> None:
+        """Serve a sensor bus; an error in that leaves the drive safe before its bus is closed."""
+        try:
+            await bus.port.run(bus)
+        except Exception:
+            await self._say_farewell()
+            raise
+
+    async def _say_farewell(self) -> None:
+        """Send the safe command more than once, and no other from now on."""
+        self._ends = True
+        for _ in range(FAREWELLS):
+            self._drive.send(SAFE_COMMAND)
+            await asyncio.sleep(FAREWELL_GAP_S)
+
+    def send(self, command: Command) -> bool:
+        """Send one command to the drive now, the safe one once a sensor bus has failed."""
+        return self._drive.send(SAFE_COMMAND if self._ends else command)
+
+    def on_reading(self, reading: Reading) -> None:
+        """Complete a reading of the drive and pass it on."""
+        if self._listener is not None:
+            self._listener.on_reading(self.completed(reading))
+            self._note_news()
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Pass on that the drive's bus was lost or came back."""
+        if self._listener is not None:
+            self._listener.on_bus(up, detail)
+
+    def _note_news(self) -> None:
+        news = False
+        for bus in self.buses:
+            news = news or bus.news
+            bus.news = False
+        if news:
+            self.sampled()
+
+    def completed(self, reading: Reading) -> Reading:
+        """Return a reading with the values of the sensors and those that are derived.
+
+        Args:
+            reading: Reading of the drive.
+        """
+        values = {name: getattr(reading, name) for name in QUANTITIES}
+        values.update(reading.other)
+        values.update(self._stated)
+        for bus in self.buses:
+            values.update(bus.values)
+        for one in self._derivations:
+            values[one.name] = one.value(values)
+        found = {name: values.get(name, math.nan) for name in QUANTITIES}
+        return replace(reading, other=values, **found)

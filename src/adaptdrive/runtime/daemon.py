@@ -197,9 +197,8 @@ class Daemon:
         if self._machine.commanded_off:
             self._fast.send_safe()
         if self._machine.mode is not mode:
-            self._announcer.publish_event(
-                "mode", Severity.INFO, f"mode {mode} to {self._machine.mode}"
-            )
+            detail = f"mode {mode} to {self._machine.mode}"
+            self._announcer.publish_event("mode", Severity.INFO, detail)
         self._announcer.publish_state()
         return self._machine.state
 

@@ -102,15 +102,11 @@ class RefusedShare:
         refused = _refused(first, counts)
         share = min(1.0, sum(refused.values()) / judged)
         text = self._text(share, judged, refused)
-        self.cause = self._problem(share, text)
+        trips = self._limit and share >= self._limit
+        self.cause = f"refused frames: {text}, limit {self._limit:.0%}" if trips else None
         noted, least = self._noted, _FORGOTTEN_SHARE if self._noted else _NOTED_SHARE
         self._noted = share >= least
         return text if self._noted and not noted else None
-
-    def _problem(self, share: float, text: str) -> str | None:
-        if not self._limit or share < self._limit:
-            return None
-        return f"refused frames: {text}, limit {self._limit:.0%}"
 
     def _text(self, share: float, judged: int, refused: Mapping[str, int]) -> str:
         reason = max(refused, key=lambda name: refused[name])

@@ -69,7 +69,31 @@ class IdleCollector:
         return generation
 
 
-class FrameWatch:
+class _Expectant:
+    """Does something shortly before each frame is due."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, lead_s: float) -> None:
+        self._lead_s = lead_s
+        self._due_s = math.nan
+        self._timer = TickTimer(loop, self._expired)
+        self._ended = False
+
+    def expect(self, due_s: float) -> None:
+        """Await a frame that is due at a monotonic time."""
+        self._due_s = due_s
+        if not self._ended:
+            self._timer.arm(due_s - self._lead_s)
+
+    def close(self) -> None:
+        """Await nothing any more."""
+        self._ended = True
+        self._timer.close()
+
+    def _expired(self, _: float) -> None:
+        raise NotImplementedError
+
+
+class FrameWatch(_Expectant):
     """Looks at the bus again and again from shortly before a frame is due until it has come.
 
     There is then nothing to wake up from.
@@ -90,28 +114,17 @@ class FrameWatch:
             spin_s: How long before a frame is due the wait begins, and after it ends.
             clock: Monotonic clock in seconds.
         """
+        super().__init__(loop, spin_s)
         self._look = look
-        self._spin_s = spin_s
         self._clock = clock
-        self._due_s = math.nan
-        self._timer = TickTimer(loop, self._wait)
 
-    def expect(self, due_s: float) -> None:
-        """Wait for a frame that is due at a monotonic time."""
-        self._due_s = due_s
-        self._timer.arm(due_s - self._spin_s)
-
-    def close(self) -> None:
-        """Wait for nothing any more."""
-        self._timer.close()
-
-    def _wait(self, _: float) -> None:
+    def _expired(self, _: float) -> None:
         due_s = self._due_s
-        while self._due_s == due_s and self._clock() < due_s + self._spin_s:
+        while self._due_s == due_s and self._clock() < due_s + self._lead_s:
             self._look()
 
 
-class DressRehearsal:
+class DressRehearsal(_Expectant):
     """Rehearses a tick shortly before a frame is due: the CPU's caches then hold what it needs.
 
     Of all the time that a tick takes after a sleep, most is spent waiting for memory.
@@ -134,22 +147,10 @@ class DressRehearsal:
             report_end: Receives the error of a rehearsal that fails, which is the last one.
             lead_s: How long before a frame is due.
         """
+        super().__init__(loop, lead_s)
         self._rehearse = rehearse
         self._look = look
         self._report_end = report_end
-        self._lead_s = lead_s
-        self._timer = TickTimer(loop, self._expired)
-        self._ended = False
-
-    def expect(self, due_s: float) -> None:
-        """Rehearse for a frame that is due at a monotonic time."""
-        if not self._ended:
-            self._timer.arm(due_s - self._lead_s)
-
-    def close(self) -> None:
-        """Rehearse no more."""
-        self._ended = True
-        self._timer.close()
 
     def _expired(self, _: float) -> None:
         """Rehearse, and read the bus; no rehearsal that fails is worth a drive that stops."""
@@ -210,7 +211,7 @@ class TickSupport:
             one.close()
         self._detector.close()
 
-    def _get_ready(self) -> Iterator[DressRehearsal | FrameWatch]:
+    def _get_ready(self) -> Iterator[_Expectant]:
         """Yield what prepares for each frame of a drive that sends cyclically."""
         settings, look = self._settings, self._port.catch_up
         if settings.fast.timing.ticks_per_reading > 1:

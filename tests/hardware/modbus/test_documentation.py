@@ -14,8 +14,13 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.modbus import ModbusBus, ModbusRtu
 from adaptdrive.config.supply import Derived
-from adaptdrive.hardware.polled.blocks import plan_blocks
-from adaptdrive.hardware.polled.capacity import Exchange, capacity_flaws, exchange_bytes, exchange_s
+from adaptdrive.hardware.polled.capacity import (
+    Exchange,
+    capacity_flaws,
+    exchange_bytes,
+    exchange_s,
+    plan_blocks,
+)
 from adaptdrive.hardware.polled.mapping import map_drive
 
 ROOT = Path(__file__).parents[3]

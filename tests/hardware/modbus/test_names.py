@@ -19,8 +19,7 @@ from adaptdrive.config.file import parse_configuration
 from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.modbus.link import ModbusConnection
-from adaptdrive.hardware.polled.blocks import Block
-from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.capacity import Block, Exchange
 from tests.config.modbus_documents import parse
 from tests.faults.course import EXAMPLES
 from tests.hardware.modbus.bench import TcpPeer

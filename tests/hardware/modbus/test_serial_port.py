@@ -20,8 +20,7 @@ from adaptdrive.config.modbus import ModbusRtu
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.modbus.link import ModbusConnection
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.polled.blocks import Block
-from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.link import ExchangeError
 from tests.config.modbus_documents import parse
 from tests.hardware.bench import until

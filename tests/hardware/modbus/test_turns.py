@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Set as AbstractSet
 
 from adaptdrive.hardware.modbus.sensors import SELDOM_CYCLES, SensorBlock, Turns
-from adaptdrive.hardware.polled.blocks import Block
-from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.capacity import Block, Exchange
 
 Asked = list[tuple[int | None, int]]
 

@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.port import ModbusPort
-from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.capacity import Block
 from adaptdrive.hardware.polled.mapping import block_words
 from adaptdrive.hardware.polled.pace import WritePace
 from tests.config.modbus_documents import flaws

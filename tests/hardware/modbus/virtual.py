@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from adaptdrive.hardware.modbus import port, sensors
-from adaptdrive.hardware.polled import stream
+from adaptdrive.hardware.polled import link
 from adaptdrive.hardware.port import Reading
 from tests.hardware.bench import Ear
 from tests.hardware.modbus.bench import Peer, framed
@@ -170,6 +170,6 @@ async def _found(host: str, *_: object) -> tuple[str, ...]:
 
 def use_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no name server and no serial port be asked."""
-    monkeypatch.setattr(stream, "find", _found)
+    monkeypatch.setattr(link, "find", _found)
     monkeypatch.setattr(port, "SerialPort", VirtualSerialPort)
     monkeypatch.setattr(sensors, "SerialPort", VirtualSerialPort)

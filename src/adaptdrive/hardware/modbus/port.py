@@ -10,15 +10,14 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import Flaw
-from adaptdrive.hardware.bus_kind import BusKind
+from adaptdrive.hardware.bus_kind import BusKind, polled_cautions, tcp_locks
 from adaptdrive.hardware.modbus.frames import are_alike
 from adaptdrive.hardware.modbus.link import ModbusConnection, describe_bus
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.polled.capacity import Exchange
-from adaptdrive.hardware.polled.kind import planned, polled_cautions, tcp_locks
 from adaptdrive.hardware.polled.link import PolledLink
-from adaptdrive.hardware.polled.mapping import Poll
+from adaptdrive.hardware.polled.mapping import Poll, planned
 from adaptdrive.hardware.polled.port import PolledPort
 from adaptdrive.hardware.port import Port
 

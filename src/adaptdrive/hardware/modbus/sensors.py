@@ -25,8 +25,7 @@ from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.modbus.frames import are_alike
 from adaptdrive.hardware.modbus.link import ModbusConnection, describe_bus
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.polled.blocks import plan_blocks
-from adaptdrive.hardware.polled.capacity import Exchange, cycle_flaws
+from adaptdrive.hardware.polled.capacity import Exchange, cycle_flaws, plan_blocks
 from adaptdrive.hardware.polled.link import ExchangeError
 from adaptdrive.hardware.polled.mapping import Named, RegisterCatalogue, inside, value_in
 from adaptdrive.hardware.polled.polling import Polling

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from adaptdrive.config.modbus import Heartbeat
 from adaptdrive.hardware.binding import BRIDGE, Source
 from adaptdrive.hardware.fault_latch import FaultLatch
-from adaptdrive.hardware.polled.blocks import Block
+from adaptdrive.hardware.polled.capacity import Block
 from adaptdrive.hardware.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in, word_in
 from adaptdrive.hardware.port import Reading, composed, confirming
 

@@ -1,4 +1,6 @@
-"""Duration of a poll on the wire, compared with the wanted cycle.
+"""Few requests for many registers, and their time on the wire, compared with the wanted cycle.
+
+Reads run across small gaps, writes never do.
 
 A serial line carries one character of 10 or 11 bits per byte, one frame at a time, with silence
 around each. On TCP the bytes cost next to nothing; the drive's turnaround is what counts.
@@ -6,12 +8,14 @@ around each. On TCP the bytes cost next to nothing; the drive's turnaround is wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
-from adaptdrive.config.modbus import ModbusBus, ModbusLink, RtuLink
+from adaptdrive.config.modbus import ModbusBus, ModbusLink, Register, RtuLink
 from adaptdrive.errors import Flaw
-from adaptdrive.hardware.polled.blocks import Block
+
+Table = Literal["input", "holding", "coil", "discrete"]
 
 USABLE_SHARE = 0.8
 """Share of the poll cycle that exchanges may take: a safe command must find the line free."""
@@ -25,6 +29,67 @@ _SILENCE_CHARACTERS = 3.5
 
 _LEAST_SILENCE_S = 0.00175
 """The same above 19200 baud."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Neighbouring registers, asked for or written at once.
+
+    Attributes:
+        table: Kind of registers.
+        address: First address, zero-based.
+        count: Number of registers.
+        single: Whether it is written alone: function 5 for a coil, 6 for a register.
+    """
+
+    table: Table
+    address: int
+    count: int
+    single: bool = False
+
+    @property
+    def end(self) -> int:
+        """Address behind the block."""
+        return self.address + self.count
+
+    def __str__(self) -> str:
+        last = f"…{self.end - 1}" if self.count > 1 else ""
+        return f"{self.table} {self.address}{last} (address from 0)"
+
+    def holds(self, register: Register) -> bool:
+        """Return whether a register lies in this block."""
+        inside = self.address <= register.address and register.end <= self.end
+        return register.table == self.table and inside
+
+
+def plan_blocks(
+    registers: Iterable[Register], max_gap: int, max_count: int, *, write: bool = False
+) -> tuple[Block, ...]:
+    """Cover registers with blocks.
+
+    Args:
+        registers: What is wanted; registers may share addresses.
+        max_gap: Unwanted registers that a block may run across.
+        max_count: Longest block; no value is ever cut in two.
+        write: Whether they are written: each coil alone.
+    """
+    blocks: list[Block] = []
+    for register in sorted(registers, key=lambda one: (one.table, one.address, one.end)):
+        last = blocks[-1] if blocks else None
+        single = write and (register.table == "coil" or max_count == 1)
+        longest = 1 if single else max_count
+        if last is not None and _reaches(last, register, max_gap, longest):
+            end = max(last.end, register.end)
+            blocks[-1] = Block(last.table, last.address, end - last.address, last.single)
+        else:
+            blocks.append(Block(register.table, register.address, register.words, single))
+    return tuple(blocks)
+
+
+def _reaches(block: Block, register: Register, max_gap: int, max_count: int) -> bool:
+    near = register.address - block.end <= max_gap
+    short = max(block.end, register.end) - block.address <= max_count
+    return block.table == register.table and near and short
 
 
 @dataclass(frozen=True, slots=True)

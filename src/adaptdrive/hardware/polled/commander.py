@@ -9,8 +9,7 @@ from collections.abc import Callable
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.doubts import Obedience
-from adaptdrive.hardware.polled.blocks import Block
-from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void
 from adaptdrive.hardware.polled.mapping import HEARTBEAT, Poll, block_words
 from adaptdrive.hardware.polled.pace import UntakenCommands, WritePace, has_switch

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
+from adaptdrive.config import Configuration
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.control.signals import Command
@@ -24,11 +25,10 @@ from adaptdrive.hardware.binding import (
     fault_words,
     other_names,
 )
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.field import Field
-from adaptdrive.hardware.polled.blocks import Block, plan_blocks
-from adaptdrive.hardware.polled.capacity import Exchange, capacity_flaws
+from adaptdrive.hardware.polled.capacity import Block, Exchange, capacity_flaws, plan_blocks
 from adaptdrive.hardware.polled.codec import (
     decode,
     decode_value,
@@ -262,6 +262,25 @@ def map_drive(
     if flaws:
         raise ConfigurationError(source, flaws)
     return poll
+
+
+def planned(
+    configuration: Configuration, bus: ModbusBus, source: Path | str, *, passive: bool
+) -> Poll:
+    """Return the polls of a drive.
+
+    Args:
+        configuration: The drive.
+        bus: `[bus]`, with a register for each value.
+        source: The configuration's file, for error messages.
+        passive: Whether nothing may be written to the drive.
+
+    Raises:
+        ConfigurationError: Bus and signals do not fit; every flaw is listed.
+    """
+    half_cycle_s, demands = configuration.timing.half_cycle_s, demands_of(configuration)
+    poll = map_drive(bus, configuration.signals, half_cycle_s, source, demands)
+    return replace(poll, setup=()) if passive else poll  # without a command, nothing is written
 
 
 def inside(block: Block, bound: Iterable[Bound]) -> tuple[Bound, ...]:

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable
 
 from adaptdrive.config.cadence import DAY_S
 from adaptdrive.hardware.binding import BRIDGE, Sink
-from adaptdrive.hardware.polled.blocks import Block
-from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.link import EXCEPTIONS, ExchangeError
 from adaptdrive.hardware.polled.mapping import Named, Poll
 

@@ -13,13 +13,11 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.timing import Timing
-from adaptdrive.hardware.bus_kind import BusKind, bus_of
-from adaptdrive.hardware.polled.blocks import Block
-from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.bus_kind import BusKind, bus_of, polled_cautions, tcp_locks
+from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.codec import count, encode_count
-from adaptdrive.hardware.polled.kind import planned, polled_cautions, tcp_locks
 from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
-from adaptdrive.hardware.polled.mapping import Poll
+from adaptdrive.hardware.polled.mapping import Poll, planned
 from adaptdrive.hardware.polled.port import PolledPort
 from adaptdrive.hardware.port import Port
 
