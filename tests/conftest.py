@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import math
 import os
 import shutil
@@ -59,8 +60,8 @@ all others have ended.
 COMPILING = {"campaign", "compiled"}
 """Folders whose tests compile the simulators.
 
-Their tests come before all others, so that one worker runs them and compiles once; the other
-workers find the compiled code on disk. They count as slow: `make quick` compiles nothing.
+Their tests come before all others, one worker compiles, and the others find the code on disk. They
+count as slow: `make quick` compiles nothing.
 """
 
 COMPILATION_S = 3600.0
@@ -104,6 +105,26 @@ def _turn(item: pytest.Item) -> tuple[bool, bool, bool, bool]:
 def _folder(path: Path) -> str:
     here = Path(__file__).parent
     return path.relative_to(here).parts[0] if path.is_relative_to(here) else ""
+
+
+@pytest.fixture(autouse=True)
+def _compiled_by_one_process(request: pytest.FixtureRequest) -> None:
+    slow = request.node.get_closest_marker("slow") is not None
+    if slow and _folder(request.path) in {*COMPILING, "experiments"}:
+        request.getfixturevalue("compiled_simulators")
+
+
+@pytest.fixture(scope="session")
+def compiled_simulators() -> None:
+    """Compile the simulators, or wait until another worker has, which takes two minutes."""
+    from adaptdrive_sim.campaign.main import read_any_campaign, run_seed  # noqa: PLC0415
+    from adaptdrive_sim.compiled.translate import cache_folder  # noqa: PLC0415
+
+    campaign = read_any_campaign(Path("standard.toml"))
+    cache_folder().mkdir(parents=True, exist_ok=True)
+    with (cache_folder() / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        run_seed(campaign.model_copy(update={"duration_s": 180.0}), 1)
 
 
 @pytest.fixture(autouse=True)

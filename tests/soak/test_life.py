@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.soak.life import Life
 
 QUARTER_s = 900.0
 
 
+@pytest.mark.slow
 def test_a_life_of_faults_is_recorded_whole_and_replays_bit_equal(tmp_path: Path) -> None:
     life = Life(4, tmp_path / "session")
     life.pass_time(QUARTER_s)
