@@ -23,19 +23,21 @@ _PLANT = (
 
 _BENCH = "adaptdrive_sim.compiled.bench"
 
-_CONTROL_OF_A_TICK = {
+_INLINED = {
     f"adaptdrive.control.{name}"
     for name in (
+        "discretise",
         "fast_half",
         "lambda_filter",
         "lambda_transform",
         "rounding",
         "screen",
         "signals",
+        "vectors",
         "voltage_loop",
     )
 }
-"""Modules of the controller that run in each tick, and not once in a slow period."""
+"""Modules of the controller that run in each tick, or for each of many models."""
 
 _OUTSIDE = {
     f"adaptdrive.control.{name}"
@@ -50,6 +52,6 @@ def compiled_modules() -> dict[str, ModuleType]:
     package = adaptdrive.control
     found = pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
     names = [module.name for module in found if module.name not in _OUTSIDE]
-    modules = translate([*names, *_PLANT, _BENCH], inlined={*_CONTROL_OF_A_TICK, *_PLANT})
+    modules = translate([*names, *_PLANT, _BENCH], inlined={*_INLINED, *_PLANT})
     copies.add(modules)
     return modules

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.control.vectors import Vector, copy_into, dot, unit
+from adaptdrive.control.vectors import Vector, copy_into, unit
 
 _TAYLOR_TERMS = 30
 """Terms of the exponential: 2^30/30! is below the rounding of a double."""
@@ -163,7 +163,11 @@ def _transition(system: Vector, size: int, duration_s: float) -> Vector:
 def _transit(transition: Vector, state: Vector) -> Vector:
     """exp(M t) z."""
     size = len(state)
-    return [dot(transition[i * size : (i + 1) * size], state) for i in range(size)]
+    moved = [0.0] * size
+    for i in range(size):
+        for j in range(size):
+            moved[i] += transition[i * size + j] * state[j]
+    return moved
 
 
 def _responses(

@@ -23,8 +23,8 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control.design import kept_factor
-from adaptdrive.control.noise_limit import noise_gain
-from adaptdrive.control.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.noise_limit import impulse_norm
+from adaptdrive.control.pole_placement import desired_polynomial, equation, place
 from adaptdrive.control.vectors import Vector, multiply
 
 MODULUS_MARGIN = 0.43
@@ -47,7 +47,14 @@ _HALVINGS = 6
 
 
 def fast_loop(
-    a: Vector, b: Vector, order: int, pole: float, quiet: Vector, noise: float, limit: float
+    a: Vector,
+    b: Vector,
+    order: int,
+    pole: float,
+    quiet: Vector,
+    noise: float,
+    limit: float,
+    circle: Vector,
 ) -> Vector:
     """Return A_f; A_q where no loop faster than asked keeps within the limits.
 
@@ -59,15 +66,17 @@ def fast_loop(
         quiet: A_q.
         noise: σ_y of a slow sample, in the unit of the output.
         limit: Largest σ_u of the quiet law, in the unit of the input; 0 for A_q at any noise.
+        circle: That of `unit_circle` for as many entries as A_c has.
     """
-    kept = kept_factor(b, pole)
+    kept, solved = kept_factor(b, pole), equation(a, b)
     free = len(a) + len(b) - 2 - 2 * order
     low, high = 0.0, 1.0 if limit > 0.0 else 0.0
-    circle = unit_circle(len(a) + len(b) - 1)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         loop = _faster_loop(kept, order, free, pole, middle)
-        if noise * noise_gain(a, b, loop) <= SPENT * limit and has_margins(a, b, loop, circle):
+        r, s = place(solved, a, b, loop)
+        spent = noise * impulse_norm(multiply(s, a), loop)
+        if spent <= SPENT * limit and has_margins(multiply(a, r), multiply(b, s), loop, circle):
             low = middle
         else:
             high = middle
@@ -82,43 +91,48 @@ def _faster_loop(kept: Vector, order: int, free: int, pole: float, speed: float)
 
 
 def unit_circle(count: int) -> Vector:
-    """Return the powers of q^-1 below a degree at all frequencies: real, imaginary, and so on."""
-    circle = [0.0] * (2 * count * _FREQUENCIES)
+    """Return what margins need at all frequencies, a row for each, the same in every slow period.
+
+    Args:
+        count: Coefficients of a polynomial in q^-1.
+
+    Returns:
+        Real and imaginary parts of its powers of q^-1, and |1 - z^-d|² at the end of the row.
+    """
+    row = 2 * count + 1
+    circle = [0.0] * (row * _FREQUENCIES)
     angle = math.pi
-    for k in range(_FREQUENCIES):
+    for first in range(0, len(circle), row):
         for i in range(count):
-            circle[2 * (k * count + i)] = math.cos(i * angle)
-            circle[2 * (k * count + i) + 1] = math.sin(i * angle)
+            circle[first + 2 * i] = math.cos(i * angle)
+            circle[first + 2 * i + 1] = math.sin(i * angle)
+        circle[first + row - 1] = (2.0 * math.sin(0.5 * DELAY_MARGIN * angle)) ** 2
         angle *= _NEXT
     return circle
 
 
-def has_margins(a: Vector, b: Vector, loop: Vector, circle: Vector) -> bool:
-    """Return whether the controller that gives a model this loop keeps the margins.
+def has_margins(forward: Vector, back: Vector, loop: Vector, circle: Vector) -> bool:
+    """Return whether a loop keeps the margins.
 
     Args:
-        a: A of the model.
-        b: B of the model.
-        loop: A_c, stable.
-        circle: That of `unit_circle` for the entries of A R and B S.
+        forward: A R.
+        back: B S.
+        loop: A_c = A R + B S, stable.
+        circle: That of `unit_circle` for the entries of these.
     """
-    r, s = place_poles(a, b, loop)
-    forward, back = multiply(a, r), multiply(b, s)
-    angle = math.pi
-    for first in range(0, len(circle), len(circle) // _FREQUENCIES):
-        shift = 2.0 * math.sin(0.5 * DELAY_MARGIN * angle)  # |1 - z^-d|
-        least = MODULUS_MARGIN * _magnitude(forward, circle, first)
-        least = max(least, shift * _magnitude(back, circle, first))
-        if not _magnitude(loop, circle, first) > least:
+    row = len(circle) // _FREQUENCIES
+    for first in range(0, len(circle), row):
+        least = MODULUS_MARGIN * MODULUS_MARGIN * _squared(forward, circle, first)
+        least = max(least, circle[first + row - 1] * _squared(back, circle, first))
+        if not _squared(loop, circle, first) > least:
             return False
-        angle *= _NEXT
     return True
 
 
-def _magnitude(polynomial: Vector, circle: Vector, first: int) -> float:
-    """Return the magnitude of a polynomial in q^-1 at the frequency that begins at an entry."""
+def _squared(polynomial: Vector, circle: Vector, first: int) -> float:
+    """Return the squared size of a polynomial in q^-1 at the frequency that begins at an entry."""
     real, imaginary = 0.0, 0.0
     for i in range(len(polynomial)):
         real += polynomial[i] * circle[first + 2 * i]
         imaginary += polynomial[i] * circle[first + 2 * i + 1]
-    return math.hypot(real, imaginary)
+    return real * real + imaginary * imaginary

@@ -27,7 +27,7 @@ import math
 
 from adaptdrive.control.design import kept_factor
 from adaptdrive.control.evidence import FEWEST
-from adaptdrive.control.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.pole_placement import desired_polynomial, equation, place
 from adaptdrive.control.vectors import Vector, copy_into, multiply
 
 OBSERVER_POLE = 1.0 - 1.0 / FEWEST
@@ -54,16 +54,16 @@ def quiet_loop(a: Vector, b: Vector, order: int, pole: float, noise: float, limi
         noise: σ_y of a slow sample, in the unit of the output.
         limit: Largest σ_u, in the unit of the input; 0 for none.
     """
-    kept = kept_factor(b, pole)
+    kept, solved = kept_factor(b, pole), equation(a, b)
     free = len(a) + len(b) - 2 - 2 * order
     found = slowed_loop(kept, order, free, pole, 0.0)
-    least = noise_gain(a, b, found)
+    least = _noise_gain(solved, a, b, found)
     if noise * least <= limit or not limit > 0.0:
         return found
     low, high, slowness = 0.0, _BOTH, _BOTH
     for _ in range(1 + _HALVINGS):
         loop = slowed_loop(kept, order, free, pole, slowness)
-        gain = noise_gain(a, b, loop)
+        gain = _noise_gain(solved, a, b, loop)
         if noise * gain <= limit:
             found, least, high = loop, 0.0, slowness
         else:
@@ -97,8 +97,11 @@ def noise_gain(a: Vector, b: Vector, loop: Vector) -> float:
         b: B of the model.
         loop: A_c, stable.
     """
-    _, s = place_poles(a, b, loop)
-    return impulse_norm(multiply(s, a), loop)
+    return _noise_gain(equation(a, b), a, b, loop)
+
+
+def _noise_gain(solved: Vector, a: Vector, b: Vector, loop: Vector) -> float:
+    return impulse_norm(multiply(place(solved, a, b, loop)[1], a), loop)
 
 
 def impulse_norm(numerator: Vector, denominator: Vector) -> float:

@@ -15,7 +15,7 @@ of V_c[k-1], V_c[k-2] corrected to (1 + x4/a2) and -x4/a2; for a first-order loa
 
 from __future__ import annotations
 
-from adaptdrive.control.vectors import Vector, multiply, solve_linear
+from adaptdrive.control.vectors import Vector, eliminate, multiply, substitute
 
 
 def desired_polynomial(pole: float, count: int) -> Vector:
@@ -39,19 +39,36 @@ def place_poles(a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
     Returns:
         R (first entry 1, R(1) = 0) and S; NaNs where A and B share a root.
     """
+    return place(equation(a, b), a, b, desired)
+
+
+def equation(a: Vector, b: Vector) -> Vector:
+    """Return the equation of A and B, which is the same for every loop, eliminated.
+
+    Returns:
+        Its matrix, and the pivots behind it.
+    """
     integrating = multiply(a, [1.0, -1.0])
     free, feedback = len(b) - 2, len(a)
     size = free + feedback
     matrix = [0.0] * (size * size)
-    right = [0.0] * size
     for row in range(size):
         power = row + 1
-        right[row] = _entry(desired, power) - _entry(integrating, power)
         for j in range(free):
             matrix[row * size + j] = _entry(integrating, power - 1 - j)
         for j in range(feedback):
             matrix[row * size + free + j] = _entry(b, power - j)
-    solution = solve_linear(matrix, right)
+    pivots = eliminate(matrix, size)
+    return [*matrix, *pivots]
+
+
+def place(solved: Vector, a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
+    """Return what `place_poles` does, from the `equation` of A and B."""
+    integrating = multiply(a, [1.0, -1.0])
+    free = len(b) - 2
+    size = free + len(a)
+    right = [_entry(desired, i + 1) - _entry(integrating, i + 1) for i in range(size)]
+    solution = substitute(solved, solved[size * size :], right)
     return multiply([1.0, *solution[:free]], [1.0, -1.0]), solution[free:]
 
 

@@ -98,7 +98,7 @@ def _take_fast_law(
     """Take over the fast law, or the quiet one where the covariance leaves the fast one unsure."""
     a, b, quiet = state.model_a, state.model_b, state.new_loop
     noise, limit = _output_noise(settings, state, 0.0), settings.jacket.noise_max
-    loop = fast_loop(a, b, load.order, sample.pole, quiet, noise, limit)
+    loop = fast_loop(a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
     gains = loop_gains(a, b, loop)
     most = settings.jacket.spread_max
     if most > 0.0 and not _spread(settings, load, state, gains, loop, sample.pole) <= most:

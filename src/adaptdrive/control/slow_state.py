@@ -10,6 +10,7 @@ from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState
 from adaptdrive.control.cycling import CyclingState
 from adaptdrive.control.design import past_inputs
+from adaptdrive.control.fast_feedback import unit_circle
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.reference_filter import ReferenceFilter, new_reference_filter
 from adaptdrive.control.settings import ControllerSettings
@@ -82,6 +83,7 @@ class SlowState:
         trusted_b: B of it.
         reference_filter: Reference filter of the adaptive law.
         new_loop: A_c of the design of this period.
+        circle: What margins need of the unit circle (`fast_feedback`).
         expected: Response to the reference that was asked for, a lag for each pole.
         recalled: Whether the estimate is what a run before this one had trusted.
         saturated: Whether the last input was at a limit or could not be followed.
@@ -127,6 +129,7 @@ class SlowState:
     trusted_b: Vector
     reference_filter: ReferenceFilter
     new_loop: Vector
+    circle: Vector
     expected: Vector
     recalled: bool = False
     saturated: bool = False
@@ -226,6 +229,7 @@ def new_slow_state(
         trusted_b=[0.0] * (taps + 1),
         reference_filter=new_reference_filter(load.order, taps),
         new_loop=[0.0] * (load.order + taps + 1),
+        circle=unit_circle(load.order + taps + 1),
         expected=[output] * (2 * load.order),
         sent=load_input,
     )

@@ -81,18 +81,32 @@ def solve_linear(matrix: Vector, right: Vector) -> Vector:
     Returns:
         x, or NaNs where M is singular.
     """
-    size = len(right)
+    return substitute(matrix, eliminate(matrix, len(right)), right)
+
+
+def eliminate(matrix: Vector, size: int) -> Vector:
+    """Bring a matrix into the form that `substitute` solves for any right side.
+
+    Args:
+        matrix: M, flat, n by n; overwritten by its factors L below the diagonal, and U.
+        size: n.
+
+    Returns:
+        The row that changes places with each row; NaNs where M is singular.
+    """
+    pivots = [0.0] * size
     for column in range(size):
         pivot = _pivot_row(matrix, column, size)
         if not abs(matrix[pivot * size + column]) > 0.0:
             return [math.nan] * size
-        _swap_rows(matrix, right, pivot, column)
+        pivots[column] = pivot
+        _swap_rows(matrix, size, pivot, column)
         for row in range(column + 1, size):
             factor = matrix[row * size + column] / matrix[column * size + column]
-            for j in range(column, size):
+            matrix[row * size + column] = factor
+            for j in range(column + 1, size):
                 matrix[row * size + j] -= factor * matrix[column * size + j]
-            right[row] -= factor * right[column]
-    return _back_substitute(matrix, right)
+    return pivots
 
 
 def _pivot_row(matrix: Vector, column: int, size: int) -> int:
@@ -103,16 +117,32 @@ def _pivot_row(matrix: Vector, column: int, size: int) -> int:
     return best
 
 
-def _swap_rows(matrix: Vector, right: Vector, one: int, other: int) -> None:
-    size = len(right)
+def _swap_rows(matrix: Vector, size: int, one: int, other: int) -> None:
     for j in range(size):
         a, b = one * size + j, other * size + j
         matrix[a], matrix[b] = matrix[b], matrix[a]
-    right[one], right[other] = right[other], right[one]
 
 
-def _back_substitute(matrix: Vector, right: Vector) -> Vector:
+def substitute(matrix: Vector, pivots: Vector, right: Vector) -> Vector:
+    """Solve M x = b.
+
+    Args:
+        matrix: What `eliminate` has made of M.
+        pivots: What it has returned.
+        right: b, n entries; overwritten.
+
+    Returns:
+        x, or NaNs where M is singular.
+    """
     size = len(right)
+    if math.isnan(pivots[0]):
+        return [math.nan] * size
+    for row in range(size):
+        pivot = int(pivots[row])
+        right[row], right[pivot] = right[pivot], right[row]
+    for column in range(size):
+        for row in range(column + 1, size):
+            right[row] -= matrix[row * size + column] * right[column]
     solution = [0.0] * size
     for row in range(size - 1, -1, -1):
         rest = right[row]
