@@ -22,7 +22,7 @@ packed := LICENSE README.md pyproject.toml constraints.txt $(shell find src simu
 # Without a cache of bytecode each of the processes that the tests start compiles the sources again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test quick lint bench proof branches tables rivals docs wheel compiled deb constraints clean
+.PHONY: help demo test peers quick lint bench proof branches tables rivals docs wheel compiled deb constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -31,10 +31,12 @@ demo: $(demonstrable) ## watch the motor being held while disks drop onto its sh
 	@echo "2 of 3: starting a broker, a simulated drive and the daemon, some seconds"
 	@$(bin)/adaptdrive-sim demo motor
 
-test: $(installed) ## run the whole test suite
-	@tests/install-peers
+test: $(installed) peers ## run the whole test suite
 	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
 	@tests/suite $(bin)/python $(BESIDE)
+
+peers:
+	@tests/install-peers
 
 quick: $(installed) ## run the tests that need no clock, process, network or virtual machine
 	$(bin)/python -m pytest -rfE -m 'calculating and not slow' --numprocesses auto --dist loadfile
