@@ -31,12 +31,12 @@ def recall(
     record: bytes, configuration: Configuration = CONFIGURATION
 ) -> tuple[cp.Values | None, Event | None]:
     learnt, event = recall_all(record, configuration)
-    return None if learnt is None else learnt.values, event
+    return learnt.values, event
 
 
 def recall_all(
     record: bytes, configuration: Configuration = CONFIGURATION
-) -> tuple[cp.Learnt | None, Event | None]:
+) -> tuple[cp.Learnt, Event | None]:
     settings, load = controller_settings(configuration), build_load(configuration)
     return cp.recall(record, configuration, settings, load)
 
@@ -68,7 +68,7 @@ def test_a_resolution_that_cannot_be_is_ignored_with_its_estimates(
     record: bytes, resolution: float | str
 ) -> None:
     learnt, event = recall_all(record.replace(str(RESOLUTION).encode(), str(resolution).encode()))
-    assert learnt is None
+    assert learnt == cp.Learnt()
     assert event is not None
     assert event.severity is Severity.WARNING
 
@@ -183,8 +183,8 @@ class Learner:
         self.trusted: cp.Values | None = None
         self.resolution = 0.0
 
-    def __call__(self) -> cp.Learnt | None:
-        return None if self.trusted is None else cp.Learnt(self.trusted, self.resolution)
+    def __call__(self) -> cp.Learnt:
+        return cp.Learnt(self.trusted, self.resolution)
 
 
 class Clock:
@@ -204,7 +204,7 @@ def report() -> LoadReport:
 
 async def test_it_is_written_on_acceptance_at_most_once_a_minute_and_at_the_end() -> None:
     hub, clock, learner = Hub(), Clock(), Learner()
-    written: list[cp.Values] = []
+    written: list[cp.Values | None] = []
     keeper = cp.Keeper(lambda learnt: written.append(learnt.values), learner, hub, clock)
 
     async def period(now_s: float, trusted: cp.Values | None, *expected: cp.Values) -> None:
@@ -237,8 +237,7 @@ def test_a_restarted_daemon_knows_the_resolution_of_its_sensor_from_the_first_pe
     assert rested(first, [2.0 + 0.01 * n for n in range(40)])[0].resolution == 0.0
     assert first.resolution == pytest.approx(step, rel=0.01)
     learnt, _ = recall_all(recorded(cp.Learnt(VALUES, first.resolution)))
-    assert learnt is not None
-    again = cp.controller_from(SETTINGS, LOAD, learnt)
+    again = Controller(SETTINGS, LOAD, learnt.values, learnt.resolution)
     snapshots = rested(again, [2.0] * 40)
     assert {one.resolution for one in snapshots} == {first.resolution}
     assert snapshots[0].rounding == pytest.approx(step / math.sqrt(12.0), rel=0.01)

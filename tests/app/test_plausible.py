@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.plausible import implausible
+from adaptdrive.app.examine import implausible
 from adaptdrive.config import load_configuration, parse_configuration
 from adaptdrive.errors import Flaw
 

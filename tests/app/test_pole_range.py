@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from adaptdrive.app.check_report import pole_line, sound_report
+from adaptdrive.app.examine import implausible
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.plausible import implausible
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration, load_configuration

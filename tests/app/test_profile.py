@@ -5,7 +5,7 @@ import pytest
 from adaptdrive import __version__
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.config.file import load_configuration
-from adaptdrive.operation.profile import Output
+from adaptdrive.operation.messages import Output
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.app.checkpoint import Learnt
 from adaptdrive.app.recording import build_recorder
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.memory import Recalled
@@ -22,4 +23,4 @@ def test_a_folder_of_sessions_whose_name_is_not_utf8_is_refused_at_the_start(
     monkeypatch.chdir(folder)
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     with pytest.raises(RecordingError, match=r"Pr\\udcfcfung/sessions: .* not UTF-8"):
-        build_recorder(parse(), "", Hub(), Recalled(), None, lambda: None)
+        build_recorder(parse(), "", Hub(), Recalled(), Learnt(), lambda: None)

@@ -21,8 +21,7 @@ from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.link.multicast import LoopbackMulticast, parse
 from adaptdrive.hardware.port import PortStatistics
-from adaptdrive.operation.messages import drive_message, encode
-from adaptdrive.operation.profile import Output
+from adaptdrive.operation.messages import Output, drive_message, encode
 from adaptdrive.recording.records import TickTable
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.hub import Hub

@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from adaptdrive.operation.commands import PING, STOP, VERBS
+from adaptdrive.operation.commands import FORMS, PING, STOP
 from tests.benchmarks.rows import Extent, Row
 from tests.benchmarks.tools import cpu_s
 from tests.fuzz.mutate import mutated
@@ -30,7 +30,7 @@ from tests.system.site import PATIENT_DRIVE, Site
 EACH = 10_000
 """Payloads on each topic for each of `--minutes`."""
 SEED = 60
-KNOWN = tuple(f"command/{verb}" for verb in (*VERBS, PING) if verb != STOP)
+KNOWN = tuple(f"command/{verb}" for verb in FORMS if verb != STOP)
 STRANGE = ("command/", "command/explode", "command/setpoint/x", "command/ö", "command/__proto__")
 ASKED = "ask/history"
 OTHERS = "command/…"

@@ -171,8 +171,7 @@ def _plain() -> list[Constant]:
 
 @cache
 def _defined() -> list[tuple[Constant, ast.expr]]:
-    app = [SOURCE / "app" / name for name in ("paper_design.py", "settings.py")]
-    paths = [*sorted((SOURCE / "control").rglob("*.py")), *app]
+    paths = [*sorted((SOURCE / "control").rglob("*.py")), SOURCE / "app" / "settings.py"]
     return [found for path in paths for found in _of_module(path)]
 
 

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from adaptdrive.app.paper_design import paper_jacket
-from adaptdrive.config import load_configuration
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.control.cycling import CyclingState, watch_cycling
+from tests.config.documents import parse
 
 BETTER = 5.0
 WAYS = 60
 LONGEST = 60
 """Slow periods."""
-
-EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 
 
 def found(
@@ -97,7 +94,7 @@ def test_noise_on_a_load_that_the_model_describes_is_none(better: float) -> None
 
 def test_the_papers_controller_is_not_watched() -> None:
     state = CyclingState()
-    step = paper_jacket(load_configuration(EXAMPLES / "motor.toml")).swing_min
+    step = controller_settings(parse(load__design='"paper"')).jacket.swing_min
     course = [0.0, 1.0] * WAYS
     seen = [watch_cycling(state, position, 1.0, step, BETTER, True) for position in course]
     assert seen == [False] * len(course)

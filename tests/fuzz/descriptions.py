@@ -11,7 +11,8 @@ from adaptdrive.hardware.canopen.pdo import codec, pack, transmit_channel
 from adaptdrive.hardware.dbc.database import SignalCatalogue, read_dbc
 from adaptdrive.hardware.dbc.proposal import candidates, proofs
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.operation.commands import VERBS, Payload
+from adaptdrive.operation.commands import Payload
+from adaptdrive.runtime.requests import REQUESTS
 from tests.fuzz.target import EXAMPLES, Target, damaged_file
 
 NODE = 5
@@ -26,7 +27,7 @@ def mqtt(data: bytes) -> object:
     """Read a command; the first byte chooses its verb."""
     payload = Payload(data[1:])
     json.dumps([payload.id, payload.value, payload.user])
-    return payload.request(VERBS[data[0] % len(VERBS)] if data else "")
+    return payload.request(tuple(REQUESTS)[data[0] % len(REQUESTS)] if data else "")
 
 
 def dbc(data: bytes) -> object:

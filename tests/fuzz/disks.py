@@ -11,17 +11,18 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.app.checkpoint import (
-    CheckpointError,
     Learnt,
     checkpoint_record,
     configuration_key,
-    read_checkpoint,
+)
+from adaptdrive.app.checkpoint import (
+    recall as recall_checkpoint,
 )
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
-from adaptdrive.config import load_configuration
+from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.load import Load
-from adaptdrive.control.settings import Jacket
+from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.frames import Kind, Record, framed
 from adaptdrive.recording.log_files import LogFile, new_file, recall
@@ -39,15 +40,14 @@ _EVENTS_FILE = "events-0001.parquet"
 
 
 @functools.cache
-def _motor() -> tuple[str, Load, Jacket]:
+def _motor() -> tuple[Configuration, ControllerSettings, Load]:
     motor = load_configuration(EXAMPLES / "motor.toml")
-    return configuration_key(motor), build_load(motor), controller_settings(motor).jacket
+    return motor, controller_settings(motor), build_load(motor)
 
 
 def checkpoint(data: bytes) -> object:
     """Read a checkpoint."""
-    key, load, jacket = _motor()
-    return read_checkpoint(data, key, load, jacket, span=6.0)
+    return recall_checkpoint(data, *_motor())
 
 
 def session(data: bytes) -> object:
@@ -139,9 +139,9 @@ def _ticks() -> bytes:
 
 
 def _checkpoint() -> bytes:
-    key, load, _ = _motor()
+    motor, _, load = _motor()
     values = load.physical(list(load.numerator), list(load.denominator))
-    return checkpoint_record(key, load.names, Learnt(tuple(values), 0.0049))
+    return checkpoint_record(configuration_key(motor), load.names, Learnt(tuple(values), 0.0049))
 
 
 _SESSION = (
@@ -150,7 +150,7 @@ _SESSION = (
 )
 
 DISKS: dict[str, Target] = {
-    "checkpoint": Target(checkpoint, (CheckpointError,), (_checkpoint(),), 300, 0.5),
+    "checkpoint": Target(checkpoint, (), (_checkpoint(),), 300, 0.5),
     "session": Target(session, (RecordingError,), (_SESSION,), 200, 0.5),
     "events": Target(events, (RecordingError,), (_events(),), 100, 0.2),
     "table": Target(table, (RecordingError,), (_ticks(),), 100, 0.2),

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from adaptdrive import __version__
-from adaptdrive.operation.commands import PING, VERBS
+from adaptdrive.operation.commands import FORMS
 from tests.operation.topic_table import Availability, Topic, attributes, simulator_topics, topics
 
 Document = dict[str, Any]
@@ -87,7 +87,7 @@ def _operation(topic: Topic) -> Document:
             "mqtt": {"qos": topic.qos, "retain": topic.retained, "bindingVersion": "0.2.0"}
         },
     }
-    if topic.name.rpartition("/")[2] in (*VERBS, PING):
+    if topic.name.rpartition("/")[2] in FORMS:
         operation["reply"] = {"channel": {"$ref": f"#/channels/{_REPLY}"}}
     return operation
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.app.recording import ledger_of
-from adaptdrive.operation.ledger import Ledger
+from adaptdrive.app.recording import surroundings_of
 from adaptdrive.operation.memory import ReplyMemory
+from adaptdrive.operation.service import ServiceSurroundings
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import recall
@@ -71,7 +71,7 @@ async def remembering(folder: Path, clocks: Time, limit: int = 1000) -> AsyncIte
 
 
 @asynccontextmanager
-async def keeping(folder: Path, hub: Hub) -> AsyncIterator[Ledger]:
+async def keeping(folder: Path, hub: Hub) -> AsyncIterator[ServiceSurroundings]:
     """The log of a daemon that records no session."""
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
     recalled = recall(folder, datetime.now(UTC))
@@ -79,7 +79,7 @@ async def keeping(folder: Path, hub: Hub) -> AsyncIterator[Ledger]:
     hub.kept = recorder.kept
     running = asyncio.create_task(recorder.run())
     try:
-        yield ledger_of(recalled, recorder)
+        yield surroundings_of(recalled, recorder)
     finally:
         running.cancel()
         await asyncio.wait([running])

@@ -25,8 +25,8 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.profile import Output, Profile
-from adaptdrive.operation.service import MqttService, ServiceSurroundings
+from adaptdrive.operation.messages import Output, Profile
+from adaptdrive.operation.service import MqttService
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
     DriveReport,
@@ -126,10 +126,8 @@ async def serving(
 ) -> AsyncIterator[Bench]:
     """Run a service for one drive; stop it orderly at the end."""
     host = host or RememberingHost()
-    async with keeping(folder / f"{drive}.log", host.hub) as ledger:
-        surroundings = ServiceSurroundings(
-            ledger, **({"uniform": lambda low, _: low * 0.1} | around)
-        )
+    async with keeping(folder / f"{drive}.log", host.hub) as log:
+        surroundings = replace(log, **({"uniform": lambda low, _: low * 0.1} | around))
         settings = Mqtt(host=broker.host, port=broker.port, home_assistant=home_assistant)
         service = MqttService(profile(drive), settings, host, host.hub, surroundings)
         host.show(host.report)

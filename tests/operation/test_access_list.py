@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.ledger import Ledger
-from adaptdrive.operation.profile import Profile
+from adaptdrive.operation.messages import Profile
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.hub import Subscription
 from adaptdrive.runtime.reports import Event, Severity
@@ -60,7 +59,7 @@ def strict(tmp_path: Path, free_tcp_port: int, spawn: Spawn) -> Strict:
 async def serving(strict: Strict) -> AsyncIterator[RememberingHost]:
     """Serve the drive `refused`."""
     host = RememberingHost()
-    surroundings = ServiceSurroundings(Ledger(), uniform=lambda low, _: 0.1 * low)
+    surroundings = ServiceSurroundings(uniform=lambda low, _: 0.1 * low)
     service = MqttService(Profile("refused"), strict.settings, host, host.hub, surroundings)
     running = asyncio.create_task(service.run())
     try:
@@ -100,7 +99,7 @@ async def test_a_daemon_whose_commands_are_not_delivered_raises_an_alarm(
     strict: Strict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """mosquitto accepts its subscription; the list is right at first, then wrong, then right."""
-    monkeypatch.setattr("adaptdrive.operation.probe.PROBE_EVERY_S", 0.1)
+    monkeypatch.setattr("adaptdrive.operation.session.PROBE_EVERY_S", 0.1)
     monkeypatch.setattr("adaptdrive.operation.probe.PATIENCE_S", 2.0)
     strict.start("readwrite #")
     async with serving(strict) as host:
@@ -127,7 +126,7 @@ async def test_a_broker_that_refuses_the_probe_raises_no_alarm(
     strict: Strict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its access list is one of before the probe; the refusal loses nothing and is not logged."""
-    monkeypatch.setattr("adaptdrive.operation.probe.PROBE_EVERY_S", 0.1)
+    monkeypatch.setattr("adaptdrive.operation.session.PROBE_EVERY_S", 0.1)
     monkeypatch.setattr("adaptdrive.operation.probe.PATIENCE_S", 0.5)
     strict.start("readwrite #", "deny adaptdrive/refused/command/probe")
     with captured_lines() as lines:

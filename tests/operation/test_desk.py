@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.errors import RefusedError
+from adaptdrive.operation.clock import LogRation
 from adaptdrive.operation.desk import (
     INTERRUPTED,
     OVERTAKEN,
@@ -21,7 +22,6 @@ from adaptdrive.operation.desk import (
 )
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import Reply
-from adaptdrive.operation.pace import LogRation
 from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Request
 from tests.operation.logs import Time, remembering
@@ -122,7 +122,7 @@ class SlowDisk:
 @pytest.fixture
 def disk(office: Office, monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
     slow = SlowDisk()
-    monkeypatch.setattr(office.desk, "_kept", slow.written)
+    monkeypatch.setattr(office.desk, "kept", slow.written)
     return slow
 
 

@@ -7,7 +7,7 @@ from types import ModuleType
 import pytest
 
 from adaptdrive.control.loads import bath, battery, motor
-from adaptdrive.operation.estimate_names import quantity_and_unit
+from adaptdrive.operation.payloads import quantity_and_unit
 
 pytestmark = pytest.mark.calculating
 

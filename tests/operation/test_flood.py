@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from adaptdrive.operation.board import Mailbox
-from adaptdrive.operation.pace import LogRation
+from adaptdrive.operation.clock import LogRation
 from adaptdrive.operation.session import COMMANDS_HELD
 from adaptdrive.runtime.requests import Disable, SetMode, SetSetpoint
 from tests.operation.peers import (

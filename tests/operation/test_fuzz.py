@@ -17,15 +17,15 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.operation.commands import PING, VERBS
+from adaptdrive.operation.clock import LogRation
+from adaptdrive.operation.commands import FORMS, PING
 from adaptdrive.operation.desk import Desk
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import encode
-from adaptdrive.operation.pace import LogRation
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode
+from adaptdrive.runtime.requests import REQUESTS, Disable, Enable, Request, SetMode
 from tests.operation.contract import validators
 from tests.runtime.test_machine import LIMITS
 
@@ -130,7 +130,7 @@ def fits(verb: str, raw: bytes) -> bool:
         content = json.loads(raw)
     except ValueError:
         return False
-    return verb in VERBS and VALIDATORS[f"command/{verb}"].is_valid(content)
+    return verb in REQUESTS and VALIDATORS[f"command/{verb}"].is_valid(content)
 
 
 def desk_of(host: VirtualHost) -> Desk:
@@ -142,7 +142,7 @@ def desk_of(host: VirtualHost) -> Desk:
 
 
 @pytest.mark.parametrize("state", [State.STANDBY, State.RUNNING])
-@pytest.mark.parametrize("verb", [*VERBS, PING, "explode", ""])
+@pytest.mark.parametrize("verb", [*FORMS, "explode", ""])
 async def test_random_payloads_change_nothing_unless_they_are_valid(
     tmp_path: Path, verb: str, state: State
 ) -> None:

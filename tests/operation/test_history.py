@@ -12,9 +12,8 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.signals import Command
-from adaptdrive.operation.history import BUCKET_S, KEYS, PAGE_READINGS, PAGE_ROWS, History
-from adaptdrive.operation.messages import Payload, encode, load_message
-from adaptdrive.operation.profile import Output
+from adaptdrive.operation.intake import BUCKET_S, KEYS, PAGE_READINGS, PAGE_ROWS, History
+from adaptdrive.operation.messages import Output, Payload, encode, load_message
 from tests.operation.peers import listening, load_report, publish, serving
 from tests.support import Broker
 

@@ -15,8 +15,7 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive.operation.commands import Payload
 from adaptdrive.operation.home_assistant import discovery
-from adaptdrive.operation.messages import encode
-from adaptdrive.operation.profile import Output
+from adaptdrive.operation.messages import Output, encode
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from tests.operation.contract import validators
 from tests.operation.peers import (

@@ -5,8 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.operation.clock import Synchronisation, kernel_synchronisation
-from adaptdrive.operation.pace import BrokerBackoff
+from adaptdrive.operation.clock import BrokerBackoff, Synchronisation, kernel_synchronisation
 
 
 def test_waiting_doubles_up_to_a_limit_and_starts_anew_after_a_good_connection() -> None:

@@ -15,8 +15,7 @@ import pytest
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.ledger import Ledger
-from adaptdrive.operation.profile import Profile
+from adaptdrive.operation.messages import Profile
 from adaptdrive.operation.sender import send_command
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.requests import Enable
@@ -88,7 +87,7 @@ async def _ask_until_answered(settings: Mqtt) -> bool:
 
 async def test_both_ends_get_in_with_password_and_tls(guarded: Mqtt, tmp_path: Path) -> None:
     host = RememberingHost()
-    surroundings = ServiceSurroundings(Ledger(), uniform=lambda low, _: 0.1 * low)
+    surroundings = ServiceSurroundings(uniform=lambda low, _: 0.1 * low)
     service = MqttService(Profile("guarded"), guarded, host, host.hub, surroundings)
     running = asyncio.create_task(service.run())
     assert await _ask_until_answered(guarded)
@@ -118,7 +117,7 @@ async def test_a_secret_that_cannot_be_read_is_tried_again(
     spoilt = tmp_path / "spoilt"
     damage(spoilt)
     host = RememberingHost()
-    surroundings = ServiceSurroundings(Ledger(), uniform=lambda low, _: 0.1 * low)
+    surroundings = ServiceSurroundings(uniform=lambda low, _: 0.1 * low)
     settings = guarded.model_copy(update={key: spoilt})
     service = MqttService(Profile("guarded"), settings, host, host.hub, surroundings)
     with captured_lines() as lines:

@@ -12,11 +12,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from adaptdrive.operation.board import Outbox
+from adaptdrive.operation.clock import LogRation
 from adaptdrive.operation.desk import INTERRUPTED, Desk
 from adaptdrive.operation.memory import LIFETIME_S, UNREADABLE, ReplyMemory
 from adaptdrive.operation.messages import Reply
-from adaptdrive.operation.outbox import Outbox
-from adaptdrive.operation.pace import LogRation
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import log_files, recall

@@ -16,12 +16,22 @@ import msgspec
 
 from adaptdrive.control.columns import Column, columns_of
 from adaptdrive.control.signals import Estimate, Measurement
-from adaptdrive.operation import simulator
-from adaptdrive.operation.commands import PING, VERBS, payload_type
-from adaptdrive.operation.history import KEYS
-from adaptdrive.operation.messages import MEASURED, Reply, Standing
-from adaptdrive.operation.profile import Profile
-from adaptdrive.operation.topics import Topics
+from adaptdrive.operation.commands import FORMS
+from adaptdrive.operation.intake import KEYS
+from adaptdrive.operation.messages import (
+    DISTURB,
+    MEASURED,
+    REPLY,
+    SIMULATED,
+    TRUTH,
+    DeviceReply,
+    Feature,
+    Profile,
+    Reply,
+    Standing,
+    Topics,
+    simulator_topic,
+)
 from adaptdrive.runtime.reports import (
     SLOW_COLUMNS,
     DriveReport,
@@ -54,7 +64,7 @@ class PlantTruth(msgspec.Struct, frozen=True):
     """
 
     time: str = ""
-    features: tuple[simulator.Feature, ...] = ()
+    features: tuple[Feature, ...] = ()
 
 
 class PlantDisturbance(msgspec.Struct, frozen=True):
@@ -91,7 +101,7 @@ class Topic:
     def name(self) -> str:
         """The topic below that of the drive; one of a simulated device below `simulator`."""
         root, _, name = self.address.split("/", 2)
-        return f"simulator/{name}" if root == simulator.ROOT else name
+        return f"simulator/{name}" if root == SIMULATED else name
 
 
 def topics() -> tuple[Topic, ...]:
@@ -116,8 +126,8 @@ def topics() -> tuple[Topic, ...]:
         Topic(of.history, "a page of the slow steps of the last hour", history),
         Topic(of.ask_history, "a request for the history; any payload", Any, sent=False),
         *(
-            Topic(of.command(verb), f"the command {verb}", payload_type(verb), sent=False)
-            for verb in (*VERBS, PING)
+            Topic(of.command(verb), f"the command {verb}", FORMS[verb], sent=False)
+            for verb in FORMS
         ),
     )
 
@@ -126,18 +136,18 @@ def simulator_topics() -> tuple[Topic, ...]:
     """Return all topics of a simulated device, beside those of its daemon."""
 
     def of(leaf: str) -> str:
-        return simulator.simulator_topic("{drive}", leaf)
+        return simulator_topic("{drive}", leaf)
 
     return (
         Topic(
-            of(simulator.TRUTH),
+            of(TRUTH),
             "the simulated plant, once a second, and the disturbances that it offers",
             PlantTruth,
             retained=True,
             qos=0,
         ),
-        Topic(of(simulator.REPLY), "the answer to a request", simulator.DeviceReply),
-        Topic(of(simulator.DISTURB), "a request", PlantDisturbance, sent=False),
+        Topic(of(REPLY), "the answer to a request", DeviceReply),
+        Topic(of(DISTURB), "a request", PlantDisturbance, sent=False),
     )
 
 

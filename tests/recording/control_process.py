@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
-from adaptdrive.app.log import log_events
+from adaptdrive.app.news import log_events
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.recorder_settings import Clocks, Place, RecordingPace
 from adaptdrive.recording.records import Header

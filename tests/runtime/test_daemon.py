@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurement, Mode, Order
 from adaptdrive.errors import BusError, RefusedError
 from adaptdrive.hardware.port import Listener
@@ -40,6 +39,7 @@ from adaptdrive.runtime.requests import (
     SetSetpoint,
 )
 from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.tasks import uncaught_errors_end
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, SETTINGS, MotorController, Q, until
 

@@ -17,10 +17,9 @@ import pytest
 from rich.console import Console
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.operation.history import KEYS
+from adaptdrive.operation.intake import KEYS
 from adaptdrive.operation.listener import LIVE_S
-from adaptdrive.operation.messages import drive_message, encode, load_message
-from adaptdrive.operation.profile import Output
+from adaptdrive.operation.messages import Output, drive_message, encode, load_message
 from adaptdrive.runtime.requests import Disable, Enable, SetMode
 from adaptdrive.watch import view
 from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys

@@ -8,9 +8,8 @@ from typing import Protocol
 import msgspec
 
 from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.messages import DeviceReply, Reply
 from adaptdrive.operation.payloads import number
-from adaptdrive.operation.simulator import DeviceReply
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError

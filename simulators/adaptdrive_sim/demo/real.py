@@ -24,8 +24,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.household.ports import Ports
 from adaptdrive.household.processes import BROKER, Child, Household
 from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.messages import Reply
-from adaptdrive.operation.simulator import DeviceReply
+from adaptdrive.operation.messages import DeviceReply, Reply
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.main import follow_drive, over_mqtt

@@ -17,7 +17,7 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.operation import messages
 from adaptdrive.operation.clock import Synchronisation
 from adaptdrive.operation.commands import Payload
-from adaptdrive.operation.simulator import DeviceReply
+from adaptdrive.operation.messages import DeviceReply
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
 from adaptdrive.watch.keys import KeyCommand

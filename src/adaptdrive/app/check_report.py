@@ -29,7 +29,7 @@ def tables(configuration: Configuration, source: Path) -> str:
     """
     limits = limits_table(time_limits(configuration, source), tick_s(configuration))
     response = response_table(response_limits(configuration))
-    return "\n".join((limits, reach_table(configuration), pole_line(configuration), response))
+    return "\n".join((limits, *_reach(configuration), pole_line(configuration), response))
 
 
 def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
@@ -84,25 +84,19 @@ def _sensor_rows(configuration: Configuration) -> Iterator[Row]:
 _FACTOR = "interlocks.response_factor"
 
 
-def reach_table(configuration: Configuration) -> str:
-    """Return the reachable set-points as lines of text.
-
-    Args:
-        configuration: A valid configuration.
-    """
-    load, limits = configuration.load, daemon_settings(configuration).machine
-    reach, unit = limits.reach, load.output_unit
+def _reach(configuration: Configuration) -> Iterator[str]:
+    """Yield the reachable set-points."""
+    load, reach = configuration.load, daemon_settings(configuration).machine.reach
+    held = "set-points held by V_c"
     if not reach.is_known:
-        return _fact("set-points held by V_c", "found while running", "the EMF is not configured")
+        yield _fact(held, "found while running", "the EMF is not configured")
+        return
     low, high = max(reach.low, load.reference_min), min(reach.high, load.reference_max)
-    lines = [_fact("set-points held by V_c", f"{low:g}…{high:g} {unit}".rstrip(), "load.model")]
+    yield _fact(held, f"{low:g}…{high:g} {load.output_unit}".rstrip(), "load.model")
     if load.reference_min < reach.low:
-        lines.append(
-            _fact("set-points below this range", "refused", "load.reference_min; 0 coasts")
-        )
+        yield _fact("set-points below this range", "refused", "load.reference_min; 0 coasts")
     if load.reference_max > reach.high:
-        lines.append(_fact("set-points above this range", "refused", "load.reference_max"))
-    return "\n".join(lines)
+        yield _fact("set-points above this range", "refused", "load.reference_max")
 
 
 def pole_line(configuration: Configuration) -> str:
@@ -122,24 +116,21 @@ def response_table(limits: ResponseLimits | None) -> str:
     Args:
         limits: The limits in force, None for none.
     """
+    return "\n".join(_response(limits))
+
+
+def _response(limits: ResponseLimits | None) -> Iterator[str]:
     if limits is None:
-        return _fact("trips on a low output", "never", f"{_FACTOR} = 0")
+        yield _fact("trips on a low output", "never", f"{_FACTOR} = 0")
+        return
     key = f"{_FACTOR}, in force: {limits.factor:g}"
-    lines = [
-        _fact("trips at rest, largest input, below", _level(limits, 1.0), key),
-        _fact("trips at rest, half of it, below", _level(limits, 0.5), key),
-    ]
+    yield _fact("trips at rest, largest input, below", _level(limits, 1.0), key)
+    yield _fact("trips at rest, half of it, below", _level(limits, 0.5), key)
     if not limits.by_power:
         slowest_s = limits.factor * sum(limits.lags_s)
-        lines += [
-            _fact("this level rises with a lag of", f"{slowest_s:.4g} s", key),
-            _fact(
-                "trips on a fall faster than a lag of",
-                f"{limits.fastest_s:.4g} s",
-                f"{_FACTOR} > 0",
-            ),
-        ]
-    return "\n".join(lines)
+        yield _fact("this level rises with a lag of", f"{slowest_s:.4g} s", key)
+        fastest = f"{limits.fastest_s:.4g} s"
+        yield _fact("trips on a fall faster than a lag of", fastest, f"{_FACTOR} > 0")
 
 
 def _level(limits: ResponseLimits, share: float) -> str:

@@ -16,10 +16,9 @@ from typing import Any
 import msgspec
 
 from adaptdrive.config import Configuration
-from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.errors import NOT_JSON, AdaptdriveError
+from adaptdrive.errors import NOT_JSON
 from adaptdrive.hardware.description import description_text
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
@@ -50,16 +49,12 @@ class Learnt:
     """Estimates and resolution that a run hands on to the next.
 
     Attributes:
-        values: Physical parameters in the order of `Load.names`.
+        values: Physical parameters in the order of `Load.names`; None where nothing is trusted yet.
         resolution: Step of the output, in its unit; 0 where none was found.
     """
 
-    values: Values
+    values: Values | None = None
     resolution: float = 0.0
-
-
-class CheckpointError(AdaptdriveError):
-    """A checkpoint cannot be used."""
 
 
 class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -112,44 +107,18 @@ def checkpoint_record(key: str, names: tuple[str, ...], learnt: Learnt) -> bytes
         names: Names of the parameters.
         learnt: What was learnt.
     """
-    estimates = dict(zip(names, learnt.values, strict=True))
+    estimates = dict(zip(names, learnt.values or (), strict=True))
     return msgspec.json.encode(Checkpoint(key, estimates, learnt.resolution))
 
 
-def read_checkpoint(record: bytes, key: str, load: Load, jacket: Jacket, span: float) -> Learnt:
-    """Return what an earlier run has learnt: trusted estimates and the resolution that it found.
-
-    Args:
-        record: The checkpoint, as it is in the log.
-        key: Hash of the present configuration.
-        load: What the estimates are of.
-        jacket: Bounds that they must be within.
-        span: Range of the set-points, in the unit of the output: a sensor's step is below it.
-
-    Raises:
-        CheckpointError: It must not be used.
-    """
-    try:
-        checkpoint = msgspec.json.decode(record, type=Checkpoint)
-    except NOT_JSON as problem:
-        raise CheckpointError(f"damaged: {problem}") from problem
-    if checkpoint.key != key:
-        raise CheckpointError("it was made with another configuration")
-    if set(checkpoint.estimates) != set(load.names):
-        raise CheckpointError(f"it holds {', '.join(checkpoint.estimates) or 'nothing'}")
-    values = tuple(checkpoint.estimates[name] for name in load.names)
-    nominal = load.physical(list(load.numerator), list(load.denominator))
-    for name, value, usual in zip(load.names, values, nominal, strict=True):
-        if not jacket.ratio_min <= value / usual <= jacket.ratio_max:
-            raise CheckpointError(f"{name} = {value:.4g} is out of bounds")
-    if not 0.0 <= checkpoint.resolution < span:
-        raise CheckpointError(f"resolution = {checkpoint.resolution:.4g} is out of bounds")
-    return Learnt(values, checkpoint.resolution)
-
-
 def recall(
-    record: bytes, configuration: Configuration, settings: ControllerSettings, load: Load
-) -> tuple[Learnt | None, Event | None]:
+    record: bytes,
+    configuration: Configuration,
+    settings: ControllerSettings,
+    load: Load,
+    *,
+    measured: bool = False,
+) -> tuple[Learnt, Event | None]:
     """Return what to start from, and the event that reports it.
 
     Args:
@@ -157,51 +126,58 @@ def recall(
         configuration: Of the drive.
         settings: Of its controller.
         load: Its load.
+        measured: Whether the nominal model of the load was measured: then of what an earlier run
+            has learnt only the resolution stays.
     """
-    if not record or not is_kept(settings):
-        return None, None
+    if not is_kept(settings):
+        return Learnt(), None
+    learnt, event = Learnt(), None
+    if record:
+        learnt, event = _recalled(record, configuration, settings.jacket, load)
+    if measured:
+        learnt = Learnt(_nominal(load), learnt.resolution)
+        event = _start(load, learnt, "the measured model")
+    return learnt, event
+
+
+def _recalled(
+    record: bytes, configuration: Configuration, jacket: Jacket, load: Load
+) -> tuple[Learnt, Event]:
     try:
-        key, orders = configuration_key(configuration), configuration.load
-        span = orders.reference_max - orders.reference_min
-        learnt = read_checkpoint(record, key, load, settings.jacket, span)
-    except CheckpointError as problem:
-        return None, _event(Severity.WARNING, f"checkpoint not used: {problem}")
+        checkpoint = msgspec.json.decode(record, type=Checkpoint)
+    except NOT_JSON as problem:
+        flaw = f"damaged: {problem}"
+    else:
+        flaw = _flaw(checkpoint, configuration, jacket, load)
+    if flaw:
+        return Learnt(), _event(Severity.WARNING, f"checkpoint not used: {flaw}")
+    values = tuple(checkpoint.estimates[name] for name in load.names)
+    learnt = Learnt(values, checkpoint.resolution)
     return learnt, _start(load, learnt, "trusted estimates")
 
 
-def measured(load: Load, learnt: Learnt | None) -> tuple[Learnt, Event]:
-    """Return the nominal model of a load as what to start from, and the event that reports it.
-
-    Args:
-        load: The load, whose model was measured.
-        learnt: What an earlier run has learnt, of which the resolution stays.
-    """
-    values = tuple(load.physical(list(load.numerator), list(load.denominator)))
-    model = Learnt(values, 0.0 if learnt is None else learnt.resolution)
-    return model, _start(load, model, "the measured model")
-
-
-def controller_from(settings: ControllerSettings, load: Load, learnt: Learnt | None) -> Controller:
-    """Return a controller at rest that begins with what an earlier run has learnt.
-
-    Args:
-        settings: Of the controller.
-        load: Its load.
-        learnt: None for nothing.
-    """
-    if learnt is None:
-        return Controller(settings, load)
-    return Controller(settings, load, learnt.values, learnt.resolution)
+def _flaw(checkpoint: Checkpoint, configuration: Configuration, jacket: Jacket, load: Load) -> str:
+    """Return why a checkpoint must not be used, empty for a sound one."""
+    if checkpoint.key != configuration_key(configuration):
+        return "it was made with another configuration"
+    if set(checkpoint.estimates) != set(load.names):
+        return f"it holds {', '.join(checkpoint.estimates) or 'nothing'}"
+    for name, usual in zip(load.names, _nominal(load), strict=True):
+        value = checkpoint.estimates[name]
+        if not jacket.ratio_min <= value / usual <= jacket.ratio_max:
+            return f"{name} = {value:.4g} is out of bounds"
+    orders = configuration.load
+    if not 0.0 <= checkpoint.resolution < orders.reference_max - orders.reference_min:
+        return f"resolution = {checkpoint.resolution:.4g} is out of bounds"
+    return ""
 
 
-def learnt_by(controller: Controller) -> Learnt | None:
-    """Return the last trusted estimates and the resolution, None before there are any."""
-    values = controller.trusted
-    return None if values is None else Learnt(values, controller.resolution)
+def _nominal(load: Load) -> Values:
+    return tuple(load.physical(list(load.numerator), list(load.denominator)))
 
 
 def _start(load: Load, learnt: Learnt, source: str) -> Event:
-    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, learnt.values, strict=True))
+    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, learnt.values or (), strict=True))
     detail = f"start from {source}, whose gains act at once: {known}"
     return _event(Severity.INFO, detail)
 
@@ -210,42 +186,38 @@ def _event(severity: Severity, detail: str) -> Event:
     return Event("checkpoint", severity, detail, 0)
 
 
+@dataclass
 class Keeper:
-    """Has the log keep trusted estimates: when they are accepted, at most once a minute."""
+    """Has the log keep trusted estimates: when they are accepted, at most once a minute.
 
-    def __init__(
-        self,
-        note: Callable[[Learnt], None],
-        learnt: Callable[[], Learnt | None],
-        hub: Hub,
-        clock: Callable[[], float],
-    ) -> None:
-        """Join the controller to the log.
+    Attributes:
+        note: Hands a checkpoint over to the log, at once.
+        learnt: Gives what the controller has learnt.
+        hub: Where slow periods are reported.
+        clock: Monotonic clock in seconds.
+    """
 
-        Args:
-            note: Hands a checkpoint over to the log, at once.
-            learnt: Gives what the controller has learnt, None for nothing yet.
-            hub: Where slow periods are reported.
-            clock: Monotonic clock in seconds.
-        """
-        self._note = note
-        self._learnt = learnt
-        self._clock = clock
-        self._reports = hub.subscribe(LoadReport, size=_REPORTS_HELD)
-        self._noted: Learnt | None = None
-        self._next_s = clock()
+    note: Callable[[Learnt], None]
+    learnt: Callable[[], Learnt]
+    hub: Hub
+    clock: Callable[[], float]
+
+    def __post_init__(self) -> None:
+        self._reports = self.hub.subscribe(LoadReport, size=_REPORTS_HELD)
+        self._noted = Learnt()
+        self._next_s = self.clock()
 
     async def run(self) -> None:
         """Keep what is accepted until cancelled."""
         while True:
             await self._reports.take()
-            if self._clock() >= self._next_s:
+            if self.clock() >= self._next_s:
                 self.save()
 
     def save(self) -> None:
         """Note the trusted estimates and the resolution now, if they are new."""
-        learnt = self._learnt()
-        if learnt is not None and learnt != self._noted:
-            self._next_s = self._clock() + _EVERY_S
-            self._note(learnt)
+        learnt = self.learnt()
+        if learnt.values is not None and learnt != self._noted:
+            self._next_s = self.clock() + _EVERY_S
+            self.note(learnt)
             self._noted = learnt

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 
-from adaptdrive.config.units import si_unit
 from adaptdrive.hardware.dbc.database import cycle_time_s
 from adaptdrive.hardware.dbc.proposal import proofs
 from adaptdrive.hardware.proposal import Candidate
@@ -18,23 +16,23 @@ from adaptdrive.hardware.proposal import Candidate
 Choices = Mapping[str, Candidate | None]
 """The chosen signal of each quantity, by its key in `[signals]`; None for no such signal."""
 
-_HALF_CYCLE_MS = 1000.0 / 120.0
+_HALF_CYCLES_PER_S = 120.0
 _SI_UNITS = ("", "V", "A", "W", "K", "rad/s", "S")
-_NODE_ID = 1
 _OPTIONAL = ("counter", "fault", "bridge", "command.current_scale_S")
 _OF_THE_PROFILE = ("counter", "fault", "bridge", "command.bridge", "command.current_scale_S")
 """Names that a CiA 402 drive needs no entry for, or that it does not take."""
 
 
+_MEASURED = "\n# Confirm each line with the manual of the drive.\n[signals]\n"
 _CAN = """\
 [bus]
 type = "can"
 interface = "socketcan"
 channel = "can0"
 database = {database}
-clock = "{clock}"{space}# its arrival is the tick
-clock_ticks = {ticks}{space}# half line cycles from one such message to the next
-# command_timeout_s = 0.1{space}# the drive's own: it opens its bridge without commands
+clock = "{clock}"  # its arrival is the tick
+clock_ticks = {ticks}  # half line cycles from one such message to the next
+# command_timeout_s = 0.1  # the drive's own: it opens its bridge without commands
 """
 _PROOF = """
 # Proposed by the names of the signals: compare algorithm and covered bytes with the manual.
@@ -46,8 +44,8 @@ type = "canopen"
 interface = "socketcan"
 channel = "can0"
 eds = {eds}
-node_id = {node}{space}# of the drive
-own_node_id = 127{space}# of the daemon, whose heartbeat the drive watches
+node_id = 1  # of the drive
+own_node_id = 127  # of the daemon, whose heartbeat the drive watches
 sync = "daemon"
 """
 
@@ -65,7 +63,7 @@ def can_part(database: Database, name: str, choices: Choices) -> str:
     used = [database.get_message_by_name(message) for message in messages]
     clock = _clock(used, choices)
     head = _CAN.format(
-        database=_quoted(name), clock=clock.name if clock else "", ticks=_ticks(clock), space="  "
+        database=_quoted(name), clock=clock.name if clock else "", ticks=_ticks(clock)
     )
     return "".join([head, *_proofs(used), *_signals(choices)])
 
@@ -78,21 +76,7 @@ def canopen_part(eds: Path, choices: Choices) -> str:
         choices: The chosen objects.
     """
     taken = {name: one for name, one in choices.items() if name not in _OF_THE_PROFILE}
-    return "".join(
-        [_CANOPEN.format(eds=_quoted(str(eds)), node=_NODE_ID, space="  "), *_signals(taken)]
-    )
-
-
-def clock_ticks(part: str) -> int:
-    """Return the half cycles from one reading to the next that a bus part states, 1 for none."""
-    stated = re.search(r"(?m)^clock_ticks = (\d+)", part)
-    return int(stated[1]) if stated else 1
-
-
-def output_unit(part: str) -> str | None:
-    """Return the SI unit of the output that a bus part states, None for none."""
-    stated = re.search(r"(?m)^output = .*  # ([^,\n]+)", part)
-    return si_unit(stated[1]) if stated else None
+    return "".join([_CANOPEN.format(eds=_quoted(str(eds))), *_signals(taken)])
 
 
 def _clock(used: Iterable[Message], choices: Choices) -> Message | None:
@@ -104,7 +88,7 @@ def _clock(used: Iterable[Message], choices: Choices) -> Message | None:
 
 def _ticks(clock: Message | None) -> int:
     cycle_s = cycle_time_s(clock) if clock else 0.0
-    return max(1, round(cycle_s * 1e3 / _HALF_CYCLE_MS))
+    return max(1, round(cycle_s * _HALF_CYCLES_PER_S))
 
 
 def _proofs(used: Iterable[Message]) -> Iterator[str]:
@@ -119,14 +103,11 @@ def _proofs(used: Iterable[Message]) -> Iterator[str]:
 
 
 def _signals(choices: Choices) -> Iterator[str]:
-    yield "\n# Confirm each line with the manual of the drive.\n[signals]\n"
-    for quantity, chosen in choices.items():
-        if not quantity.startswith("command."):
-            yield _line(quantity, chosen)
-    yield "\n[signals.command]\n"
-    for quantity, chosen in choices.items():
-        if quantity.startswith("command."):
-            yield _line(quantity, chosen)
+    for head, commands in ((_MEASURED, False), ("\n[signals.command]\n", True)):
+        yield head
+        for quantity, chosen in choices.items():
+            if quantity.startswith("command.") is commands:
+                yield _line(quantity, chosen)
     where = "daemon" if choices.get("command.current_scale_S") else "drive"
     yield f'\n[voltage_loop]\nwhere = "{where}"\n\n'
 

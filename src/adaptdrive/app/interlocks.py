@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from adaptdrive.app.loads import build_load
+from adaptdrive.app.loads import alike, build_load
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection
 from adaptdrive.config.supply import absent_names, moved_inputs
@@ -22,12 +22,9 @@ _BELOW_RANGE = 0.25  # noise of 5 % and the overshoot of a step downwards stay a
 
 def trip_limits(configuration: Configuration) -> Limits:
     """Return the levels at which a single reading trips the drive."""
-    interlocks = configuration.interlocks
+    sections = configuration.interlocks, configuration.load
     return Limits(
-        boost_voltage_max_V=interlocks.boost_voltage_max_V,
-        output_max=interlocks.output_max,
-        output_unit=configuration.load.output_unit,
-        output_name=configuration.load.output_name,
+        **alike(Limits, *sections, but=("output_min",)),
         output_min=_output_min(configuration),
         voltage_name=configuration.drive.manipulated.name,
         voltage_unit=configuration.drive.manipulated.unit,
@@ -65,10 +62,8 @@ def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
     if section.traits.charges:  # takes no current at all below its own voltage
         distance = 0.0
     return StillnessLimits(
+        **alike(StillnessLimits, load),
         unit=section.output_unit,
-        gain=load.gain,
-        input_gain=load.input_gain,
-        input_exponent=load.input_exponent,
         lags_s=_lags_s(load),
         distance=distance or math.inf,
         longest_s=interlocks.stuck_s or math.inf,
@@ -93,9 +88,7 @@ def response_limits(configuration: Configuration) -> ResponseLimits | None:
     limits = ResponseLimits(
         name=section.output_name,
         unit=section.output_unit,
-        gain=load.gain,
-        input_gain=load.input_gain,
-        input_exponent=load.input_exponent,
+        **alike(ResponseLimits, load),
         input_max=to_input(highest_V, load.input_gain, load.input_exponent),
         lags_s=_lags_s(load),
         factor=factor,

@@ -1,17 +1,41 @@
-"""The load that a configuration describes, as the controller takes it."""
+"""The load that a configuration describes, and the poles whose fixed gains stand an error of it.
+
+Poles far slower than the load's own take gains with which a small error of the model ends in a
+limit cycle; so do poles that are far faster. The fixed controller must keep each load stable whose
+physical parameters are wrong by a tenth: the worst are at the corners of that box.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Collection
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import BathSection, BatterySection, MotorSection
+from adaptdrive.config.load import BathSection, BatterySection, LoadSection, MotorSection
+from adaptdrive.control.assurance import STABLE_RADIUS, closes_stably
 from adaptdrive.control.charging import Charging
+from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.methods import METHODS
+from adaptdrive.control.settings import ControllerSettings
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+MODEL_ERROR = 0.1
+"""Error of each parameter that the fixed gains must stand: copper has 10 % more resistance when it
+is 25 K warmer, and commissioning is seldom wrong by more."""
+
+_STEP = 0.01
+"""Distance of the poles that are tried."""
+
+Model = tuple[list[float], list[float]]
 
 
 def build_load(configuration: Configuration) -> Load:
@@ -21,15 +45,7 @@ def build_load(configuration: Configuration) -> Load:
             lag_s = short_lag_s(configuration) or model.tau_filter_s
             return motor_load(model.gain, model.tau_motor_s, lag_s)
         case BathSection(model=model):
-            return bath_load(
-                model.resistance_K_per_W,
-                model.tau_s,
-                model.turns_ratio,
-                model.droop_Ohm,
-                model.heater_Ohm,
-                model.lag_s,
-                model.delay_s,
-            )
+            return bath_load(**dict(model))
         case BatterySection(model=model):
             return battery_load(
                 model.turns_ratio,
@@ -59,20 +75,81 @@ def candidate_loads(configuration: Configuration) -> list[Load]:
     if not isinstance(configuration.load, BathSection):
         return [build_load(configuration)]
     model = configuration.load.model
-    stage = (model.turns_ratio, model.droop_Ohm, model.heater_Ohm)
-    return [
-        bath_load(model.resistance_K_per_W, model.tau_s, *stage, lag_s)
-        for lag_s in (0.0, model.lag_s or model.tau_s)
-    ]
+    lags_s = (0.0, model.lag_s or model.tau_s)
+    return [bath_load(**(dict(model) | {"lag_s": one, "delay_s": 0.0})) for one in lags_s]
 
 
 def _charging(battery: BatterySection) -> Charging:
     longest_h = battery.charge.longest_h
     return Charging(
-        turns_ratio=battery.model.turns_ratio,
-        droop_Ohm=battery.model.droop_Ohm,
-        internal_Ohm=battery.model.internal_Ohm,
-        voltage_max_V=battery.charge.voltage_max_V,
-        end_current_A=battery.charge.end_current_A,
+        **alike(Charging, battery.model, battery.charge),
         longest_s=math.inf if longest_h is None else 3600.0 * longest_h,
     )
+
+
+def alike(
+    kind: type[DataclassInstance], *sections: object, but: Collection[str] = ()
+) -> dict[str, Any]:
+    """Return the values of settings that sections of the file, or a load, have by the same name.
+
+    Args:
+        kind: Class of the settings.
+        sections: Where they may be.
+        but: Names that need another value.
+    """
+    names = [field.name for field in fields(kind) if field.name not in but]
+    return {name: getattr(one, name) for one in sections for name in names if hasattr(one, name)}
+
+
+def pole_range(
+    settings: ControllerSettings, load: Load, section: LoadSection
+) -> tuple[float, float]:
+    """Return the fastest and the slowest pole that may be asked for.
+
+    All from one to the other stand, and lie within `load.pole_min` and `load.pole_max`.
+
+    Args:
+        settings: The design.
+        load: The load and its nominal model.
+        section: `[load]`, whose own pole is taken to stand.
+    """
+    models = _models(settings, load, section.period_s)
+    ends = []
+    for end in (section.pole_min, section.pole_max):
+        after = itertools.takewhile(lambda p: _stands(load, models, p), _poles(section.pole, end))
+        ends.append([section.pole, *after][-1])
+    return ends[0], ends[1]
+
+
+def standing_poles(settings: ControllerSettings, load: Load, section: LoadSection) -> list[float]:
+    """Return the poles of `load.pole_min` to `load.pole_max` that stand; `load.pole` is tried too.
+
+    Arguments as of `pole_range`.
+    """
+    models = _models(settings, load, section.period_s)
+    poles = [section.pole_min, *_poles(section.pole_min, section.pole_max), section.pole]
+    return sorted(pole for pole in set(poles) if _stands(load, models, pole))
+
+
+def _models(settings: ControllerSettings, load: Load, period_s: float) -> list[Model]:
+    """Return the nominal model, and those of the loads at the corners of its box."""
+    values = load.physical(list(load.numerator), list(load.denominator))
+    shares = itertools.product((1.0 - MODEL_ERROR, 1.0 + MODEL_ERROR), repeat=len(values))
+    boxes = [[v * s for v, s in zip(values, corner, strict=True)] for corner in shares]
+    return [
+        discrete_model(settings, load, *load.realise(parameters), period_s)
+        for parameters in (values, *boxes)
+    ]
+
+
+def _stands(load: Load, models: list[Model], pole: float) -> bool:
+    """Return whether the gains for the first of some models keep all of them stable."""
+    gains = compensator_gains(*models[0], load.order, pole)
+    return all(closes_stably(gains, a, b, load.order, STABLE_RADIUS) for a, b in models)
+
+
+def _poles(start: float, end: float) -> list[float]:
+    """Return the poles after one to another, that one included."""
+    count = math.ceil(abs(end - start) / _STEP - 1e-9)
+    step = math.copysign(_STEP, end - start)
+    return [*(round(start + step * i, 6) for i in range(1, count)), end] if count else []

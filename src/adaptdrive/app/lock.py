@@ -7,7 +7,6 @@ network interfaces are seen: a container with separate CAN interfaces has separa
 
 from __future__ import annotations
 
-import asyncio
 import errno
 import hashlib
 import os
@@ -18,7 +17,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NoReturn
 
 from adaptdrive.app.ports import bus_kind
 from adaptdrive.config import Configuration
@@ -35,7 +33,8 @@ _START_FIELD = 19
 _VISITORS = 4096
 """Refused processes that may wait to be sent away; more cannot learn which process holds a lock."""
 
-_VISITS_S = 1.0
+VISITS_S = 1.0
+"""Time from one visit of the locks to the next."""
 
 _VISITORS_AT_ONCE = 64
 """Refused processes that are sent away between two ticks: about 1 ms."""
@@ -85,12 +84,10 @@ def locked(names: Iterable[str], environment: Mapping[str, str]) -> Iterator[lis
         yield [stack.enter_context(_lock(name, _address(namespace, name))) for name in names]
 
 
-async def send_visitors_away(locks: Iterable[socket.socket]) -> NoReturn:
-    """Keep the locks able to name this process to those that are refused, until cancelled."""
-    while True:
-        for lock in locks:
-            _empty(lock)
-        await asyncio.sleep(_VISITS_S)
+async def send_visitors_away(locks: Iterable[socket.socket]) -> None:
+    """Keep the locks able to name this process to those that are refused."""
+    for lock in locks:
+        _empty(lock)
 
 
 def _address(namespace: str, name: str) -> str:

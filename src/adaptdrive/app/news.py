@@ -1,16 +1,23 @@
-"""Events that the building of a daemon gives: what it starts from, and what is wrong around it."""
+"""Events of a daemon: those that its building gives, and all of them in the log of its process."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from adaptdrive.app.recording import state_directory
 from adaptdrive.app.reload import Given
 from adaptdrive.files import directory_flaw
+from adaptdrive.lines import Level, log
 from adaptdrive.recording.memory import Recalled
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.hub import Keep, Subscription
+from adaptdrive.runtime.reports import Event, Report, Severity
+
+_LEVELS: dict[Severity, Level] = {
+    Severity.INFO: "info",
+    Severity.WARNING: "warning",
+    Severity.ALARM: "error",
+}
 
 
 def news_of(given: Given, known: Event | None, recalled: Recalled) -> Iterator[Event]:
@@ -21,7 +28,7 @@ def news_of(given: Given, known: Event | None, recalled: Recalled) -> Iterator[E
         known: What its controller starts from, None for nothing.
         recalled: What an earlier run has left.
     """
-    state = _state_event(state_directory(os.environ.get("STATE_DIRECTORY", "")))
+    state = _state_event(state_directory())
     yield from filter(None, (_reload_event(given), known, state))
     yield from map(_flaw_event, recalled.flaws)
 
@@ -45,3 +52,28 @@ def _reload_event(given: Given) -> Event | None:
 def _flaw_event(flaw: str) -> Event:
     lost = "commands with ids used before may be carried out again, unsent events may be lost"
     return Event("recording", Severity.WARNING, f"of the log of an earlier run, {flaw}: {lost}", -1)
+
+
+async def log_events(events: Subscription, kept: Keep) -> None:
+    """Write every event to the log until cancelled, those of the last moment included.
+
+    Args:
+        events: Subscription to events.
+        kept: Waits until they are recorded.
+    """
+    taken: Iterable[Report] = ()
+    try:
+        while True:
+            taken = await events.take()
+            await kept()
+            _log(taken)
+            taken = ()
+    finally:
+        _log(taken)
+        _log(events.drain())
+
+
+def _log(events: Iterable[Report]) -> None:
+    for event in events:
+        if isinstance(event, Event):
+            log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)

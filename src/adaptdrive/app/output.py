@@ -60,9 +60,6 @@ class QueuedStream(io.TextIOBase):
             self._changed.notify_all()
         return len(text)
 
-    def flush(self) -> None:
-        """Wait for nothing."""
-
     def writable(self) -> bool:
         """Always."""
         return True

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from adaptdrive.config import Configuration
@@ -57,9 +56,13 @@ def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:
 
             return CAN
         case "canopen":
-            with _canopen_installed(source):
+            try:
                 from adaptdrive.hardware.canopen.kind import CANOPEN  # noqa: PLC0415
-
+            except ModuleNotFoundError as problem:
+                if (problem.name or "").partition(".")[0] != "canopen":
+                    raise
+                advice = "'canopen' needs the package canopen: pip install 'adaptdrive[canopen]'"
+                raise ConfigurationError(source, [Flaw("bus.type", advice)]) from problem
             return CANOPEN
         case "scpi":
             from adaptdrive.hardware.scpi.port import SCPI  # noqa: PLC0415
@@ -69,17 +72,6 @@ def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:
             from adaptdrive.hardware.modbus.port import MODBUS  # noqa: PLC0415
 
             return MODBUS
-
-
-@contextlib.contextmanager
-def _canopen_installed(source: Path | str) -> Iterator[None]:
-    try:
-        yield
-    except ModuleNotFoundError as problem:
-        if (problem.name or "").partition(".")[0] != "canopen":
-            raise
-        advice = "'canopen' needs the package canopen: pip install 'adaptdrive[canopen]'"
-        raise ConfigurationError(source, [Flaw("bus.type", advice)]) from problem
 
 
 def build_whole_port(
@@ -98,30 +90,19 @@ def build_whole_port(
         passive: Whether the drive must only be looked at.
 
     Raises:
-        ConfigurationError: A bus and its signals do not fit; every flaw of every bus is listed.
+        ConfigurationError: A bus and its signals do not fit; `examine` lists all flaws.
     """
-    flaws: list[Flaw] = []
-    ports: list[Port] = []
-    buses: list[SensorBus] = []
-    try:
-        ports.append(build_port(configuration, clock, source, passive=passive))
-    except ConfigurationError as error:
-        flaws += error.flaws
+    port = build_port(configuration, clock, source, passive=passive)
     needed, demands = needed_names(configuration.derived), demands_of(configuration)
+    buses = []
     for number, bus in enumerate(configuration.sensor_bus):
-        try:
-            port = build_sensor_port(bus, f"sensor_bus.{number}", clock, source, demands)
-        except ConfigurationError as error:
-            flaws += error.flaws
-        else:
-            names = tuple(name for name in bus.signals if name in needed)
-            buses.append(SensorBus(bus.name, port, bus.oldest_s, names))
-    if flaws:
-        raise ConfigurationError(source, flaws)
+        sensors = build_sensor_port(bus, f"sensor_bus.{number}", clock, source, demands)
+        names = tuple(name for name in bus.signals if name in needed)
+        buses.append(SensorBus(bus.name, sensors, bus.oldest_s, names))
     stated = configuration.signals.stated
     if not (buses or configuration.derived or stated):
-        return ports[0]
-    return SensoredPort(ports[0], buses, derivations(configuration), clock, stated)
+        return port
+    return SensoredPort(port, buses, derivations(configuration), clock, stated)
 
 
 def build_sensor_port(

@@ -17,13 +17,13 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.reach import Reach
-from adaptdrive.control.signals import Decision, Mode, Snapshot
+from adaptdrive.control.signals import Mode, Snapshot
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.realtime import Grant, real_time
-from adaptdrive.runtime.reports import Event, Severity, TickReport
+from adaptdrive.runtime.reports import Event, Severity
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
 
 _PERIODS = 4
@@ -31,41 +31,8 @@ _READINGS_AT_MOST = 2400
 _READINGS_TO_RUN = 4
 
 
-class _Nobody:
-    """Surroundings with a simulated clock and no other function."""
-
-    def __init__(self) -> None:
-        self.time_s = 0.0
-        self.snapshots: list[Snapshot] = []
-
-    def now_s(self) -> float:
-        return self.time_s
-
-    def arm(self, deadline_s: float) -> None:
-        """No timer stands in."""
-
-    def met_deadline(self, now_s: float) -> None:
-        """Do nothing."""
-
-    def ticked(self, report: TickReport) -> None:
-        """Do nothing."""
-
-    def snapshot_taken(self, snapshot: Snapshot) -> bool:
-        self.snapshots.append(snapshot)
-        return True
-
-    def decided(self, snapshot: Snapshot, decision: Decision) -> None:
-        """Do nothing."""
-
-    def not_stopped(self, detail: str) -> None:
-        """Do nothing."""
-
-    def run_ended(self) -> None:
-        self.snapshots.clear()
-
-
 class Rehearsal:
-    """A scratch controller and a scratch fast loop, in which everything goes well."""
+    """A scratch controller and a scratch fast loop, whose surroundings it is: all goes well."""
 
     def __init__(self, configuration: Configuration, port: Port) -> None:
         """Rehearse nothing yet.
@@ -75,13 +42,13 @@ class Rehearsal:
             port: A separate port, which is not open: it encodes, and nothing reaches a wire.
         """
         self._configuration = configuration
-        self._settings, self._nobody = daemon_settings(configuration), _Nobody()
+        self._time_s = 0.0
+        self._snapshots: list[Snapshot] = []
+        self._settings = daemon_settings(configuration)
         settings, load = controller_settings(configuration), build_load(configuration)
         self._port, self._controller = port, Controller(settings, load)
         self._machine = Machine(self._settings.machine, self._settings.pole)
-        self._loop = FastLoop(
-            port, self._controller, self._machine, self._settings.fast, self._nobody
-        )
+        self._loop = FastLoop(port, self._controller, self._machine, self._settings.fast, self)
         self._readings = 0
         self._output = _reachable_output(configuration, self._settings.machine.reach)
 
@@ -93,7 +60,7 @@ class Rehearsal:
         """
         readings = min(_READINGS_AT_MOST, _PERIODS * self._configuration.ticks_per_period)
         self._start(readings)
-        self._loop.on_deadline(self._nobody.time_s)
+        self._loop.on_deadline(self._time_s)
         self._machine.carry_out(Disable(), self._loop.tick, math.nan, None)
         self._loop.send_safe()
         self._machine.confirm_stop()  # no drive is there to do it
@@ -105,7 +72,25 @@ class Rehearsal:
             self._start(_READINGS_TO_RUN)
         self._port.rehearse()
         self._read()
-        self._nobody.snapshots.clear()
+        self._snapshots.clear()
+
+    def now_s(self) -> float:
+        """Return the simulated time."""
+        return self._time_s
+
+    def snapshot_taken(self, snapshot: Snapshot) -> bool:
+        """Keep it for the controller."""
+        self._snapshots.append(snapshot)
+        return True
+
+    def run_ended(self) -> None:
+        """Forget what waits for the controller."""
+        self._snapshots.clear()
+
+    def arm(self, *_values: object, **_named: object) -> None:
+        """Do nothing: no timer stands in, and nobody looks."""
+
+    met_deadline = ticked = decided = not_stopped = arm
 
     def _start(self, readings: int) -> None:
         """Start the drive, and keep it running for the rest of so many readings."""
@@ -115,8 +100,8 @@ class Rehearsal:
                 self._carry_out(SetMode(Mode.ADAPTIVE))
                 self._carry_out(Enable())
                 self._carry_out(SetSetpoint(self._output))
-            for snapshot in tuple(self._nobody.snapshots):
-                self._nobody.snapshots.clear()
+            for snapshot in tuple(self._snapshots):
+                self._snapshots.clear()
                 self._loop.deliver(snapshot, self._controller.decide(snapshot))
 
     def _carry_out(self, request: Request) -> None:
@@ -124,11 +109,11 @@ class Rehearsal:
         self._machine.carry_out(request, loop.tick, self._output, loop.cause)
 
     def _read(self) -> None:
-        configuration, nobody = self._configuration, self._nobody
-        nobody.time_s += configuration.timing.reading_s
+        configuration = self._configuration
+        self._time_s += configuration.timing.reading_s
         bridge = self._loop.command.bridge
         output = self._output * (1.0 + 0.001 * math.sin(0.1 * self._readings))
-        reading = _reading(configuration, output, nobody.time_s, bridge=bridge)
+        reading = _reading(configuration, output, self._time_s, bridge=bridge)
         self._loop.on_reading(reading)
         self._readings += 1
 

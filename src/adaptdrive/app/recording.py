@@ -16,7 +16,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
 from adaptdrive.errors import RecordingError, escaped
-from adaptdrive.operation.ledger import Ledger
+from adaptdrive.operation.service import ServiceSurroundings
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log_files import log_folder
 from adaptdrive.recording.memory import Recalled
@@ -32,7 +32,7 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     text: str,
     hub: Hub,
     recalled: Recalled,
-    learnt: Learnt | None,
+    learnt: Learnt,
     start_thread: Callable[[], None],
 ) -> Recorder:
     """Build the recorder; nothing touches the disk before it runs.
@@ -63,7 +63,7 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     return Recorder(place, header, hub, clocks, pace, recalled)
 
 
-def ledger_of(recalled: Recalled, recorder: Recorder) -> Ledger:
+def surroundings_of(recalled: Recalled, recorder: Recorder) -> ServiceSurroundings:
     """Return the log as the operators' side sees it.
 
     Args:
@@ -74,7 +74,7 @@ def ledger_of(recalled: Recalled, recorder: Recorder) -> Ledger:
     def note_reply(identity: str, body: bytes) -> None:
         recorder.note(Kind.REPLY, msgspec.msgpack.encode((identity, body)))
 
-    return Ledger(
+    return ServiceSurroundings(
         replies=recalled.replies,
         events=[(row.time, row.event) for row in recalled.unsent],
         trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.detail),
@@ -91,15 +91,14 @@ def place_of(configuration: Configuration) -> Place:
         RecordingError: The name of the folder of sessions is not UTF-8.
     """
     recording = configuration.recording
-    state = _absolute(state_directory(os.environ.get("STATE_DIRECTORY", "")))
+    state = _absolute(state_directory())
     sessions = _sessions(recording.directory) if recording.enabled else None
     return Place(log_folder(state, configuration.drive.name), sessions)
 
 
-def state_directory(given: str) -> Path:
+def state_directory() -> Path:
     """Return the state directory of the daemon: the service manager's folder, else `./state`."""
-    first = given.split(":", maxsplit=1)[0]
-    return Path(first) if first else Path("state")
+    return Path(os.environ.get("STATE_DIRECTORY", "").partition(":")[0] or "state")
 
 
 def _sessions(configured: Path | None) -> Path:
@@ -150,7 +149,7 @@ UNITS = {"V", "A", "W", "K", "S", "s", "Hz", "rad", "m", "kg", "N", "Pa", "C"}
 """Units that a name may end with; values of sensors are in SI."""
 
 
-def _info(configuration: Configuration, learnt: Learnt | None) -> SessionInfo:
+def _info(configuration: Configuration, learnt: Learnt) -> SessionInfo:
     return SessionInfo(
         drive=configuration.drive.name,
         version=__version__,
@@ -158,7 +157,7 @@ def _info(configuration: Configuration, learnt: Learnt | None) -> SessionInfo:
         ticks_per_period=configuration.ticks_per_period,
         latency_ticks=configuration.load.latency_ticks,
         line_frequency_Hz=configuration.drive.line_frequency_Hz,
-        prior=None if learnt is None else learnt.values,
-        resolution=0.0 if learnt is None else learnt.resolution,
+        prior=learnt.values,
+        resolution=learnt.resolution,
         output_unit=configuration.load.output_unit,
     )

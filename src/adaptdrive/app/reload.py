@@ -34,7 +34,8 @@ _LONGEST_LOOK_S = 5.0
 _LONGEST_BETWEEN_S = 30.0
 """From the end of a run to the open bus of the next: what hangs there, the watchdog ends."""
 
-_FEED_S = 0.25
+FEED_S = 0.25
+"""Between two looks whether the watchdog is to be fed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,7 @@ class RunCourse:
 
     Attributes:
         stop: Set for the end of the present run.
+        path: File of the configuration.
     """
 
     def __init__(self, path: Path, given: Given) -> None:
@@ -69,7 +71,7 @@ class RunCourse:
             given: What was in it.
         """
         self.stop = asyncio.Event()
-        self._path = path
+        self.path = path
         self._given = given
         self._descriptions = descriptions(given.configuration)
         self._next: Given | None = given
@@ -105,10 +107,10 @@ class RunCourse:
                 reading = in_thread(functools.partial(self._read, request), "reload")
                 given = await asyncio.wrap_future(reading)
         except TimeoutError:
-            raise RefusedError(f"{self._path} is not read within {_LONGEST_LOOK_S:g} s") from None
+            raise RefusedError(f"{self.path} is not read within {_LONGEST_LOOK_S:g} s") from None
         except ConfigurationError as problem:
             flaws = "; ".join(map(str, problem.flaws))
-            raise RefusedError(f"{self._path} is not valid, nothing has changed: {flaws}") from None
+            raise RefusedError(f"{self.path} is not valid, nothing has changed: {flaws}") from None
         return functools.partial(self._follow, given)
 
     def _follow(self, given: Given) -> None:
@@ -120,13 +122,13 @@ class RunCourse:
         self.stop.set()
 
     def _read(self, request: Reload) -> Given:
-        text = read_text(self._path)
+        text = read_text(self.path)
         measured = request.measured is not None
         if measured and request.measured != digest_of(text):
             raise RefusedError(
-                f"{self._path} is not the file whose model was measured, nothing has changed"
+                f"{self.path} is not the file whose model was measured, nothing has changed"
             )
-        configuration = examine_text(text, self._path)
+        configuration = examine_text(text, self.path)
         before, after = self._given.configuration, configuration
         changed = [
             name
@@ -141,11 +143,9 @@ class RunCourse:
         return Given(configuration, text, measured, tuple(changed))
 
     async def feed_between(self, manager: ServiceManager) -> None:
-        """Feed the watchdog between two runs, in which no tick does, until cancelled."""
-        while True:
-            if now_s() < self._fed_until_s:
-                manager.feed(now_s())
-            await asyncio.sleep(_FEED_S)
+        """Feed the watchdog between two runs, in which no tick does."""
+        if now_s() < self._fed_until_s:
+            manager.feed(now_s())
 
     async def opened(self, opened: asyncio.Event) -> None:
         """Leave the watchdog to the ticks once the bus is open."""

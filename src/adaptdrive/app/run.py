@@ -10,7 +10,6 @@ import signal
 import socket
 from collections.abc import Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,32 +20,27 @@ from adaptdrive.app.checkpoint import (
     Learnt,
     checkpoint_record,
     configuration_key,
-    controller_from,
     is_kept,
-    learnt_by,
-    measured,
     recall,
 )
 from adaptdrive.app.examine import examine_text
-from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.lock import lock_names, locked, send_visitors_away
-from adaptdrive.app.log import log_events
-from adaptdrive.app.news import news_of
+from adaptdrive.app.lock import VISITS_S, lock_names, locked, send_visitors_away
+from adaptdrive.app.news import log_events, news_of
 from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.ports import build_port, build_whole_port, publish_samples, sensor_reports
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.realtime import Rehearsal, prepared
-from adaptdrive.app.recording import build_recorder, ledger_of, place_of
-from adaptdrive.app.reload import Given, RunCourse
+from adaptdrive.app.recording import build_recorder, place_of, surroundings_of
+from adaptdrive.app.reload import FEED_S, Given, RunCourse
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
+from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.lines import log
-from adaptdrive.operation.ledger import Ledger
-from adaptdrive.operation.service import MqttService, ServiceSurroundings
+from adaptdrive.operation.service import MqttService
 from adaptdrive.pure import build_name
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log_files import recall as recall_log
@@ -57,6 +51,7 @@ from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.realtime import helper_thread
 from adaptdrive.runtime.reports import Event
 from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.tasks import repeat, uncaught_errors_end
 
 UNRECORDED = 4
 """Exit status after an orderly stop whose session lacks its end."""
@@ -104,44 +99,29 @@ def run(path: Path) -> int:
             locked(lock_names(configuration), os.environ) as locks,
             asyncio.Runner(loop_factory=WatchedLoop) as runner,
         ):
-            complete = runner.run(_serve(Given(configuration, text), path, locks))
+            complete = runner.run(_serve(Given(configuration, text), path, locks, start_thread))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0 if complete else UNRECORDED
 
 
-@dataclass(frozen=True, slots=True)
-class _Parts:
-    """Parts of the daemon of one drive, built and not started.
-
-    Attributes:
-        daemon: Fast loop, slow loop and state machine.
-        bus: The bus in one phrase.
-        rehearsal: What is computed once before the first tick.
-        recorder: Appends to the log.
-        ledger: The log, as the operators' side sees it.
-        keeper: Has the log keep estimates, None where none are kept.
-        news: Events that the building of the parts gave.
-    """
-
-    daemon: Daemon
-    bus: str
-    rehearsal: Rehearsal
-    recorder: Recorder
-    ledger: Ledger
-    keeper: Keeper | None
-    news: tuple[Event, ...]
-
-
-async def _serve(given: Given, path: Path, locks: Sequence[socket.socket]) -> bool:
+async def _serve(
+    given: Given,
+    path: Path,
+    locks: Sequence[socket.socket],
+    start_thread: Callable[[], None],
+) -> bool:
     """Serve until asked to stop; False when the end of a session is not recorded."""
     course = RunCourse(path, given)
-    start_thread = _use_helper_threads(given.configuration)
+    # blocking calls do not have the priority of the control thread
+    helpers = ThreadPoolExecutor(thread_name_prefix="helper", initializer=start_thread)
+    asyncio.get_running_loop().set_default_executor(helpers)
     _stop_on_signals(course.end)
-    feeding = asyncio.create_task(course.feed_between(ServiceManager(os.environ)))
+    feed = functools.partial(course.feed_between, ServiceManager(os.environ))
+    feeding = asyncio.create_task(repeat(feed, FEED_S))
     complete = True
     while (present := course.next_run()) is not None:
-        complete &= await _run(present, course, path, locks, start_thread)
+        complete &= await _run(present, course, locks, start_thread)
     await _end(feeding)
     log("info", "stopped", drive=given.configuration.drive.name)
     return complete
@@ -150,67 +130,21 @@ async def _serve(given: Given, path: Path, locks: Sequence[socket.socket]) -> bo
 async def _run(
     given: Given,
     course: RunCourse,
-    path: Path,
     locks: Sequence[socket.socket],
     start_thread: Callable[[], None],
 ) -> bool:
     """Serve until the run ends; False when the end of its session is not recorded."""
     configuration, hub = given.configuration, Hub()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
-    parts = _build(given, course, path, hub, start_thread)
-    daemon, recorder, keeper = parts.daemon, parts.recorder, parts.keeper
-    log(
-        "info",
-        "starting",
-        drive=configuration.drive.name,
-        version=__version__,
-        build=build_name(),
-        bus=parts.bus,
-    )
-    async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
-        # ended in reverse: broker and log receive the last reports of those that end before them
-        start = functools.partial(_start, tasks, ending)
-        start("lock", send_visitors_away(locks))
-        start("log", log_events(events, hub.kept))
-        start("recorder", recorder.run(daemon.opened))
-        profile, around = operator_profile(configuration), ServiceSurroundings(parts.ledger)
-        start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
-        start("opened", course.opened(daemon.opened))
-        if keeper is not None:
-            ending.callback(keeper.save)
-            start("checkpoint", keeper.run())
-        for event in parts.news:
-            hub.publish(event)
-        with uncaught_errors_end(daemon.fail), prepared(configuration, parts.rehearsal, hub):
-            await daemon.run(course.stop)
-    return recorder.complete
-
-
-def _build(
-    given: Given,
-    course: RunCourse,
-    path: Path,
-    hub: Hub,
-    start_thread: Callable[[], None],
-) -> _Parts:
-    configuration = given.configuration
-    port = build_whole_port(configuration, now_s, path)
+    port = build_whole_port(configuration, now_s, course.path)
     settings, load = controller_settings(configuration), build_load(configuration)
     recalled = recall_log(place_of(configuration).log, datetime.now(UTC))
-    learnt, known = recall(recalled.learnt, configuration, settings, load)
-    if given.measured and is_kept(settings):
-        learnt, known = measured(load, learnt)
-    controller = controller_from(settings, load, learnt)
-    rehearsal = Rehearsal(configuration, build_port(configuration, now_s, path))
+    learnt, known = recall(recalled.learnt, configuration, settings, load, measured=given.measured)
+    controller = Controller(settings, load, learnt.values, learnt.resolution)
+    rehearsal = Rehearsal(configuration, build_port(configuration, now_s, course.path))
     recorder = build_recorder(configuration, given.text, hub, recalled, learnt, start_thread)
     hub.kept = recorder.kept
     publish_samples(port, hub.publish, now_s)
-    keeper = None
-    if is_kept(settings):
-        note = _note(configuration, recorder)
-        keeper = Keeper(note, functools.partial(learnt_by, controller), hub, now_s)
-        if given.measured and learnt is not None:
-            note(learnt)
     daemon = Daemon(
         port=port,
         controller=controller,
@@ -223,24 +157,29 @@ def _build(
         recorded=lambda: not recorder.failing,
         prepare=course.prepare,
     )
-    return _Parts(
-        daemon=daemon,
-        bus=port.description,
-        rehearsal=rehearsal,
-        recorder=recorder,
-        ledger=ledger_of(recalled, recorder),
-        keeper=keeper,
-        news=tuple(news_of(given, known, recalled)),
-    )
-
-
-def _use_helper_threads(configuration: Configuration) -> Callable[[], None]:
-    """Keep blocking calls off the control thread's priority; return the start of such a thread."""
-    start_thread = helper_thread(configuration.realtime.priority)
-    asyncio.get_running_loop().set_default_executor(
-        ThreadPoolExecutor(thread_name_prefix="helper", initializer=start_thread)
-    )
-    return start_thread
+    facts = {"drive": configuration.drive.name, "version": __version__, "build": build_name()}
+    log("info", "starting", **facts, bus=port.description)
+    async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
+        # ended in reverse: broker and log receive the last reports of those that end before them
+        start = functools.partial(_start, tasks, ending)
+        start("lock", repeat(functools.partial(send_visitors_away, locks), VISITS_S))
+        start("log", log_events(events, hub.kept))
+        start("recorder", recorder.run(daemon.opened))
+        profile, around = operator_profile(configuration), surroundings_of(recalled, recorder)
+        start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
+        start("opened", course.opened(daemon.opened))
+        if is_kept(settings):
+            note = _note(configuration, recorder)
+            if given.measured:
+                note(learnt)
+            keeper = Keeper(note, functools.partial(_learnt_by, controller), hub, now_s)
+            ending.callback(keeper.save)
+            start("checkpoint", keeper.run())
+        for event in news_of(given, known, recalled):
+            hub.publish(event)
+        with uncaught_errors_end(daemon.fail), prepared(configuration, rehearsal, hub):
+            await daemon.run(course.stop)
+    return recorder.complete
 
 
 def _start(
@@ -253,7 +192,7 @@ def _start(
     ending.push_async_callback(_end, tasks.create_task(service, name=name))
 
 
-async def _end(service: asyncio.Task[None]) -> None:
+async def _end(service: asyncio.Task[Any]) -> None:
     service.cancel()
     await asyncio.wait([service])
 
@@ -264,6 +203,10 @@ def _stop_on_signals(end: Callable[[], None]) -> None:
     for number in _ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             loop.add_signal_handler(number, end)
+
+
+def _learnt_by(controller: Controller) -> Learnt:
+    return Learnt(controller.trusted, controller.resolution)
 
 
 def _note(configuration: Configuration, recorder: Recorder) -> Callable[[Learnt], None]:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 from adaptdrive.app.interlocks import trip_limits, watches
-from adaptdrive.app.loads import build_load, short_lag_s
-from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
-from adaptdrive.app.pole_range import pole_range
+from adaptdrive.app.loads import alike, build_load, pole_range, short_lag_s
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection, Supervisor
+from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
 from adaptdrive.control.evidence import NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
 from adaptdrive.control.load import to_input
@@ -39,13 +37,16 @@ _SWING_SHARE = 0.01
 _OPEN = UNKNOWN * UNKNOWN / NOISE_FLOOR
 """P[0] of the exact design, over σ²: nothing is known of any parameter, at the smallest σ."""
 
+PAPER_COVARIANCE = 1.0e4
+"""P[0] of the paper."""
+
 _SHORTEST_WAVE_PERIODS = 4
 """Shortest period of a waveform, in slow periods: two samples for each half."""
 
 
 def controller_settings(configuration: Configuration) -> ControllerSettings:
     """Return all settings of the controller."""
-    load = configuration.load
+    load, warm_up_s = configuration.load, configuration.supervisor.warm_up_s
     exact = load.design == "exact"
     return ControllerSettings(
         exact=exact,
@@ -59,7 +60,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
             lag_ticks=_lag_ticks(configuration),
         ),
         learning=_learning(configuration) if exact else paper_learning(configuration),
-        jacket=_jacket(configuration) if exact else paper_jacket(configuration),
+        jacket=_jacket(configuration) if exact else Jacket(_periods(configuration, warm_up_s)),
         probing=_probing(configuration),
         govern=load.govern,
     )
@@ -67,16 +68,15 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
 
 def daemon_settings(configuration: Configuration) -> DaemonSettings:
     """Return all settings of the runtime."""
+    realtime = configuration.realtime
     return DaemonSettings(
+        **alike(DaemonSettings, realtime, configuration.interlocks, configuration.load),
         machine=_machine_limits(configuration),
-        pole=configuration.load.pole,
         fast=_fast_loop(configuration),
         report_s=1.0 / configuration.mqtt.telemetry_Hz,
-        late_us=configuration.realtime.late_us,
-        spin_s=configuration.realtime.spin_us * 1e-6,
-        rehearse_s=configuration.realtime.rehearse_us * 1e-6,
-        collect_ticks=COLLECT_TICKS if configuration.realtime.freeze_gc else 0,
-        refused_share=configuration.interlocks.refused_share,
+        spin_s=realtime.spin_us * 1e-6,
+        rehearse_s=realtime.rehearse_us * 1e-6,
+        collect_ticks=COLLECT_TICKS if realtime.freeze_gc else 0,
     )
 
 
@@ -95,14 +95,9 @@ def _power_stage(configuration: Configuration) -> PowerStage:
     drive, loop = configuration.drive, configuration.voltage_loop
     kick_ticks, kick_first, kick_second = _kicks(configuration)
     return PowerStage(
+        **alike(PowerStage, drive, drive.limits, loop),
         capacitance_F=drive.boost_capacitance_F,
         line_voltage_min_V=_LOWEST_LINE * drive.line_voltage_V,
-        current_scale_min_S=configuration.drive.current_scale_min_S,
-        current_scale_max_S=drive.limits.current_scale_max_S,
-        boost_reference_min_V=drive.limits.boost_reference_min_V,
-        boost_reference_max_V=drive.limits.boost_reference_max_V,
-        load_power_max_W=drive.limits.load_power_max_W,
-        feed_forward=loop.feed_forward,
         holds_voltage=loop.where == "drive",
         boost_needs_bridge=drive.enable_bit == "bridge-and-boost",
         kick_ticks=kick_ticks,
@@ -131,22 +126,19 @@ def _learning(configuration: Configuration) -> Learning:
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     method = METHODS[estimator.method]
     directional = estimator.alert and method.physical
+    computed = ("method", "forgetting", "initial_covariance", "covariance_max", "bias")
     return Learning(
+        **alike(Learning, estimator, but=computed),
         method=method,
         forgetting=estimator.forgetting or FORGETTING,
-        tau_lambda_s=estimator.tau_lambda_s,
-        dead_band=estimator.dead_band,
         initial_covariance=_initial_covariance(configuration),
         settle_periods=_periods(configuration, estimator.settle_s),
-        gate=estimator.gate,
         output_scale=load.gain * middle,
         input_scale=middle,
         start_at_nominal=True,
-        alert=estimator.alert,
         covariance_max=0.0 if directional else estimator.covariance_max,
         short_lag_s=short_lag_s(configuration),
         bias=estimator.bias or charges,
-        initial_state=estimator.initial_state,
         resolution=configuration.load.resolution,
         charge=charges and method.physical,
         drifts=configuration.load.traits.drifts and directional,
@@ -164,21 +156,12 @@ def _initial_covariance(configuration: Configuration) -> float:
 
 def _jacket(configuration: Configuration) -> Jacket:
     supervisor, load = configuration.supervisor, configuration.load
-    reference_range = load.reference_max - load.reference_min
+    reference_range, limit = load.reference_max - load.reference_min, supervisor.error_limit
     return Jacket(
+        **alike(Jacket, supervisor, but=("error_limit", "response_distance")),
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
-        ratio_min=supervisor.ratio_min,
-        ratio_max=supervisor.ratio_max,
-        patience_periods=supervisor.patience_periods,
-        damping_min=supervisor.damping_min,
-        spread_max=supervisor.spread_max,
-        residual_margin=supervisor.residual_margin,
-        confidence=supervisor.confidence,
-        dwell_periods=supervisor.dwell_periods,
-        blend_periods=supervisor.blend_periods,
         saturated_periods=_periods(configuration, supervisor.saturated_s),
-        gain_slew=supervisor.gain_slew,
-        error_limit=_error_limit(supervisor, reference_range),
+        error_limit=ERROR_SHARE * reference_range if limit is None else limit,
         swing_min=_SWING_SHARE * reference_range,
         response_periods=_periods(configuration, supervisor.response_s),
         response_distance=supervisor.response_distance * reference_range,
@@ -213,12 +196,6 @@ def _noise_max(configuration: Configuration) -> float:
     return to_input(upper, gain, exponent) - to_input(lower, gain, exponent)
 
 
-def _error_limit(supervisor: Supervisor, reference_range: float) -> float:
-    if supervisor.error_limit is None:
-        return ERROR_SHARE * reference_range
-    return supervisor.error_limit
-
-
 def _periods(configuration: Configuration, time_s: float) -> int:
     return math.ceil(time_s / configuration.load.period_s)
 
@@ -228,41 +205,50 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
     settings, model = controller_settings(configuration), build_load(configuration)
     pole_min, pole_max = pole_range(settings, model, load)
     patience_s = configuration.interlocks.precharge_timeout_s
+    drive = configuration.drive
     return MachineLimits(
-        reference_min=load.reference_min,
-        reference_max=load.reference_max,
+        **alike(MachineLimits, load, but=("pole_min", "pole_max")),
         unit=load.output_unit,
         pole_min=pole_min,
         pole_max=pole_max,
         period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
-        floor_V=configuration.drive.limits.boost_reference_min_V,
-        voltage_name=configuration.drive.manipulated.name,
-        voltage_unit=configuration.drive.manipulated.unit,
-        ceiling_V=configuration.drive.limits.boost_reference_max_V,
-        slew_V_per_s=configuration.drive.limits.manual_slew_V_per_s,
-        boost_needs_bridge=configuration.drive.enable_bit == "bridge-and-boost",
+        floor_V=drive.limits.boost_reference_min_V,
+        voltage_name=drive.manipulated.name,
+        voltage_unit=drive.manipulated.unit,
+        ceiling_V=drive.limits.boost_reference_max_V,
+        slew_V_per_s=drive.limits.manual_slew_V_per_s,
+        boost_needs_bridge=drive.enable_bit == "bridge-and-boost",
         starting_ticks=round(patience_s / tick),
         rate_s=max(patience_s, tick * verdict_ticks(configuration.bus.ticks_per_reading)),
         tick_s=tick,
         reach=nominal_reach(model, settings.stage),
-        govern=load.govern,
     )
 
 
 def _fast_loop(configuration: Configuration) -> FastLoopSettings:
-    limits = configuration.drive.limits
+    drive, load, bus = configuration.drive, configuration.load, configuration.bus
     return FastLoopSettings(
+        **alike(FastLoopSettings, load, configuration.realtime, bus),
         limits=trip_limits(configuration),
         watches=watches(configuration),
-        command=CommandLimits(
-            current_scale_min_S=configuration.drive.current_scale_min_S,
-            current_scale_max_S=limits.current_scale_max_S,
-            current_scale_slew_S=limits.current_scale_slew_S,
-            boost_reference_max_V=limits.boost_reference_max_V,
-        ),
+        command=CommandLimits(**alike(CommandLimits, drive, drive.limits)),
         timing=configuration.timing,
-        latency_ticks=configuration.load.latency_ticks,
-        late_fraction=configuration.realtime.late_fraction,
-        timer_standin=configuration.realtime.timer_standin,
-        drive_clocks=configuration.bus.drive_clocks,
+    )
+
+
+def paper_learning(configuration: Configuration) -> Learning:
+    """Return the plain estimator (3), which starts at θ = 0; a battery's EMF is a bias of it.
+
+    Nothing is added to the paper's controller: no bounds, no patience, no scaling, no gate, no
+    blending. An estimate that is not finite or not stable, or whose loop would not be, leaves the
+    gains in force as they are; nothing else is checked.
+    """
+    estimator, load = configuration.estimator, configuration.load
+    return Learning(
+        method=METHODS[estimator.method],
+        forgetting=estimator.forgetting or load.traits.paper_forgetting,
+        tau_lambda_s=estimator.tau_lambda_s,
+        dead_band=estimator.dead_band,
+        initial_covariance=estimator.initial_covariance or PAPER_COVARIANCE,
+        bias=load.traits.charges,
     )

@@ -8,21 +8,20 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
-from adaptdrive.app.example_values import marked
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.services import LONGEST_STALE_S
+from adaptdrive.config.units import si_unit
 from adaptdrive.errors import ConfigurationError, Flaw
 
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen"]
 
 _POLLED = ("modbus-tcp", "modbus-rtu")
-_EDS = "cia402.eds"
 _POLL_TICKS = 12  # as in the examples of polled drives
 _LONG_STRIDE = 2  # the examples' six ticks are three readings of such a drive
 _TICK_S = 1.0 / 120.0
@@ -59,15 +58,7 @@ class Starter:
     content: bytes
 
 
-def compose(  # noqa: PLR0913 - what the user and the drive's own description say
-    load: LoadName,
-    bus: BusName,
-    name: str,
-    bus_part: str | None = None,
-    *,
-    stride: int = 1,
-    output_unit: str | None = None,
-) -> Starter:
+def compose(load: LoadName, bus: BusName, name: str, bus_part: str | None = None) -> Starter:
     """Return a commented configuration that passes `check`.
 
     Args:
@@ -76,24 +67,23 @@ def compose(  # noqa: PLR0913 - what the user and the drive's own description sa
         name: Name of the drive.
         bus_part: `[bus]` and `[signals]` of a drive other than the reference drive, with the
             `[voltage_loop]` that fits; None for the reference drive.
-        stride: Half cycles from one reading of that drive to the next.
-        output_unit: SI unit of that drive's output, None for the unit of the example.
     """
     load_text, bus_text = _example(f"{load}.toml"), _bus_example(load, bus)
+    ticks = re.search(r"(?m)^clock_ticks = (\d+)", bus_part or "")
+    stride = int(ticks[1]) if ticks else 1
     text = "".join(
         (
             _HEAD.format(load=load, bus=bus),
             _named(_between(load_text, "[drive]", "[bus]"), name),
             bus_part or _between(bus_text, "[bus]", "[load]"),
             _with_output_unit(
-                _load_part(load_text, _POLL_TICKS if bus in _POLLED else stride), output_unit
+                _load_part(load_text, _POLL_TICKS if bus in _POLLED else stride), bus_part or ""
             ),
             _with_stale_limit(load_text[load_text.index("[interlocks]") :], bus_text, stride),
         )
     )
     text = marked(_for_a_shared_machine(text))
-    description = None if bus in _POLLED or bus_part else _description(load, bus)
-    return Starter(text, description, _read(description) if description else b"")
+    return Starter(text, None, b"") if bus_part else _starter(text, "examples")
 
 
 def device_names() -> list[str]:
@@ -122,8 +112,14 @@ def of_device(load: LoadName, device: str, name: str) -> Starter:
     if tables["load"]["type"] != load:
         problem = f"is described with a {tables['load']['type']}, not with a {load}"
         raise ConfigurationError("--device", [Flaw(device, problem)])
-    file = tables["bus"].get("database") or tables["bus"].get("eds")
-    return Starter(_named(text, name), file, _read(file, "devices") if file else b"")
+    return _starter(_named(text, name), "devices")
+
+
+def _starter(text: str, folder: str) -> Starter:
+    """Return a configuration with the file that its bus names."""
+    bus = tomllib.loads(text)["bus"]
+    file = bus.get("database") or bus.get("eds")
+    return Starter(text, file, _read(file, folder) if file else b"")
 
 
 def _for_a_shared_machine(text: str) -> str:
@@ -134,22 +130,22 @@ def _for_a_shared_machine(text: str) -> str:
     if '\ninterface = "udp_multicast"' not in text:
         return text
     for key, value, remark in _SHARED:
-        text = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value:<{24 - len(key)}}# {remark}", text)
+        text = _with(text, key, value, remark)
     return text
 
 
-def _description(load: LoadName, bus: BusName) -> str:
-    if bus == "canopen":
-        return _EDS
-    return str(tomllib.loads(_example(f"{load}.toml"))["bus"]["database"])
+def _with(text: str, key: str, value: str, remark: str) -> str:
+    """Return a text in which a key has another value, with a remark."""
+    line = f"{key} = {value:<{24 - len(key)}}# {remark}"
+    return re.sub(rf"(?m)^{key} = .*$", line, text)
 
 
-def _read(file: str, folder: str = "examples") -> bytes:
+def _read(file: str, folder: str) -> bytes:
     return (resources.files("adaptdrive") / folder / file).read_bytes()
 
 
 def _example(file: str) -> str:
-    return _read(file).decode("utf-8")
+    return _read(file, "examples").decode("utf-8")
 
 
 def _bus_example(load: LoadName, bus: BusName) -> str:
@@ -183,25 +179,98 @@ def _load_part(load_text: str, stride: int) -> str:
         return section
     period_s = float(re.search(r"(?m)^period_s = ([\d.]+)", section)[1])  # type: ignore[index]
     if period_s < _LEAST_READINGS * stride * _TICK_S:
-        longer = f"period_s = {_LEAST_READINGS * stride * _TICK_S:<20.4g}# ten readings"
-        section = re.sub(r"(?m)^period_s = .*$", longer, section)
+        longer = f"{_LEAST_READINGS * stride * _TICK_S:.4g}"
+        section = _with(section, "period_s", longer, "ten readings")
     latency = f"latency_ticks = {stride:<20}# one reading from the slow sample to its effect"
     return section.replace("\nreference_min", f"\n{latency}\nreference_min", 1)
 
 
-def _with_output_unit(section: str, unit: str | None) -> str:
+def _with_output_unit(section: str, bus_part: str) -> str:
     """Return `[load]` for an output in another unit than that of the example."""
+    stated = re.search(r"(?m)^output = .*  # ([^,\n]+)", bus_part)
+    unit = si_unit(stated[1]) if stated else None
     if unit is None or f'\noutput_unit = "{unit}"' in section:
         return section
     remark = "signals.output is converted to it: adapt range, model and limits"
-    line = f'output_unit = "{unit}"  # {remark}'
-    return re.sub(r"(?m)^output_unit = .*$", line, section)
+    return _with(section, "output_unit", f'"{unit}"', remark)
 
 
 def _with_stale_limit(section: str, bus_text: str, stride: int) -> str:
     """Return `[interlocks]` and what follows, with the stale limit that fits the bus."""
-    limit = re.search(r"(?m)^stale_s = .*$", bus_text)
-    text = limit[0] if limit else None
     if stride > _LONG_STRIDE:
-        text = f"stale_s = {min(stride * _THREE_TICKS_S, LONGEST_STALE_S):<20.4g}# three readings"
-    return re.sub(r"(?m)^stale_s = .*$", text, section) if text else section
+        limit = f"{min(stride * _THREE_TICKS_S, LONGEST_STALE_S):.4g}"
+        return _with(section, "stale_s", limit, "three readings")
+    stated = re.search(r"(?m)^stale_s = .*$", bus_text)
+    return re.sub(r"(?m)^stale_s = .*$", stated[0], section) if stated else section
+
+
+QUESTIONS = {
+    "drive.line_frequency_Hz": "frequency of the line in Hz",
+    "drive.line_voltage_V": "voltage of the line in V, rms",
+    "drive.limits.boost_reference_min_V": "lowest voltage of the dc bus in V",
+    "drive.limits.boost_reference_max_V": "highest voltage of the dc bus in V",
+    "load.reference_min": "lowest set-point in the unit of the output",
+    "load.reference_max": "highest set-point",
+    "interlocks.output_max": "output above which the drive trips",
+    "mqtt.host": "broker",
+}
+"""Questions of `init` by key, in the order in which it asks."""
+
+_LIKELY = {"mqtt.host"}
+"""Keys whose value in the example is that of many sites: they are not marked."""
+
+_LINE = re.compile(r"(?P<key>\w+) = (?P<value>[^#\n]*?)(?P<gap>\s*)(# (?P<comment>.*))?$")
+_MARK = "example:"
+
+
+def examples(text: str) -> Iterator[tuple[str, str]]:
+    """Yield key and value of each value of the example that is left.
+
+    Args:
+        text: A configuration.
+    """
+    for key, _, found in _lines(text):
+        if found is not None and (found["comment"] or "").startswith(_MARK):
+            yield key, found["value"]
+
+
+def asked(text: str) -> dict[str, str]:
+    """Return the values that `init` asks for, by key, as they stand in a configuration."""
+    return {key: found["value"] for key, _, found in _lines(text) if found and key in QUESTIONS}
+
+
+def marked(text: str) -> str:
+    """Return a configuration whose values are marked as those of the example."""
+    return answered(text, dict.fromkeys(QUESTIONS.keys() - _LIKELY, ""))
+
+
+def answered(text: str, answers: dict[str, str]) -> str:
+    """Return a configuration with values by key, which are marked no longer.
+
+    Args:
+        text: The configuration.
+        answers: Values, as TOML; an empty one marks the value that is there.
+    """
+    lines = (
+        _line(found, answers[key]) if found and key in answers else line
+        for key, line, found in _lines(text)
+    )
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _line(found: re.Match[str], value: str) -> str:
+    """Return a line with another value, or marked where there is none."""
+    if value:
+        return f"{found['key']} = {value}"
+    comment = found["comment"] or "adapt"
+    return f"{found['key']} = {found['value']}{found['gap'] or '  '}# {_MARK} {comment}"
+
+
+def _lines(text: str) -> Iterator[tuple[str, str, re.Match[str] | None]]:
+    """Yield the key that each line sets, empty for none, the line, and its parts."""
+    section = ""
+    for line in text.splitlines():
+        if line.startswith("["):
+            section = line.strip("[] ")
+        found = _LINE.match(line)
+        yield (f"{section}.{found['key']}" if found else ""), line, found

@@ -32,7 +32,7 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     from adaptdrive.app.advice import advice  # noqa: PLC0415 - `schema` needs no bus
     from adaptdrive.app.check_report import tables  # noqa: PLC0415
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415
-    from adaptdrive.app.example_values import examples  # noqa: PLC0415
+    from adaptdrive.app.starter import examples  # noqa: PLC0415
     from adaptdrive.hardware.link.bus import missing_here  # noqa: PLC0415
 
     configuration = load_examined(config)

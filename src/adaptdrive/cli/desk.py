@@ -176,7 +176,7 @@ class _Desk:
     def _log(self, name: str) -> Path:
         from adaptdrive.app.recording import state_directory  # noqa: PLC0415 - it is large
 
-        folder = state_directory(os.environ.get("STATE_DIRECTORY", ""))
+        folder = state_directory()
         folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{self._drive}.{name}.log"
 

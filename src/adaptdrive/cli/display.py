@@ -7,9 +7,14 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from adaptdrive.operation.estimate_names import quantity_and_unit
 from adaptdrive.operation.listener import LIVE_S, DriveStatus
-from adaptdrive.operation.payloads import number, part, printable, unconfirmed_stop
+from adaptdrive.operation.payloads import (
+    number,
+    part,
+    printable,
+    quantity_and_unit,
+    unconfirmed_stop,
+)
 from adaptdrive.runtime.trips import remedy
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")

@@ -13,9 +13,17 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
-from adaptdrive.app.example_values import QUESTIONS, answered, asked
-from adaptdrive.app.starter import BusName, Starter, compose, device_names, of_device
+from adaptdrive.app.described import Choices, can_part, canopen_part
+from adaptdrive.app.starter import (
+    QUESTIONS,
+    BusName,
+    Starter,
+    answered,
+    asked,
+    compose,
+    device_names,
+    of_device,
+)
 from adaptdrive.cli.options import Flag
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
@@ -72,9 +80,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
     else:
         known = _refuse_misfits(bus, dbc, eds)
         part = _described(load, directory, dbc, eds, ask=_way_to_choose(yes=yes))
-        described = part or ""
-        stride, unit = clock_ticks(described), output_unit(described)
-        starter = compose(load, known, drive, part, stride=stride, output_unit=unit)
+        starter = compose(load, known, drive, part)
     if sys.stdin.isatty() and not yes:
         starter = replace(starter, text=answered(starter.text, _values(starter.text)))
     path = _write(starter, directory, drive)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field
 
 from adaptdrive.control.method import Method
@@ -97,11 +98,11 @@ class Learning:
     tau_lambda_s: float
     dead_band: float
     initial_covariance: float
-    settle_periods: int
-    gate: float
-    output_scale: float
-    input_scale: float
-    start_at_nominal: bool
+    settle_periods: int = 0
+    gate: float = 0.0
+    output_scale: float = 1.0
+    input_scale: float = 1.0
+    start_at_nominal: bool = False
     covariance_max: float = 0.0
     alert: bool = False
     short_lag_s: float = 0.0
@@ -115,7 +116,7 @@ class Learning:
 
 @dataclass(frozen=True, slots=True)
 class Jacket:
-    """Limits for estimates and for the loop; a limit of 0 switches its check off.
+    """Limits for estimates and for the loop; one of 0, or left out, switches its check off.
 
     Attributes:
         warm_up_periods: Slow periods after start before adaptive may take over.
@@ -142,9 +143,9 @@ class Jacket:
     """
 
     warm_up_periods: int
-    ratio_min: float
-    ratio_max: float
-    patience_periods: int
+    ratio_min: float = -math.inf
+    ratio_max: float = math.inf
+    patience_periods: int = sys.maxsize
     damping_min: float = 0.0
     spread_max: float = 0.0
     residual_margin: float = 0.0

@@ -1,14 +1,14 @@
-"""Reports to publish: the present state, and telemetry that was not published yet."""
+"""Reports to publish: the present state, and queues of what was not published yet."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TypeVar
 
 from adaptdrive.operation.clock import Synchronisation, WallClock
-from adaptdrive.operation.messages import LastTrip, Payload, Standing, state_message
-from adaptdrive.operation.profile import Profile
+from adaptdrive.operation.messages import LastTrip, Payload, Profile, Standing, state_message
 from adaptdrive.runtime.hub import Bounded
 from adaptdrive.runtime.reports import State, StateReport
 from adaptdrive.runtime.trips import remedy
@@ -98,3 +98,31 @@ class StateBoard:
     def _note_change(self) -> None:
         self._standing = replace(self._standing, time=self._wall())
         self._changed.set()
+
+
+LIMIT = 10_000
+
+
+class Outbox(Mailbox[bytes]):
+    """A queue of payloads, each of which stays until the broker has it."""
+
+    def __init__(
+        self, recalled: Iterable[bytes], note_sent: Callable[[], None], limit: int = LIMIT
+    ) -> None:
+        """Begin with what an earlier run could not send.
+
+        Args:
+            recalled: Payloads, the oldest first.
+            note_sent: Has the log know that the broker has the oldest one.
+            limit: Most payloads that wait.
+        """
+        super().__init__(limit)
+        self._note_sent = note_sent
+        for body in recalled:
+            self.put(body)
+
+    def sent(self, body: bytes) -> None:
+        """Strike out the oldest payload, which the broker has acknowledged, unless it went."""
+        if self._items and self._items[0] is body:
+            self._strike_out()
+            self._note_sent()

@@ -1,9 +1,12 @@
-"""Wall-clock time, and whether it can be trusted."""
+"""Wall-clock time, whether it can be trusted, and delays: of log lines and of the next attempt."""
 
 from __future__ import annotations
 
 import ctypes
+import math
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 
@@ -41,3 +44,66 @@ def kernel_synchronisation() -> Synchronisation:
     if answer < 0:
         return Synchronisation.UNKNOWN
     return Synchronisation.UNSYNCHRONISED if answer == _TIME_ERROR else Synchronisation.SYNCHRONISED
+
+
+@dataclass(slots=True)
+class LogRation:
+    """Lets so many lines into the log in each interval, and counts those that it withholds.
+
+    Attributes:
+        monotonic: Clock.
+        lines: Lines in each interval.
+        interval_s: Length of an interval.
+        began_s: When the present interval began, on that clock.
+        used: Lines written in it.
+        withheld: Lines withheld since the last one that was written.
+    """
+
+    monotonic: Monotonic
+    lines: int = 20
+    interval_s: float = 10.0
+    began_s: float = -math.inf
+    used: int = 0
+    withheld: int = 0
+
+    def take(self) -> int | None:
+        """Return how many lines were withheld before this one, None when this one is withheld."""
+        now_s = self.monotonic()
+        if now_s - self.began_s >= self.interval_s:
+            self.began_s, self.used = now_s, 0
+        if self.used >= self.lines:
+            self.withheld += 1
+            return None
+        self.used += 1
+        withheld, self.withheld = self.withheld, 0
+        return withheld
+
+    def lift(self) -> None:
+        """Withhold nothing from here on."""
+        self.lines = sys.maxsize
+
+
+@dataclass(slots=True)
+class BrokerBackoff:
+    """Waiting times between attempts: doubling, capped, and spread so that a site does not surge.
+
+    Attributes:
+        uniform: Returns a random number between its two arguments.
+        first_s: Longest wait after the first failure.
+        longest_s: Longest wait at all.
+        healthy_s: A connection that lived this long starts the count anew.
+        failures: Failures in a row so far.
+    """
+
+    uniform: Callable[[float, float], float]
+    first_s: float = 0.5
+    longest_s: float = 30.0
+    healthy_s: float = 10.0
+    failures: int = 0
+
+    def after(self, lived_s: float) -> float:
+        """The wait, in seconds, after a connection that lived `lived_s` (0 for a failed one)."""
+        self.failures = 0 if lived_s >= self.healthy_s else self.failures
+        ceiling_s = min(self.longest_s, self.first_s * 2.0 ** min(self.failures, 30))
+        self.failures += 1
+        return self.uniform(0.5 * ceiling_s, ceiling_s)

@@ -45,7 +45,6 @@ class _Waveform(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     period_s: float
 
 
-VERBS = tuple(REQUESTS)
 STOP = Disable.verb
 """The verb that is carried out at its arrival, whatever its payload is."""
 
@@ -116,7 +115,7 @@ class Payload:
             raise RefusedError(self._flaw)
         kind = REQUESTS[verb]
         try:
-            filled: Any = msgspec.convert(self._document, _FORMS[verb])
+            filled: Any = msgspec.convert(self._document, FORMS[verb])
         except msgspec.ValidationError as problem:
             raise RefusedError(str(problem).replace("`$.", "`")) from problem
         except UnicodeError as problem:
@@ -150,26 +149,21 @@ def _once(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def _id_of(document: object) -> str | int | None:
+    """Return the id, None for what JSON cannot carry back: lone surrogates, and beyond 64 bit."""
     found = document.get("id") if isinstance(document, dict) else None
-    if isinstance(found, bool) or not isinstance(found, str | int):
+    if isinstance(found, str):
+        return None if _SURROGATE.search(found) else found
+    if isinstance(found, bool) or not isinstance(found, int):
         return None
-    return found if _can_be_sent(found) else None
+    return found if -(2**63) <= found < 2**63 else None
 
 
-def _salvaged_id(raw: bytes) -> str | None:
+def _salvaged_id(raw: bytes) -> str | int | None:
     match = _ID.search(raw[:LONGEST_PAYLOAD].decode("utf-8", "replace"))
     try:
-        found = json.loads(match[1]) if match else None
+        return _id_of(json.loads(f"{{{match[0]}}}")) if match else None
     except ValueError:
         return None
-    return found if isinstance(found, str) and _can_be_sent(found) else None
-
-
-def _can_be_sent(found: str | int) -> bool:
-    """False for what a JSON text cannot carry back: lone surrogates, numbers beyond 64 bit."""
-    if isinstance(found, int):
-        return -(2**63) <= found < 2**63
-    return not _SURROGATE.search(found)
 
 
 def _form(kind: type[Request]) -> type[msgspec.Struct]:
@@ -205,18 +199,13 @@ def _finite(place: str, value: float) -> float:
     return value
 
 
-def payload_type(verb: str) -> type[msgspec.Struct]:
-    """Return the shape of the payload of a verb."""
-    return _FORMS[verb]
-
-
 _OFF = "off"
 _LEVELS = ("low", "high", "period_s")
 _AS_SENT: dict[object, object] = {Waveform | None: _Waveform | Literal["off"] | None}
 """Shapes of fields in the payload, where they differ from those of the request."""
 
-_PING = msgspec.defstruct(PING, [], bases=(_Plain,), frozen=True, kw_only=True)
-_FORMS: dict[str, type[msgspec.Struct]] = {
-    PING: _PING,
+FORMS: dict[str, type[msgspec.Struct]] = {
     **{verb: _form(kind) for verb, kind in REQUESTS.items()},
+    PING: msgspec.defstruct(PING, [], bases=(_Plain,), frozen=True, kw_only=True),
 }
+"""Shape of the payload of each verb."""

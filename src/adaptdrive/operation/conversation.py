@@ -45,7 +45,7 @@ async def conversation(broker: Mqtt, drive: str, end_s: float = math.inf) -> Asy
     try:
         async with (
             asyncio.timeout_at(end_s) as connecting,
-            connection(broker, ProtocolVersion.V311, None, None, wait_s) as client,
+            connection(broker, ProtocolVersion.V311, timeout_s=wait_s) as client,
         ):
             connecting.reschedule(None)
             yield client

@@ -2,17 +2,26 @@
 
 It never waits for the broker. A report carries the time of its arrival from here on, however
 long it then waits, so that nothing old is ever sent as new.
+
+For a page that is opened late it keeps the slow steps of the last hour and the readings of 300 s.
+Of the steps in each 12 s at most two are kept: those with the lowest and the highest output, so
+that a plot shows every overshoot. Readings are kept as they come, ten a second.
 """
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import assert_never
+from dataclasses import dataclass
+from datetime import datetime
 
-from adaptdrive.operation.board import Mailbox, StateBoard
-from adaptdrive.operation.clock import WallClock
-from adaptdrive.operation.history import History
+import msgspec
+
+from adaptdrive.operation.board import Mailbox, Outbox, StateBoard
+from adaptdrive.operation.clock import Monotonic, WallClock
 from adaptdrive.operation.messages import (
+    Output,
     Payload,
     drive_message,
     encode,
@@ -20,71 +29,163 @@ from adaptdrive.operation.messages import (
     histogram_message,
     load_message,
 )
-from adaptdrive.operation.outbox import Outbox
-from adaptdrive.operation.profile import Output
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
-    CommandReport,
     DriveReport,
     Event,
     LoadReport,
     Report,
-    SensorSample,
     Severity,
     StateReport,
-    TickReport,
 )
+
+SPAN_S = 3600.0
+BUCKET_S = 12.0
+PAGE_ROWS = 50
+READING_SPAN_S = 300.0
+PAGE_READINGS = 500
+KEYS = (
+    *("time", "k", "reference", "output", "boost_reference_V", "applied_V"),
+    *("controller", "mode", "accepted", "reason", "estimates"),
+)
+"""Keys of a row: those of `telemetry/load` that a plot needs."""
+
+_ROWS = 2 * math.ceil(SPAN_S / BUCKET_S)
+_READINGS = math.ceil(READING_SPAN_S * 10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    taken_s: float
+    output: float
+    body: bytes
+
+    @property
+    def bucket(self) -> float:
+        return self.taken_s // BUCKET_S
+
+
+class History:
+    """The slow steps of the last hour, at most two for each 12 s, and the readings of 300 s."""
+
+    def __init__(self, monotonic: Monotonic) -> None:
+        self._monotonic = monotonic
+        self._rows: deque[_Row] = deque(maxlen=_ROWS)
+        self._readings: deque[bytes] = deque(maxlen=_READINGS)
+        self._asked: tuple[float | None, float | None] = (None, None)
+
+    def add(self, message: Payload) -> None:
+        """Take in a payload of `telemetry/load`."""
+        self._asked = (message["reference"], message["boost_reference_V"])
+        body = encode({key: message[key] for key in KEYS})
+        row = _Row(self._monotonic(), message["output"], body)
+        bucket = [row]
+        while self._rows and self._rows[-1].bucket == row.bucket:
+            bucket.insert(0, self._rows.pop())
+        self._rows.extend(_extremes(bucket))
+
+    def add_reading(self, message: Payload) -> None:
+        """Take in a payload of `telemetry/drive`; nothing is asked for while the bridge is off."""
+        time_s = round(message["time"].timestamp(), 2)
+        asked = self._asked if message["command"].bridge else (None, None)
+        reading = (time_s, message["output"], message["boost_voltage_V"], *asked)
+        self._readings.append(msgspec.json.encode(reading))
+
+    def pages(self, time: datetime) -> Iterator[Payload]:
+        """Yield the payloads of an answer, the newest rows first.
+
+        Args:
+            time: Time of the answer, the same in each of its pages.
+        """
+        oldest_s = self._monotonic() - SPAN_S
+        rows = [row.body for row in self._rows if row.taken_s >= oldest_s]
+        readings = list(self._readings)
+        count = max(1, math.ceil(len(rows) / PAGE_ROWS), math.ceil(len(readings) / PAGE_READINGS))
+        for page in range(1, count + 1):
+            yield {
+                "time": time,
+                "page": page,
+                "pages": count,
+                "rows": _part(rows, page, PAGE_ROWS),
+                "readings": _part(readings, page, PAGE_READINGS),
+            }
+
+
+def _part(bodies: list[bytes], page: int, size: int) -> list[msgspec.Raw]:
+    """Return the bodies of a page; the first page has the newest."""
+    end = max(0, len(bodies) - (page - 1) * size)
+    return [msgspec.Raw(body) for body in bodies[max(0, end - size) : end]]
+
+
+def _extremes(rows: list[_Row]) -> list[_Row]:
+    """Return the rows with the lowest and the highest output, in the order of their times."""
+    if len(rows) <= 2:
+        return rows
+    kept = {min(rows, key=_level).taken_s, max(rows, key=_level).taken_s}
+    return [row for row in rows if row.taken_s in kept][:2]
+
+
+def _level(row: _Row) -> float:
+    return row.output if math.isfinite(row.output) else math.inf
+
 
 REPORTS_HELD = 256
 LOAD_MESSAGES_HELD = 16
 
 
+@dataclass
 class Intake:
     """Receiver of reports.
 
     Attributes:
+        hub: Where they come from.
         board: The present state.
         outbox: Events that the broker has not taken yet.
+        history: Steps and readings for a page that is opened late.
+        wall: Wall clock.
+        output: Name and unit of the regulated quantity.
         load: Slow periods not sent yet.
         drive: The newest word of the fast loop, unless sent.
         histograms: The newest histograms of the fast loop, unless sent.
     """
 
-    def __init__(  # noqa: PLR0913 - it joins the parts of the service
-        self,
-        hub: Hub,
-        board: StateBoard,
-        outbox: Outbox,
-        history: History,
-        *,
-        wall: WallClock,
-        output: Output,
-    ) -> None:
-        self.board = board
-        self.outbox = outbox
+    hub: Hub
+    board: StateBoard
+    outbox: Outbox
+    history: History
+    wall: WallClock
+    output: Output
+
+    def __post_init__(self) -> None:
         self.load: Mailbox[Payload] = Mailbox(LOAD_MESSAGES_HELD)
         self.drive: Mailbox[Payload] = Mailbox(1)
         self.histograms: Mailbox[Payload] = Mailbox(1)
-        self._wall = wall
-        self._output = output
-        self._hub = hub
-        self._history = history
         self._discarded = 0
-        self._reports = hub.subscribe(
-            StateReport, LoadReport, DriveReport, Event, size=REPORTS_HELD
-        )
+        self._unkept: list[bytes] = []
+        kinds = StateReport, LoadReport, DriveReport, Event
+        self._reports = self.hub.subscribe(*kinds, size=REPORTS_HELD)
 
     async def run(self) -> None:
-        """Take reports until cancelled."""
+        """Take reports until cancelled; events are for the broker once they are recorded."""
         while True:
-            reports = await self._reports.take()
-            for report in reports:
-                self._lay_out(report)
-            await self._pass_on([one for one in reports if isinstance(one, Event)])
+            self._lay_out(await self._reports.take())
+            try:
+                if self._unkept:
+                    await self.hub.kept()
+            finally:
+                self._release()
 
     def report(self, kind: str, severity: Severity, detail: str) -> None:
         """Publish an event of the operators' side to the log, the recording and the broker."""
-        self._hub.publish(Event(kind, severity, detail, -1))
+        self.hub.publish(Event(kind, severity, detail, -1))
+
+    def report_deaf(self, detail: str) -> None:
+        """Report that no command arrives, not even a stop."""
+        text = (
+            f"no commands: {detail}; no command arrives over MQTT, no disable either: give this "
+            "daemon's user the right to read its commands"
+        )
+        self.report("broker", Severity.ALARM, text)
 
     def report_discarded(self) -> None:
         """Report how many events were discarded because none could be sent, if any."""
@@ -99,15 +200,13 @@ class Intake:
             )
 
     def catch_up(self) -> None:
-        """Take what has arrived, without waiting for more."""
-        for report in self._reports.drain():
-            self._lay_out(report)
-            if isinstance(report, Event):
-                self.outbox.put(self._event_body(report))
+        """Take what has arrived, without waiting for more: the daemon ends."""
+        self._lay_out(self._reports.drain())
+        self._release()
 
     def history_pages(self) -> Iterator[Payload]:
         """Yield the payloads that answer a request for the last hour."""
-        return self._history.pages(self._wall())
+        return self.history.pages(self.wall())
 
     def forget_telemetry(self) -> None:
         """Throw away telemetry that was not sent in time."""
@@ -115,33 +214,25 @@ class Intake:
         self.drive.drain()
         self.histograms.drain()
 
-    async def _pass_on(self, events: Sequence[Event]) -> None:
-        """Queue events for the broker once they are recorded, or as this daemon ends."""
-        bodies = [self._event_body(event) for event in events]
-        try:
-            if bodies:
-                await self._hub.kept()
-        finally:
-            for body in bodies:
-                self.outbox.put(body)
+    def _lay_out(self, reports: Sequence[Report]) -> None:
+        for report in reports:
+            time = self.wall()
+            match report:
+                case StateReport():
+                    self.board.show(report)
+                case LoadReport():
+                    message = load_message(report, time, self.output)
+                    self.load.put(message)
+                    self.history.add(message)
+                case DriveReport():
+                    message = drive_message(report, time, self.output)
+                    self.drive.put(message)
+                    self.history.add_reading(message)
+                    self.histograms.put(histogram_message(report, time))
+                case Event():
+                    self._unkept.append(encode(event_message(report, time)))
 
-    def _event_body(self, event: Event) -> bytes:
-        return encode(event_message(event, self._wall()))
-
-    def _lay_out(self, report: Report) -> None:
-        match report:
-            case StateReport():
-                self.board.show(report)
-            case LoadReport():
-                message = load_message(report, self._wall(), self._output)
-                self.load.put(message)
-                self._history.add(message)
-            case DriveReport():
-                message = drive_message(report, self._wall(), self._output)
-                self.drive.put(message)
-                self._history.add_reading(message)
-                self.histograms.put(histogram_message(report, self._wall()))
-            case Event() | TickReport() | SensorSample() | CommandReport():
-                pass
-            case _:
-                assert_never(report)
+    def _release(self) -> None:
+        for body in self._unkept:
+            self.outbox.put(body)
+        self._unkept.clear()

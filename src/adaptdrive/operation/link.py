@@ -7,7 +7,6 @@ import math
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,12 +15,12 @@ from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import first_error
 from adaptdrive.files import read_regular
 from adaptdrive.hosts import find
 from adaptdrive.lines import log
-from adaptdrive.operation.clock import Monotonic
+from adaptdrive.operation.clock import BrokerBackoff
 from adaptdrive.operation.name import ClientName
-from adaptdrive.operation.pace import BrokerBackoff
 from adaptdrive.operation.steady import SteadyClient
 
 TIMEOUT_S = 5.0
@@ -31,23 +30,8 @@ _LONGEST_PASSWORD = 65_535
 """Bytes that MQTT has room for."""
 
 
-@dataclass(frozen=True, slots=True)
-class BrokerConnection:
-    """An open connection to a broker.
-
-    Attributes:
-        client: The connected client.
-        protocol: The MQTT version that the broker agreed to.
-        name: The client's name.
-    """
-
-    client: SteadyClient
-    protocol: ProtocolVersion
-    name: ClientName
-
-
-Serve = Callable[[BrokerConnection], Awaitable[None]]
-"""Uses a line; ends with `MqttError` when it is lost."""
+Serve = Callable[[SteadyClient], Awaitable[None]]
+"""Uses a connected client; ends with `MqttError` when the connection is lost."""
 
 _UNSUPPORTED_PROTOCOL = (1, 132)  # in the words of MQTT 3.1.1 and of MQTT 5
 
@@ -56,41 +40,43 @@ class BrokerLink:
     """Keeps one client connected for as long as it runs."""
 
     def __init__(
-        self,
-        settings: Mqtt,
-        name: ClientName,
-        will: Will,
-        backoff: BrokerBackoff,
-        monotonic: Monotonic,
+        self, settings: Mqtt, name: ClientName, will: Will, backoff: BrokerBackoff
     ) -> None:
         self._settings, self._place = settings, f"{settings.host}:{settings.port}"
         self._name = name
         self._will = will
         self._backoff = backoff
-        self._monotonic = monotonic
-        self._since_s: float | None = None
+        self._since_s = math.inf
         self._problem = ""
 
     async def run(self, serve: Serve) -> NoReturn:
         """Connect, serve until the connection is lost, wait, and so on until cancelled.
 
         Args:
-            serve: Called with each line that opens.
+            serve: Called with each client that is connected.
         """
         while True:
             name = self._name.present
             try:
                 await _contained(self._serve_once(serve))
             except* Exception as problems:  # noqa: BLE001 - control continues without a broker
-                self._report(_first(problems))
-            lived_s = 0.0 if self._since_s is None else self._monotonic() - self._since_s
+                self._report(first_error(problems))
+            lived_s = max(0.0, asyncio.get_running_loop().time() - self._since_s)
             if self._name.present != name:  # the broker is there, and a stop must be heard
                 lived_s = math.inf
             await asyncio.sleep(self._backoff.after(lived_s))
 
     async def _serve_once(self, serve: Serve) -> None:
-        self._since_s = None
-        await self._serve_with(await self._agree(), serve)
+        self._since_s = math.inf
+        name, protocol = self._name.present, await self._agree()
+        async with connection(self._settings, protocol, name, self._will) as client:
+            self._since_s = asyncio.get_running_loop().time()
+            self._problem = ""
+            log("info", "broker connected", broker=self._place, protocol=protocol.name, name=name)
+            try:
+                await serve(client)
+            finally:
+                self._name.connection_ended(client)
 
     async def _agree(self) -> ProtocolVersion:
         """Find the newest protocol of the broker.
@@ -101,23 +87,12 @@ class BrokerLink:
         """
         probe = f"{self._name.present}.probe"
         try:
-            async with connection(self._settings, ProtocolVersion.V5, probe, None):
+            async with connection(self._settings, ProtocolVersion.V5, probe):
                 return ProtocolVersion.V5
         except MqttConnectError as refusal:
             if not _speaks_only_older(refusal):
                 raise
             return ProtocolVersion.V311
-
-    async def _serve_with(self, protocol: ProtocolVersion, serve: Serve) -> None:
-        name = self._name.present
-        async with connection(self._settings, protocol, name, self._will) as client:
-            self._since_s = self._monotonic()
-            self._problem = ""
-            log("info", "broker connected", broker=self._place, protocol=protocol.name, name=name)
-            try:
-                await serve(BrokerConnection(client, protocol, self._name))
-            finally:
-                self._name.connection_ended(client)
 
     def _report(self, problem: BaseException) -> None:
         expected = isinstance(problem, MqttError | OSError) and str(problem)
@@ -131,8 +106,8 @@ class BrokerLink:
 async def connection(
     settings: Mqtt,
     protocol: ProtocolVersion,
-    identifier: str | None,
-    will: Will | None,
+    identifier: str | None = None,
+    will: Will | None = None,
     timeout_s: float = math.inf,
 ) -> AsyncIterator[SteadyClient]:
     """One connection to a broker, closed at the end whatever state it is in.
@@ -152,9 +127,22 @@ async def connection(
     """
     timeout_s = min(TIMEOUT_S, timeout_s)
     await _find_host(settings, timeout_s)
-    client = await _client(settings, protocol, identifier, will, timeout_s)
+    password, tls = await asyncio.to_thread(_secrets, settings)
+    client = SteadyClient(
+        settings.host,
+        settings.port,
+        username=settings.username,
+        password=password,
+        tls_context=tls,
+        identifier=identifier,
+        will=will,
+        protocol=protocol,
+        timeout=timeout_s,
+        keepalive=KEEP_ALIVE_S,
+    )
     try:
-        await _enter(client)
+        # a cancelled attempt is waited for, as its thread cannot be stopped
+        await _contained(client.__aenter__(), client.give_up)
         try:
             yield client
         except asyncio.CancelledError:
@@ -177,32 +165,8 @@ async def _find_host(settings: Mqtt, timeout_s: float) -> None:
         raise MqttError(str(problem)) from problem
 
 
-async def _client(
-    settings: Mqtt,
-    protocol: ProtocolVersion,
-    identifier: str | None,
-    will: Will | None,
-    timeout_s: float,
-) -> SteadyClient:
-    password, tls = await asyncio.to_thread(_secrets, settings)
-    return SteadyClient(
-        settings.host,
-        settings.port,
-        username=settings.username,
-        password=password,
-        tls_context=tls,
-        identifier=identifier,
-        will=will,
-        protocol=protocol,
-        timeout=timeout_s,
-        keepalive=KEEP_ALIVE_S,
-    )
-
-
 def _secrets(settings: Mqtt) -> tuple[str | None, ssl.SSLContext | None]:
-    password = None
-    if settings.password_file is not None:
-        password = _read_password(settings.password_file)
+    password = _read_password(settings.password_file) if settings.password_file else None
     return password, _tls(settings.ca_file) if settings.tls else None
 
 
@@ -227,35 +191,28 @@ def _tls(ca_file: Path | None) -> ssl.SSLContext:
         raise OSError(f"ca_file {ca_file} cannot be used: {problem}") from problem
 
 
-async def _enter(client: SteadyClient) -> None:
-    """Connect; a cancelled attempt is waited for, as its thread cannot be stopped."""
-    attempt = asyncio.ensure_future(client.__aenter__())
-    try:
-        await asyncio.shield(attempt)
-    except asyncio.CancelledError:
-        client.give_up()
-        await asyncio.wait([attempt])
-        if not attempt.cancelled():
-            attempt.exception()
-        raise
-
-
 async def _say_goodbye(client: Client) -> None:
     with suppress(MqttError, TimeoutError):
         async with asyncio.timeout(GOODBYE_S):
             await client.__aexit__(None, None, None)
 
 
-async def _contained(work: Coroutine[Any, Any, None]) -> None:
+async def _contained(
+    work: Coroutine[Any, Any, object], give_up: Callable[[], object] | None = None
+) -> None:
     """Await work in a separate task, so that a cancellation is never lost.
 
     A task group that fails while it is being cancelled reports the failure only.
+
+    Args:
+        work: What is awaited.
+        give_up: Ends it early, at a cancellation; None to cancel it.
     """
     task = asyncio.create_task(work)
     try:
         await asyncio.wait([task])
     except asyncio.CancelledError:
-        task.cancel()
+        (give_up or task.cancel)()
         await asyncio.wait([task])
         if not task.cancelled():
             task.exception()
@@ -266,10 +223,3 @@ async def _contained(work: Coroutine[Any, Any, None]) -> None:
 def _speaks_only_older(refusal: MqttConnectError) -> bool:
     code = refusal.rc.value if isinstance(refusal.rc, ReasonCode) else refusal.rc
     return code in _UNSUPPORTED_PROTOCOL
-
-
-def _first(problems: BaseExceptionGroup[BaseException]) -> BaseException:
-    problem: BaseException = problems
-    while isinstance(problem, BaseExceptionGroup):
-        problem = problem.exceptions[0]
-    return problem

@@ -13,9 +13,7 @@ from aiomqtt import Client, Message
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import conversation, end_of, json_object
-from adaptdrive.operation.messages import ONLINE
-from adaptdrive.operation.simulator import TRUTH, simulator_topic
-from adaptdrive.operation.topics import Topics
+from adaptdrive.operation.messages import ONLINE, TRUTH, Topics, simulator_topic
 
 SIMULATOR = "simulator"
 """Name under which `follow` yields the state of a simulated device."""

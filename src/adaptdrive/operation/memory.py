@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 
 import msgspec
 
@@ -27,33 +27,28 @@ class _Entry:
     asked: str | None = None
 
 
+@dataclass
 class ReplyMemory:
     """The last replies by id, across restarts.
 
     Ages run on the monotonic clock, so that a wall clock which is set right after start does not
     make the daemon forget.
+
+    Attributes:
+        recalled: Replies of an earlier run, the oldest first; an id whose reply cannot be read is
+            refused when it comes again.
+        post: Has the log keep the contents of a reply by its id.
+        monotonic: Clock of the ages.
+        limit: Most replies.
     """
 
-    def __init__(
-        self,
-        recalled: Iterable[Recalled],
-        post: Callable[[str, bytes], None],
-        monotonic: Monotonic,
-        limit: int = LIMIT,
-    ) -> None:
-        """Begin with what an earlier run replied.
+    recalled: InitVar[Iterable[Recalled]]
+    post: Callable[[str, bytes], None]
+    monotonic: Monotonic
+    limit: int = LIMIT
 
-        Args:
-            recalled: Replies, the oldest first; an id whose reply cannot be read is refused when
-                it comes again.
-            post: Has the log keep the contents of a reply by its id.
-            monotonic: Clock of the ages.
-            limit: Most replies.
-        """
-        self._post = post
-        self._monotonic = monotonic
-        self._limit = limit
-        now_s = monotonic()
+    def __post_init__(self, recalled: Iterable[Recalled]) -> None:
+        now_s = self.monotonic()
         self._entries = OrderedDict(
             (identity, _entry(identity, now_s - age_s, body)) for identity, age_s, body in recalled
         )
@@ -78,15 +73,15 @@ class ReplyMemory:
             asked: What the command asked for with its verb, None where nobody compares it.
         """
         self._entries.pop(identity, None)
-        self._entries[identity] = _Entry(reply, self._monotonic(), asked)
-        self._post(identity, msgspec.json.encode((reply, asked)))
+        self._entries[identity] = _Entry(reply, self.monotonic(), asked)
+        self.post(identity, msgspec.json.encode((reply, asked)))
         self._forget()
 
     def _forget(self) -> None:
-        oldest_s = self._monotonic() - LIFETIME_S
+        oldest_s = self.monotonic() - LIFETIME_S
         while self._entries:
             identity, entry = next(iter(self._entries.items()))
-            if len(self._entries) <= self._limit and entry.born_s >= oldest_s:
+            if len(self._entries) <= self.limit and entry.born_s >= oldest_s:
                 return
             del self._entries[identity]
 

@@ -1,4 +1,4 @@
-"""Payloads of the daemon: state, telemetry, events and replies.
+"""The contract: payloads of the daemon, topics of a drive, and those of a simulated device.
 
 A payload holds the fields of a report, as `runtime/reports.py` documents them. It is JSON in SI
 units with RFC 3339 times in UTC. JSON has neither NaN nor infinity: the encoder writes null.
@@ -7,14 +7,16 @@ units with RFC 3339 times in UTC. JSON has neither NaN nor infinity: the encoder
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from adaptdrive.control.signals import Mode
 from adaptdrive.operation.clock import Synchronisation
-from adaptdrive.operation.profile import Output, Profile
+from adaptdrive.operation.commands import STOP
 from adaptdrive.runtime.reports import (
     SLOW_COLUMNS,
     DriveReport,
@@ -25,6 +27,46 @@ from adaptdrive.runtime.reports import (
     StateReport,
 )
 from adaptdrive.runtime.trips import remedy
+
+Range = tuple[float | None, float | None]
+"""Lowest and highest value, None where there is no limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """The regulated quantity.
+
+    Attributes:
+        name: Its name, such as `speed`.
+        unit: Unit of output, reference and set-point; empty for a plain number.
+    """
+
+    name: str = "output"
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """The constant part of `state`.
+
+    Attributes:
+        drive: Name of the drive.
+        output: Name and unit of the regulated quantity.
+        limits: Lowest and highest values: of `setpoint` and `output_trip` in the unit of the
+            output, of `pole`, of `boost_V`, `boost_trip_V`, `power_W` and, for a waveform,
+            `period_s`.
+        modes: Modes that an operator can choose.
+        version: Version of the daemon.
+        manipulated: Name and unit of what the drive is commanded, and gives.
+    """
+
+    drive: str
+    output: Output = Output()
+    limits: Mapping[str, Range] | None = None
+    modes: tuple[Mode, ...] = tuple(Mode)
+    version: str = ""
+    manipulated: Output = Output("v_bst", "V")
+
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -131,3 +173,93 @@ def _named(output: Output) -> Payload:
 def _fields(report: DataclassInstance, *left_out: str) -> Payload:
     names = (field.name for field in dataclasses.fields(report))
     return {name: getattr(report, name) for name in names if name not in left_out}
+
+
+ROOT = "adaptdrive"
+SIMULATED = "adaptdrive-sim"
+
+
+class Topics:
+    """The topics of one drive.
+
+    Attributes:
+        availability: `online` or `offline`, retained; also the last will.
+        state: The state as operators see it, retained.
+        load_telemetry: One message per slow period, the last one retained.
+        drive_telemetry: The fast loop, at most ten messages a second.
+        histograms: Counts of all times of ticks since the start, retained.
+        ask_history: Request for the slow steps of the last hour; its payload has no meaning.
+        history: Answers to such requests, for every client.
+        event: Trips, mode changes, fallbacks, bus loss and return.
+        reply: Answers to commands.
+        commands: Filter that catches every command, those with an unknown verb too.
+        probe: Topic among the commands that the daemon itself publishes on, and hears.
+        stop: The topic of the command that stops the drive.
+    """
+
+    def __init__(self, drive: str) -> None:
+        """Name the topics of a drive by its name, as in its configuration."""
+        self._root = f"{ROOT}/{drive}/"
+        self.availability = f"{self._root}availability"
+        self.state = f"{self._root}state"
+        self.load_telemetry = f"{self._root}telemetry/load"
+        self.drive_telemetry = f"{self._root}telemetry/drive"
+        self.histograms = f"{self._root}telemetry/histograms"
+        self.ask_history = f"{self._root}ask/history"
+        self.history = f"{self._root}history"
+        self.event = f"{self._root}event"
+        self.reply = f"{self._root}reply"
+        self.commands = self.command("#")
+        self.probe = self.command("probe")
+        self.stop = self.command(STOP)
+
+    def command(self, verb: str) -> str:
+        """The topic on which a verb is asked for."""
+        return f"{self._root}command/{verb}"
+
+    def verb(self, topic: str) -> str:
+        """The verb that a command topic names, known or not."""
+        return topic.removeprefix(self.command("")[:-1]).removeprefix("/")
+
+    def name(self, topic: str) -> str:
+        """Return a topic of the drive without the drive."""
+        return topic.removeprefix(self._root)
+
+
+TRUTH, DISTURB, REPLY = "truth", "disturb", "reply"
+
+
+class Feature(msgspec.Struct, frozen=True):
+    """A disturbance that the device offers to its operators.
+
+    Attributes:
+        text: What it does, in words.
+        request: Payload of `disturb` without its id.
+    """
+
+    text: str
+    request: dict[str, float]
+
+
+class DeviceReply(msgspec.Struct, frozen=True):
+    """The answer to one request.
+
+    Attributes:
+        id: Id of the request, None where none could be read.
+        accepted: Whether it was carried out.
+        reason: Why not; empty when it was.
+    """
+
+    id: str | None
+    accepted: bool
+    reason: str
+
+
+def simulator_topic(drive: str, leaf: str) -> str:
+    """Return a topic of a simulated device.
+
+    Args:
+        drive: Name of the drive.
+        leaf: `truth`, `disturb` or `reply`.
+    """
+    return f"{SIMULATED}/{drive}/{leaf}"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import uuid
 from collections import deque
-from typing import Protocol
+from collections.abc import Callable
 
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.steady import SteadyClient
@@ -20,13 +20,6 @@ CLOSINGS_WITHIN_S = 120.0
 """Two clients that take turns wait up to 30 s each; brokers are seldom restarted that often."""
 
 
-class OnRival(Protocol):
-    """Called when another client uses the name; `certain` where that is beyond doubt."""
-
-    def __call__(self, detail: str, *, certain: bool) -> None:
-        """Report it."""
-
-
 class ClientName:
     """The client name of one drive's daemon.
 
@@ -34,11 +27,25 @@ class ClientName:
         present: The name to connect under.
     """
 
-    def __init__(self, own: str, monotonic: Monotonic, on_rival: OnRival) -> None:
+    def __init__(
+        self,
+        own: str,
+        monotonic: Monotonic,
+        alarm: Callable[[str], None],
+        trip: Callable[[str], None],
+    ) -> None:
+        """Connect under the drive's own name first.
+
+        Args:
+            own: That name.
+            monotonic: Clock for intervals, in seconds.
+            alarm: Reports another client of this name.
+            trip: Trips the drive, where the other client is beyond doubt.
+        """
         self.present = own
         self._own = own
         self._monotonic = monotonic
-        self._on_rival = on_rival
+        self._alarm, self._trip = alarm, trip
         self._certain = False
         self._closings_s: deque[float] = deque(maxlen=CLOSINGS)
 
@@ -59,8 +66,7 @@ class ClientName:
     def heard_rival(self) -> None:
         """Another client publishes as this drive."""
         if not self._certain:
-            self._certain = True
-            self._on_rival(f"another client publishes as {self._own}", certain=True)
+            self._meet(f"another client publishes as {self._own}", certain=True)
 
     def reclaim(self, client: SteadyClient) -> None:
         """Take the drive's own name again: a daemon that has it loses it, and trips."""
@@ -80,5 +86,15 @@ class ClientName:
 
     def _give_way(self, detail: str, *, certain: bool) -> None:
         self.present = f"{self._own}-{uuid.uuid4().hex[:8]}"
+        self._meet(f"client name {self._own}: {detail}", certain=certain)
+
+    def _meet(self, detail: str, *, certain: bool) -> None:
+        """Report the other client, and trip where it is certain."""
         self._certain = certain
-        self._on_rival(f"client name {self._own}: {detail}", certain=certain)
+        cause = (
+            f"second broker client: {detail}; likeliest a second daemon for this drive on another "
+            "machine: end it"
+        )
+        self._alarm(cause)
+        if certain:
+            self._trip(cause)

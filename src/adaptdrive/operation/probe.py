@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+from contextlib import suppress
 
 from aiomqtt import Message
 
@@ -49,36 +50,30 @@ class CommandProbe:
             self._arrived.set()
         return own
 
-    async def run(self) -> None:
-        """Look whether commands arrive, until cancelled.
+    async def send(self) -> None:
+        """Look once whether commands arrive.
 
         Raises:
             MqttError: The connection is lost.
         """
-        while True:
-            self._arrived.clear()
-            if await self._client.offer(self._topic, self._token):
-                self._report(deaf=not await self._arrives())
-            await asyncio.sleep(PROBE_EVERY_S)
+        self._arrived.clear()
+        if await self._client.offer(self._topic, self._token):
+            self._report(deaf=not await self._arrives())
 
     async def _arrives(self) -> bool:
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(PATIENCE_S):
-                return await self._arrived.wait()
-        except TimeoutError:
-            return False
+                await self._arrived.wait()
+        return self._arrived.is_set()
 
     def _report(self, *, deaf: bool) -> None:
         if deaf == self._deaf:
             return
         self._deaf = deaf
         if deaf:
-            self._intake.report(
-                "broker",
-                Severity.ALARM,
-                f"no commands: the broker has taken a message to {self._topic} and does not "
-                f"deliver it to this daemon within {PATIENCE_S:g} s; no command arrives over MQTT, "
-                "no disable either: give this daemon's user the right to read its commands",
+            self._intake.report_deaf(
+                f"the broker has taken a message to {self._topic} and does not deliver it to this "
+                f"daemon within {PATIENCE_S:g} s"
             )
         else:
             self._intake.report("broker", Severity.INFO, "commands arrive again")

@@ -24,9 +24,14 @@ from adaptdrive.operation.conversation import (
     decoded,
     end_of,
 )
-from adaptdrive.operation.messages import Reply
-from adaptdrive.operation.simulator import DISTURB, REPLY, DeviceReply, simulator_topic
-from adaptdrive.operation.topics import Topics
+from adaptdrive.operation.messages import (
+    DISTURB,
+    REPLY,
+    DeviceReply,
+    Reply,
+    Topics,
+    simulator_topic,
+)
 
 AnyReply = TypeVar("AnyReply", Reply, DeviceReply)
 

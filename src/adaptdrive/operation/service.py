@@ -5,14 +5,17 @@ from __future__ import annotations
 import asyncio
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.board import StateBoard
+from adaptdrive.operation.board import Outbox, StateBoard
 from adaptdrive.operation.clock import (
+    BrokerBackoff,
+    LogRation,
     Monotonic,
     Synchronisation,
     WallClock,
@@ -20,42 +23,52 @@ from adaptdrive.operation.clock import (
     utc_now,
 )
 from adaptdrive.operation.desk import Desk
-from adaptdrive.operation.history import History
 from adaptdrive.operation.home_assistant import discovery
-from adaptdrive.operation.intake import Intake
-from adaptdrive.operation.ledger import Ledger
-from adaptdrive.operation.link import BrokerConnection, BrokerLink
-from adaptdrive.operation.memory import ReplyMemory
-from adaptdrive.operation.messages import OFFLINE, LastTrip, encode, event_message
+from adaptdrive.operation.intake import History, Intake
+from adaptdrive.operation.link import BrokerLink
+from adaptdrive.operation.memory import Recalled, ReplyMemory
+from adaptdrive.operation.messages import OFFLINE, LastTrip, Profile, Topics, encode, event_message
 from adaptdrive.operation.name import ClientName
-from adaptdrive.operation.outbox import Outbox
-from adaptdrive.operation.pace import BrokerBackoff, LogRation
-from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.session import BrokerSession
-from adaptdrive.operation.topics import Topics
+from adaptdrive.operation.steady import SteadyClient
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Severity
+from adaptdrive.runtime.reports import Event, Severity
 from adaptdrive.runtime.requests import Host
 from adaptdrive.runtime.trips import remedy
+from adaptdrive.tasks import repeat
 
 CLOCK_CHECK_S = 10.0
 COMMAND_PATIENCE_S = 1.0
 """Longest wait of a command for the disk: one that hangs must not keep an operator from acting."""
 
 
+async def _wait_for_nothing(_patience_s: float) -> None:
+    pass
+
+
 @dataclass(frozen=True, slots=True)
 class ServiceSurroundings:
-    """Resources of the machine that the service uses.
+    """The log as the service sees it, by default one that keeps nothing, and clocks and chance.
 
     Attributes:
-        ledger: What survives restarts.
+        replies: Replies of earlier runs, the oldest first.
+        events: Time and contents of the events that the broker does not have, the oldest first.
+        trip: Time and text of the last trip, None before the first.
+        note_reply: Has a reply kept by its id.
+        note_sent: Has it kept that the broker has the oldest event.
+        kept: Waits until the disk keeps what was noted and published, for a longest time in s.
         wall: Wall clock in UTC.
         monotonic: Clock for intervals, in seconds.
         synchronisation: Returns whether the wall clock can be trusted.
         uniform: Random number between its arguments, for the back-off.
     """
 
-    ledger: Ledger
+    replies: Sequence[Recalled] = ()
+    events: Sequence[tuple[datetime, Event]] = ()
+    trip: tuple[datetime, str] | None = None
+    note_reply: Callable[[str, bytes], None] = lambda _identity, _body: None
+    note_sent: Callable[[], None] = lambda: None
+    kept: Callable[[float], Awaitable[None]] = _wait_for_nothing
     wall: WallClock = utc_now
     monotonic: Monotonic = time.monotonic
     synchronisation: Callable[[], Synchronisation] = kernel_synchronisation
@@ -80,7 +93,7 @@ class MqttService:
             settings: Section `[mqtt]`.
             host: Carries commands out.
             hub: Where the runtime's reports come from.
-            surroundings: Ledger, clocks and chance.
+            surroundings: Log, clocks and chance.
         """
         drive = profile.drive
         self._topics = Topics(drive)
@@ -90,64 +103,55 @@ class MqttService:
         self._telemetry_s = 1.0 / settings.telemetry_Hz
         self._around = surroundings
         self._host = host
-        ledger, wall = surroundings.ledger, surroundings.wall
-        trip = LastTrip(*ledger.trip, remedy(ledger.trip[1])) if ledger.trip else None
+        tripped, wall = surroundings.trip, surroundings.wall
+        trip = LastTrip(*tripped, remedy(tripped[1])) if tripped else None
         self._board = StateBoard(wall, profile, trip)
-        unsent = (encode(event_message(event, time)) for time, event in ledger.events)
-        outbox, history = Outbox(unsent, ledger.note_sent), History(surroundings.monotonic)
-        self._intake = Intake(hub, self._board, outbox, history, wall=wall, output=profile.output)
+        unsent = (encode(event_message(event, time)) for time, event in surroundings.events)
+        outbox, history = Outbox(unsent, surroundings.note_sent), History(surroundings.monotonic)
+        self._intake = Intake(hub, self._board, outbox, history, wall, profile.output)
         self._desk = self._build_desk(hub)
-        self._link = self._build_link(settings, drive)
+        self._name = ClientName(
+            f"adaptdrive-{drive}", surroundings.monotonic, self._alarm, host.trip
+        )
+        self._link = self._build_link(settings)
 
     def _build_desk(self, hub: Hub) -> Desk:
-        ledger, monotonic = self._around.ledger, self._around.monotonic
+        around = self._around
         return Desk(
             self._host,
-            ReplyMemory(ledger.replies, ledger.note_reply, monotonic),
+            ReplyMemory(around.replies, around.note_reply, around.monotonic),
             lambda: self._board.state,
-            self._around.wall,
-            LogRation(monotonic),
+            around.wall,
+            LogRation(around.monotonic),
             report=hub.publish,
-            kept=lambda: ledger.kept(COMMAND_PATIENCE_S),
+            kept=lambda: around.kept(COMMAND_PATIENCE_S),
             shutting_down=lambda: self._board.shutting_down,
         )
 
-    def _build_link(self, settings: Mqtt, drive: str) -> BrokerLink:
+    def _build_link(self, settings: Mqtt) -> BrokerLink:
         return BrokerLink(
             settings,
-            ClientName(f"adaptdrive-{drive}", self._around.monotonic, self._meet_rival),
+            self._name,
             Will(self._topics.availability, OFFLINE, qos=1, retain=True),
             BrokerBackoff(self._around.uniform),
-            self._around.monotonic,
         )
 
     async def run(self) -> None:
         """Serve until cancelled, with a broker or without."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._intake.run(), name="mqtt intake")
-            tasks.create_task(self._watch_clock(), name="mqtt clock")
+            tasks.create_task(repeat(self._read_clock, CLOCK_CHECK_S), name="mqtt clock")
             tasks.create_task(self._desk.run(), name="mqtt desk")
-            tasks.create_task(self._keep_connected(), name="mqtt link")
+            tasks.create_task(self._link.run(self._serve), name="mqtt link")
 
-    def _meet_rival(self, detail: str, *, certain: bool) -> None:
-        """Report another client of the drive's name, and trip where that is certain."""
-        cause = (
-            f"second broker client: {detail}; likeliest a second daemon for this drive on another "
-            "machine: end it"
-        )
+    def _alarm(self, cause: str) -> None:
         self._intake.report("broker", Severity.ALARM, cause)
-        if certain:
-            self._host.trip(cause)
 
-    async def _watch_clock(self) -> None:
-        while True:
-            self._board.show_clock(self._around.synchronisation())
-            await asyncio.sleep(CLOCK_CHECK_S)
+    async def _read_clock(self) -> None:
+        self._board.show_clock(self._around.synchronisation())
 
-    async def _keep_connected(self) -> None:
-        async def serve(line: BrokerConnection) -> None:
-            pause_s = self._telemetry_s
-            session = BrokerSession(line, self._topics, self._intake, self._desk, pause_s)
-            await session.run(self._announcement)
-
-        await self._link.run(serve)
+    async def _serve(self, client: SteadyClient) -> None:
+        session = BrokerSession(
+            client, self._name, self._topics, self._intake, self._desk, self._telemetry_s
+        )
+        await session.run(self._announcement)

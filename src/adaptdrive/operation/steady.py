@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Any, NoReturn, TypeVar
 
 import paho.mqtt.client as paho
-from aiomqtt import Client, Message, MqttCodeError, MqttError
+from aiomqtt import Client, Message, MqttCodeError, MqttError, ProtocolVersion
 from aiomqtt.types import PahoSocket
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
@@ -46,10 +46,14 @@ class SteadyClient(Client):
     """A client that leaves nothing behind in the event loop.
 
     What it overrides and calls is private to aiomqtt 2.
+
+    Attributes:
+        protocol: Version of MQTT.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
         super().__init__(*args, **kwargs)
+        self.protocol = kwargs.get("protocol", ProtocolVersion.V311)
         self._client.connect_timeout = self.timeout  # of TCP, and of the handshake of TLS
         self._receive: Callable[[Message], None] | None = None
         self._largest: int | None = None

@@ -10,8 +10,13 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.operation.estimate_names import quantity_and_unit
-from adaptdrive.operation.payloads import number, part, printable, unconfirmed_stop
+from adaptdrive.operation.payloads import (
+    number,
+    part,
+    printable,
+    quantity_and_unit,
+    unconfirmed_stop,
+)
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.plot import FORMS, OFF, REFERENCE, plot
 from adaptdrive.watch.record import Payload, WatchRecord

@@ -1,12 +1,27 @@
-"""Handlers of uncaught errors: each one ends the daemon with the drive in its safe state."""
+"""Tasks of a daemon: steps that are taken again and again, and errors outside of every task."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import threading
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any, NoReturn
+
+Step = Callable[[], Awaitable[None]]
+"""Does one thing, for as long as it takes."""
+
+
+async def repeat(step: Step, pause_s: float) -> NoReturn:
+    """Take a step and pause, again and again until cancelled.
+
+    Args:
+        step: What is done.
+        pause_s: Time from the end of one step to the next.
+    """
+    while True:
+        await step()
+        await asyncio.sleep(pause_s)
 
 
 @contextlib.contextmanager
