@@ -23,15 +23,7 @@ from adaptdrive.hardware.canopen.pdo import (
     receive_channel,
     transmit_channel,
 )
-from adaptdrive.hardware.canopen.profile import (
-    CONTROLWORD,
-    DISABLE_VOLTAGE,
-    ENABLE_OPERATION,
-    FAULT_RESET,
-    SHUTDOWN,
-    STATUSWORD,
-    SWITCH_ON,
-)
+from adaptdrive.hardware.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.link.bus import channel_flaws
@@ -56,7 +48,6 @@ _NEEDED = {
     CONTROLWORD: "it is no CiA 402 drive",
     STATUSWORD: "it is no CiA 402 drive",
 }
-_CONTROLWORDS = (DISABLE_VOLTAGE, SHUTDOWN, SWITCH_ON, ENABLE_OPERATION, FAULT_RESET)
 _WORD_BITS = 16
 _OURS = frozenset({SYNC_ID[0], SYNC_PERIOD[0], HEARTBEATS_HEARD[0], HEARTBEAT_SENT[0]})
 _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
@@ -189,7 +180,7 @@ def _check_needed(catalogue: ObjectCatalogue) -> None:
     if entry is None:
         return
     low, high = entry.coding.low, entry.coding.high
-    refused = any(not low <= word <= high for word in _CONTROLWORDS)
+    refused = any(not low <= word <= high for word in CONTROLWORDS)
     if refused or not entry.coding.integer or entry.bits != _WORD_BITS:
         has = f"{entry.bits} bits from {low:g} to {high:g}"
         needs = f"{_WORD_BITS} bits with 0x00, 0x06, 0x07, 0x0F and 0x80"

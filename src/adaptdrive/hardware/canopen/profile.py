@@ -27,6 +27,7 @@ SHUTDOWN = 0x0006
 SWITCH_ON = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
+CONTROLWORDS = (DISABLE_VOLTAGE, SHUTDOWN, SWITCH_ON, ENABLE_OPERATION, FAULT_RESET)
 
 _RESET_COMMANDS = 30
 """Commands for which the reset bit stays up: a drive that takes its words with SYNC must see it."""
