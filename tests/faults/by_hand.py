@@ -98,7 +98,9 @@ class DaemonByHand:
             commanded: Called with each command that reaches the bus.
             now: Monotonic time.
         """
-        settings = replace(daemon_settings(configuration), collect_ticks=0)
+        settings = daemon_settings(configuration)
+        alone = settings.realtime.model_copy(update={"freeze_gc": False})
+        settings = replace(settings, realtime=alone)
         controller = Controller(controller_settings(configuration), build_load(configuration))
         modulus = 65536 if configuration.signals.counter is not None else None
         self.now, self.ran_s = now, -math.inf

@@ -54,6 +54,7 @@ PATIENT = replace(
         timing=replace(SETTINGS.fast.timing, stale_s=1e6),
     ),
 )
+REHEARSING = SETTINGS.realtime.model_copy(update={"rehearse_us": 2000.0})
 
 
 class FailingPort(LoopbackPort):
@@ -431,7 +432,7 @@ async def test_frames_are_rehearsed_and_what_a_drive_answers_when_polled_is_not(
     """A tenth of a second between frames that should come each half cycle: one rehearsal each."""
     timing = replace(PATIENT.fast.timing, ticks_per_reading=ticks_per_reading)
     fast = replace(PATIENT.fast, timing=timing)
-    settings = replace(PATIENT, rehearse_s=0.002, fast=fast)
+    settings = replace(PATIENT, realtime=REHEARSING, fast=fast)
     async with daemon_bench(settings=settings) as bench:
         for _ in range(4):
             bench.frame()
@@ -447,7 +448,7 @@ async def test_a_rehearsal_that_fails_is_a_warning_and_the_drive_goes_on(
         raise RefusedError("tripped (drive fault: word 0x1)")
 
     monkeypatch.setattr(DaemonBench, "rehearse", fail)
-    async with daemon_bench(settings=replace(PATIENT, rehearse_s=0.002)) as bench:
+    async with daemon_bench(settings=replace(PATIENT, realtime=REHEARSING)) as bench:
         with uncaught_errors_end(bench.daemon.fail):
             await bench.start()
             await until(lambda: bool(bench.events("realtime")) or bench.task.done())

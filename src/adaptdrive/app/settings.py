@@ -26,7 +26,6 @@ from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.machine_limits import MachineLimits
-from adaptdrive.runtime.tick_support import COLLECT_TICKS
 
 _LOWEST_LINE = 0.5
 """Share of the nominal line voltage below which the voltage loop does not divide by it."""
@@ -68,15 +67,12 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
 
 def daemon_settings(configuration: Configuration) -> DaemonSettings:
     """Return all settings of the runtime."""
-    realtime = configuration.realtime
     return DaemonSettings(
-        **alike(DaemonSettings, realtime, configuration.interlocks, configuration.load),
+        **alike(DaemonSettings, configuration.interlocks, configuration.load),
         machine=_machine_limits(configuration),
         fast=_fast_loop(configuration),
         report_s=1.0 / configuration.mqtt.telemetry_Hz,
-        spin_s=realtime.spin_us * 1e-6,
-        rehearse_s=realtime.rehearse_us * 1e-6,
-        collect_ticks=COLLECT_TICKS if realtime.freeze_gc else 0,
+        realtime=configuration.realtime,
     )
 
 

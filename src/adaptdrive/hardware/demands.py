@@ -43,7 +43,8 @@ NO_DEMANDS = Demands()
 
 def demands_of(configuration: Configuration) -> Demands:
     """Return what the limits of a configuration ask of its signals."""
-    limits, lowest_S, scale_S = configuration.drive.limits, 0.0, 0.0
+    limits, trips = configuration.drive.limits, configuration.interlocks
+    lowest_S = scale_S = 0.0
     if configuration.voltage_loop.where == "daemon":
         scale_S = limits.current_scale_max_S
         lowest_S = configuration.drive.current_scale_min_S
@@ -55,10 +56,7 @@ def demands_of(configuration: Configuration) -> Demands:
             Command(scale_S, limits.boost_reference_max_V, bridge=True),
         ),
         trips={
-            "boost_voltage_V": (
-                "boost_voltage_max_V",
-                configuration.interlocks.boost_voltage_max_V,
-            ),
-            "output": ("output_max", configuration.interlocks.output_max),
+            "boost_voltage_V": ("boost_voltage_max_V", trips.boost_voltage_max_V),
+            "output": ("output_max", trips.output_max),
         },
     )

@@ -101,7 +101,7 @@ class Daemon:
         """
         loop = asyncio.get_running_loop()
         self._failure = loop.create_future()
-        self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
+        self._timer = TickTimer(loop, self._on_deadline, self._settings.realtime.spin_us * 1e-6)
         self._support = TickSupport(
             self._settings, self._port, self._announcer, self._rehearse, self._clock
         )

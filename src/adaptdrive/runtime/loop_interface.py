@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from adaptdrive.config.services import Realtime
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.runtime.guard import CommandLimits
@@ -66,10 +66,7 @@ class DaemonSettings:
         pole: Closed-loop pole at start.
         fast: The fast loop.
         report_s: Time between two drive reports.
-        late_us: Lateness from which a tick is reported as an event.
-        spin_s: Busy wait before a frame of the drive is due, and before a deadline of the timer.
-        rehearse_s: How long before a frame of the drive is due a tick is rehearsed, 0 for never.
-        collect_ticks: Ticks between two collections of garbage, 0 to leave that to Python.
+        realtime: How hard the fast loop is protected from the rest of the machine.
         refused_share: Share of refused frames that trips the drive, 0 for none.
     """
 
@@ -77,10 +74,7 @@ class DaemonSettings:
     pole: float
     fast: FastLoopSettings
     report_s: float
-    late_us: float = math.inf
-    spin_s: float = 0.0
-    rehearse_s: float = 0.0
-    collect_ticks: int = 0
+    realtime: Realtime
     refused_share: float = 0.0
 
 

@@ -61,6 +61,4 @@ class TimeWindow:
         if not times:
             return Quantiles(math.nan, math.nan, math.nan)
         last = len(times) - 1
-        return Quantiles(
-            p50=times[round(0.50 * last)], p99=times[round(0.99 * last)], max=times[last]
-        )
+        return Quantiles(times[round(0.50 * last)], times[round(0.99 * last)], times[last])

@@ -188,9 +188,9 @@ class TickSupport:
         self._announcer = announcer
         self._rehearse = rehearse
         self._clock = clock
-        self._collector = IdleCollector(settings.collect_ticks)
+        self._collector = IdleCollector(COLLECT_TICKS if settings.realtime.freeze_gc else 0)
         ring = loop.ring if isinstance(loop, WatchedLoop) else None
-        self._detector = LatencyDetector(settings.late_us, self._report_late, clock, ring)
+        self._detector = LatencyDetector(settings.realtime.late_us, self._report_late, clock, ring)
         self._detector.open()
         self._expectant = list(self._get_ready())
 
@@ -213,16 +213,15 @@ class TickSupport:
 
     def _get_ready(self) -> Iterator[_Expectant]:
         """Yield what prepares for each frame of a drive that sends cyclically."""
-        settings, look = self._settings, self._port.catch_up
-        if settings.fast.timing.ticks_per_reading > 1:
+        realtime, look = self._settings.realtime, self._port.catch_up
+        if self._settings.fast.timing.ticks_per_reading > 1:
             # the replies of a drive that is polled come through the loop, which must not be kept
             return
-        if settings.rehearse_s > 0.0:
-            yield DressRehearsal(
-                self._loop, self._rehearse, look, self._report_unrehearsed, settings.rehearse_s
-            )
-        if settings.spin_s > 0.0:
-            yield FrameWatch(self._loop, look, settings.spin_s, self._clock)
+        if realtime.rehearse_us > 0.0:
+            lead_s, report_end = realtime.rehearse_us * 1e-6, self._report_unrehearsed
+            yield DressRehearsal(self._loop, self._rehearse, look, report_end, lead_s)
+        if realtime.spin_us > 0.0:
+            yield FrameWatch(self._loop, look, realtime.spin_us * 1e-6, self._clock)
 
     def _collect(self) -> None:
         """Collect garbage; a late tick does no harm while the drive is off."""

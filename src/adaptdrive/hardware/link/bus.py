@@ -11,7 +11,7 @@ import fcntl
 import ipaddress
 import socket
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import can
@@ -72,13 +72,8 @@ def open_bus(config: CanLink, listen: Iterable[int] = ()) -> can.BusABC:
 
 def missing_here(config: CanLink) -> str:
     """Return why a kernel's interface cannot be opened on this machine, empty where it can."""
-    try:
-        if config.interface == "socketcan":
-            _check_kernel(config)
-            _check_interface_up(config)
-    except BusError as problem:
-        return str(problem)
-    return ""
+    problem = next(_obstacles(config), None) if config.interface == "socketcan" else None
+    return str(BusError(describe_bus(config), problem)) if problem else ""
 
 
 def as_received(config: CanLink, frame: can.Message) -> Callable[[], can.Message]:
@@ -107,8 +102,8 @@ def _is_group(channel: str) -> bool:
 
 
 def _open_socketcan(config: CanLink, listen: Iterable[int]) -> can.BusABC:
-    _check_kernel(config)
-    _check_interface_up(config)
+    for problem in _obstacles(config):
+        raise BusError(describe_bus(config), problem)
     _check_on_the_bus(config)
     filters = [_filter(key) for key in listen]
     return can.Bus(
@@ -126,31 +121,26 @@ def _filter(key: int) -> can.typechecking.CanFilter:
     return {"can_id": key & mask, "can_mask": mask, "extended": extended}
 
 
-def _check_kernel(config: CanLink) -> None:
+def _obstacles(config: CanLink) -> Iterator[str]:
+    """Yield why a kernel's interface cannot be used: one that is down opens but carries nothing."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as problem:
         if problem.errno not in {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}:
             raise
-        advice = (
+        yield (
             "this kernel has no AF_CAN; an adapter needs a kernel with CAN (modprobe can); for a "
             "simulated drive use udp_multicast"
         )
-        raise BusError(describe_bus(config), advice) from problem
-
-
-def _check_interface_up(config: CanLink) -> None:
-    """An interface that is down can be opened but carries nothing: refuse it at once."""
     request = struct.pack("16sh14x", config.channel.encode(), 0)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             answer = fcntl.ioctl(probe, _SIOCGIFFLAGS, request)
-        except OSError as problem:
-            text = "there is no such interface; connect the adapter, or load its driver"
-            raise BusError(describe_bus(config), text) from problem
-    if not struct.unpack_from("h", answer, _IFNAMSIZ)[0] & _IFF_UP:
-        advice = f"the interface is down; try: ip link set {config.channel} up"
-        raise BusError(describe_bus(config), advice)
+    except OSError:
+        yield "there is no such interface; connect the adapter, or load its driver"
+    else:
+        if not struct.unpack_from("h", answer, _IFNAMSIZ)[0] & _IFF_UP:
+            yield f"the interface is down; try: ip link set {config.channel} up"
 
 
 def _check_on_the_bus(config: CanLink) -> None:

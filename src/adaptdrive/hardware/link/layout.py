@@ -127,12 +127,11 @@ def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
     signals = [message.get_signal_by_name(name) for name in names]
     if not all(map(_is_plain, signals)):
         return _slow_unpack(message, frozenset(signal.name for signal in signals))
-    orders: tuple[_ByteOrder, _ByteOrder] = ("little", "big")
-    found = [(_cuts(message, signals, order), order) for order in orders]
-    little, big = (_cutter(cuts, order) for cuts, order in found)
-    if not all(cuts for cuts, _ in found):
-        return big if found[1][0] else little
-    return lambda data: {**little(data), **big(data)}
+    little, big = _cuts(message, signals, "little"), _cuts(message, signals, "big")
+    cut_little, cut_big = _cutter(little, "little"), _cutter(big, "big")
+    if not (little and big):
+        return cut_big if big else cut_little
+    return lambda data: {**cut_little(data), **cut_big(data)}
 
 
 def compile_pack(message: Message, idle: Mapping[str, Raw]) -> Pack:

@@ -24,7 +24,7 @@ from adaptdrive.hardware.modbus.frames import (
 )
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.polled.capacity import RTU_FRAME, Exchange, silence_s
-from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
+from adaptdrive.hardware.polled.link import ExchangeError, PolledLink, Void, never
 
 _PATIENCE = 3
 """Replies that may be missing in a row before a TCP connection is taken to be half open."""
@@ -102,11 +102,8 @@ class ModbusConnection(PolledLink):
         """Ask for registers, or write some, or both, as every polled link does."""
         if void is not None:
             await self._await_silence(void)
-        self._require()
         hasty = self.unsettled_s() > 0.0
-        self.asked_s = self._clock()
-        if void is not None and void():  # asked last: the process may have stood still until here
-            raise OvertakenError("not sent: the line was not silent in time")
+        self._begin(void, "the line was not silent in time")
         asked = request(exchange, words)
         reply = await self._reply_to(asked, exchange)
         await asyncio.sleep(silence_s(self._config))

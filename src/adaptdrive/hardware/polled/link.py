@@ -249,15 +249,22 @@ class PolledLink(ABC):
     def suspect(self) -> None:
         """Take what comes next for what is left of something else."""
 
-    def _require(self) -> None:
-        """Refuse a request on a connection that is lost.
+    def _begin(self, void: Void | None, overtaken: str) -> None:
+        """Note the time of a request, which must not be sent on a connection that is lost.
+
+        Args:
+            void: Whether it is not wanted any more; None where it is in any case.
+            overtaken: Why it then is not.
 
         Raises:
-            ExchangeError: It is.
+            ExchangeError: The connection is lost, or the request is not wanted any more.
         """
         self._note_end()
         if self.lost is not None:
             raise ExchangeError(self.lost)
+        self.asked_s = self._clock()
+        if void is not None and void():  # asked last: the process may have stood still until here
+            raise OvertakenError(f"not sent: {overtaken}")
 
     def _note_end(self) -> None:
         """Take note that the connection has ended, if it has."""

@@ -16,7 +16,7 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.bus_kind import BusKind, bus_of, polled_cautions, tcp_locks
 from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.codec import count, encode_count
-from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
+from adaptdrive.hardware.polled.link import ExchangeError, PolledLink, Void, never
 from adaptdrive.hardware.polled.mapping import Poll, planned
 from adaptdrive.hardware.polled.port import PolledPort
 from adaptdrive.hardware.port import Port
@@ -90,10 +90,7 @@ class ScpiConnection(PolledLink):
         if stream.received:
             self._counts["foreign"] += 1
             self.suspect()
-        self._require()
-        self.asked_s = self._clock()
-        if void is not None and void():  # asked last: the process may have stood still until here
-            raise OvertakenError("not sent: it was no longer wanted")
+        self._begin(void, "it was no longer wanted")
         reply = await self._reply(f"{line}\n".encode(), _first_line)
         if reply is None:
             self._counts["timeouts"] += 1
