@@ -20,7 +20,7 @@ from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import recall
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.recorder_settings import Clocks, Place
+from adaptdrive.recording.recorder_settings import Place
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.hub import Hub
 from tests.recording.material import INFO
@@ -70,12 +70,21 @@ async def remembering(folder: Path, clocks: Time, limit: int = 1000) -> AsyncIte
         yield memory_of(log, recalled, clocks, limit)
 
 
+def _clock() -> tuple[float, float]:
+    return time.monotonic(), time.time()
+
+
 @asynccontextmanager
 async def keeping(folder: Path, hub: Hub) -> AsyncIterator[ServiceSurroundings]:
     """The log of a daemon that records no session."""
-    clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
     recalled = recall(folder, datetime.now(UTC))
-    recorder = Recorder(Place(folder, None), Header(INFO, ""), hub, clocks, recalled=recalled)
+    recorder = Recorder(
+        Place(folder, None),
+        Header(INFO, ""),
+        hub,
+        lambda: (time.monotonic(), time.time()),
+        recalled=recalled,
+    )
     hub.kept = recorder.kept
     running = asyncio.create_task(recorder.run())
     try:

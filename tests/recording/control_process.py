@@ -7,17 +7,20 @@ import asyncio
 import sys
 import time
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
 from adaptdrive.app.news import log_events
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.recorder_settings import Clocks, Place, RecordingPace
+from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, Severity
 from tests.recording.material import INFO, make_tick
+
+
+def clock() -> tuple[float, float]:
+    return time.monotonic(), time.time()
 
 
 async def publish(hub: Hub) -> None:
@@ -30,10 +33,9 @@ async def publish(hub: Hub) -> None:
 
 async def main(sessions: Path) -> None:
     hub = Hub()
-    clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
     pace = RecordingPace(flush_s=0.1, keep_s=60.0)
     place = Place(sessions.with_name("motor.log"), sessions)
-    recorder = Recorder(place, Header(INFO, ""), hub, clocks, pace)
+    recorder = Recorder(place, Header(INFO, ""), hub, clock, pace)
     hub.kept = recorder.kept
     events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:

@@ -19,7 +19,7 @@ from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.log_writer import LogWriter
 from adaptdrive.recording.reader import Session, read_session, session_notes
 from adaptdrive.recording.recorder import EVENT_KIND, Recorder
-from adaptdrive.recording.recorder_settings import Clocks, Place, RecordingPace
+from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import EventRow, Header, Keep
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories
@@ -29,7 +29,6 @@ from adaptdrive.runtime.reports import CommandReport, Event, Severity
 from tests.recording.material import INFO, archive_all, fill, make_tick, wait_until
 
 NOW = datetime(2026, 11, 21, 1, 30, tzinfo=UTC)
-CLOCKS = Clocks(lambda: NOW, time.monotonic)
 PATIENCE_S = 120.0
 COMMANDED = CommandReport("1", "setpoint", "3.1", "ann", accepted=True, reason="")
 
@@ -39,6 +38,10 @@ ROOMY = 1 << 24
 
 TIGHT = 50_000
 """Backlog that a stalled writer fills within a second."""
+
+
+def clock() -> tuple[float, float]:
+    return time.monotonic(), NOW.timestamp()
 
 
 class Bench:
@@ -53,7 +56,7 @@ class Bench:
         self.told = self.hub.subscribe(Event, size=100)
         pace = RecordingPace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s, trip_s=0.5)
         place, header = Place(log_of(sessions), sessions), Header(INFO, "# as configured\n")
-        self.recorder = Recorder(place, header, self.hub, CLOCKS, pace)
+        self.recorder = Recorder(place, header, self.hub, clock, pace)
         self.running: asyncio.Task[None] | None = None
 
     @property
@@ -196,7 +199,7 @@ async def test_an_event_is_on_disk_before_the_next_flush(sessions: Path) -> None
     hub = Hub()
     pace = RecordingPace(flush_s=10 * PATIENCE_S, close_s=4 * PATIENCE_S)
     place, header = Place(log_of(sessions), sessions), Header(INFO, "")
-    recorder = Recorder(place, header, hub, CLOCKS, pace)
+    recorder = Recorder(place, header, hub, clock, pace)
     hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", 77))
     async with asyncio.TaskGroup() as group, asyncio.timeout(PATIENCE_S):
         running = group.create_task(recorder.run())

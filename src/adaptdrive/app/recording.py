@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,7 +22,7 @@ from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log_files import log_folder
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.recorder_settings import Clocks, Place, RecordingPace
+from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header, Keep, SensorColumn
 from adaptdrive.recording.session import SessionInfo, sessions_directory
 from adaptdrive.runtime.hub import Hub
@@ -57,10 +58,9 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
         segment_s=recording.segment_s,
         keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
-    clocks = Clocks(lambda: datetime.now(UTC), now_s)
     pace = RecordingPace(flush_s=recording.flush_s, start_thread=start_thread)
     place = place_of(configuration)
-    return Recorder(place, header, hub, clocks, pace, recalled)
+    return Recorder(place, header, hub, lambda: (now_s(), time.time()), pace, recalled)
 
 
 def surroundings_of(recalled: Recalled, recorder: Recorder) -> ServiceSurroundings:

@@ -144,7 +144,9 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
     if directory is None:
         return []
     due_s = now_s - after_s if logged.open else math.inf
-    trips = _with_reserve(logged.folder, lambda: write_trips(directory, due_s, after_s))
+    trips = _with_reserve(
+        logged.folder, lambda: write_trips(directory, logged.header.info, due_s, after_s)
+    )
     info = read_info(directory)
     for part, files in groupby(logged.files, key=lambda file: file.part):
         if info.segments < part != logged.open:

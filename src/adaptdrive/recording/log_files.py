@@ -6,6 +6,7 @@ The daemon holds a lock on the file that it writes.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import re
 from collections import deque
@@ -22,7 +23,6 @@ from adaptdrive.recording.frames import LARGEST_BYTES, Kind, Loss, Record, read_
 from adaptdrive.recording.memory import Begin, LogMemory, Recalled
 from adaptdrive.recording.session import Ending, SessionInfo, time_in_name
 
-SUFFIX = ".log"
 _NAME = re.compile(r"(?P<number>\d{8})-(?P<session>\d{8}T\d{12}Z)-(?P<part>\d{4,})\.log")
 
 
@@ -59,7 +59,10 @@ class LogFile:
             RecordingError: The file cannot be read.
         """
         first = next(read_frames(_content(self.path)), None)
-        return _begin(first)
+        if isinstance(first, Record) and first.kind is Kind.BEGIN:
+            with contextlib.suppress(*NOT_JSON):
+                return msgspec.msgpack.decode(first.payload, type=Begin)
+        return None
 
 
 def first_begin(files: Iterable[LogFile]) -> Begin | None:
@@ -74,7 +77,7 @@ def first_begin(files: Iterable[LogFile]) -> Begin | None:
 def new_file(folder: Path, number: int, started: datetime, part: int) -> LogFile:
     """Return the file of a number, which need not exist."""
     session = time_in_name(started)
-    path = folder / f"{number:08}-{session}-{part:04}{SUFFIX}"
+    path = folder / f"{number:08}-{session}-{part:04}.log"
     return LogFile(number, session, part, path)
 
 
@@ -120,16 +123,13 @@ def unarchived(directory: Path, info: SessionInfo) -> list[LogFile]:
 
 def is_live(folder: Path) -> bool:
     """Return whether a daemon writes a log."""
-    files = log_files(folder)
-    if not files:
-        return False
     try:
-        with files[-1].path.open("rb") as newest:
+        with log_files(folder)[-1].path.open("rb") as newest:
             fcntl.flock(newest, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except OSError:
-        return False
+    except (IndexError, OSError):
+        pass
     return False
 
 
@@ -218,15 +218,6 @@ def _since_last_begin(files: Sequence[LogFile], flaws: list[str]) -> Sequence[Lo
             flaws.append(str(problem))
     flaws += [f"{file.path.name}: its first record cannot be read" for file in files]
     return ()
-
-
-def _begin(first: Record | Loss | None) -> Begin | None:
-    if not isinstance(first, Record) or first.kind is not Kind.BEGIN:
-        return None
-    try:
-        return msgspec.msgpack.decode(first.payload, type=Begin)
-    except NOT_JSON:
-        return None
 
 
 def _content(path: Path) -> bytes:

@@ -158,16 +158,11 @@ class LogWriter:
     def _write_rows(self) -> None:
         self._begin_rows()
         while _fill(self._taken_rows, self.rows):
-            self._require_reserve()
+            # the last space of a disk is for events and for the record of a trip
+            reserve.set_aside(self._folder)
             self._append([_compressed(item) for item in self._taken_rows])
             self.rows_written += sum(len(item.payload) for item in self._taken_rows)
             self._taken_rows.clear()
-
-    def _require_reserve(self) -> None:
-        """Leave the last space of a disk to events and to the record of a trip."""
-        if not reserve.is_set_aside(self._folder):
-            self._folder.mkdir(parents=True, exist_ok=True)
-            reserve.set_aside(self._folder)
 
     def _append(self, items: list[Record]) -> None:
         self._require_file()

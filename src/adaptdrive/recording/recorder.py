@@ -7,16 +7,17 @@ import contextlib
 import itertools
 from collections import deque
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import msgspec
 
 from adaptdrive.recording.archive_run import Archiving
 from adaptdrive.recording.frames import Kind
-from adaptdrive.recording.log import Log
+from adaptdrive.recording.log import Clock, Log
 from adaptdrive.recording.log_syncs import SYNC, LogNews
 from adaptdrive.recording.memory import TRIP, Recalled
-from adaptdrive.recording.recorder_settings import DEFAULT_PACE, Clocks, Place, RecordingPace
+from adaptdrive.recording.recorder_settings import DEFAULT_PACE, Place, RecordingPace
 from adaptdrive.recording.records import (
     Header,
     TickTable,
@@ -70,7 +71,7 @@ class Recorder:
         place: Place,
         header: Header,
         hub: Hub,
-        clocks: Clocks,
+        clock: Clock,
         pace: RecordingPace = DEFAULT_PACE,
         recalled: Recalled = Recalled(),  # noqa: B008 - frozen
     ) -> None:
@@ -81,7 +82,7 @@ class Recorder:
             header: Facts about the session.
             hub: Where what is recorded comes from, and the recorder's own events go; a queue for
                 each kind, so that ticks never push out an event.
-            clocks: The clocks.
+            clock: Returns monotonic time, as the reports have it, and wall time, in seconds.
             pace: How often and how patiently.
             recalled: What an earlier run has left in the log.
         """
@@ -94,14 +95,14 @@ class Recorder:
         self._sensors = hub.subscribe(SensorSample, DriveReport, size=reports)
         self._events = hub.subscribe(Event, CommandReport, size=_EVENTS_HELD)
         self._publish = hub.publish
-        self._clocks = clocks
+        self._clock = clock
         self._pace = pace
         self._archiving = Archiving(place, header, self._report, pace)
         self._log = Log(
             place.log,
             header,
             recalled,
-            clocks.both,
+            clock,
             hear=self._hear,
             begin_rows=self._archiving.make_session,
             start_thread=pace.start_thread,
@@ -112,7 +113,7 @@ class Recorder:
         self._reported_loss = self._overflow = Dropped()
         self._stalled = False
         self._last_tick = 0
-        self._counted_s = clocks.monotonic()
+        self._counted_s, _ = clock()
 
     @property
     def failing(self) -> bool:
@@ -167,18 +168,19 @@ class Recorder:
     # -- from the feed to the log ----------------------------------------------------------------
 
     async def _feed_for_ever(self) -> None:
-        deadline = self._clocks.monotonic() + self._pace.flush_s
+        deadline = self._clock()[0] + self._pace.flush_s
         while True:
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(max(0.0, deadline - self._clocks.monotonic())):
+                async with asyncio.timeout(max(0.0, deadline - self._clock()[0])):
                     self._note(await self._events.take())
-            if self._clocks.monotonic() >= deadline:
-                deadline = self._clocks.monotonic() + self._pace.flush_s
+            if self._clock()[0] >= deadline:
+                deadline = self._clock()[0] + self._pace.flush_s
                 await self._gather()
                 self._count()
 
     def _note(self, reports: Iterable[Report]) -> None:
-        utc, now_s = self._clocks.utc(), self._clocks.monotonic()
+        now_s, wall_s = self._clock()
+        utc = datetime.fromtimestamp(wall_s, UTC)
         for report in reports:
             if isinstance(report, Event):
                 event = event_row(report, utc, now_s, next(self._numbers))
@@ -241,7 +243,7 @@ class Recorder:
         if new:
             self._reported_loss = dropped
             self._report(Severity.WARNING, f"not recorded so far: {dropped}")
-        now_s = self._clocks.monotonic()
+        now_s = self._clock()[0]
         if new or last or now_s - self._counted_s >= _COUNTED_S:
             self._counted_s = now_s
             self._log.append(Kind.DROPPED, msgspec.msgpack.encode(dropped))

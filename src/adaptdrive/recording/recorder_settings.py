@@ -1,10 +1,9 @@
-"""Settings of the recorder: folders, intervals and clocks."""
+"""Settings of the recorder: folders and intervals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 import msgspec
@@ -62,23 +61,6 @@ class RecordingPace:
 
 
 DEFAULT_PACE = RecordingPace()
-
-
-@dataclass(frozen=True, slots=True)
-class Clocks:
-    """The clocks of the recorder.
-
-    Attributes:
-        utc: Wall clock.
-        monotonic: Monotonic clock in seconds, the one of the reports.
-    """
-
-    utc: Callable[[], datetime]
-    monotonic: Callable[[], float]
-
-    def both(self) -> tuple[float, float]:
-        """Return monotonic and wall time, in seconds."""
-        return self.monotonic(), self.utc().timestamp()
 
 
 def _seen_from(folder: Path, other: Path) -> str:

@@ -14,11 +14,6 @@ _BYTES = 2 << 20
 """Two records of a trip, each of 70 s at full rate."""
 
 
-def is_set_aside(folder: Path) -> bool:
-    """Return whether the reserve is occupied."""
-    return (folder / _FILE).exists()
-
-
 def set_aside(folder: Path) -> None:
     """Occupy the reserve, where that is not done yet.
 
@@ -26,16 +21,17 @@ def set_aside(folder: Path) -> None:
         OSError: There is too little space for the reserve and as much again to record into, or
             something that is no file has its name.
     """
-    path = folder / _FILE
-    held = 0
+    folder.mkdir(parents=True, exist_ok=True)
+    path, held = folder / _FILE, 0
     if path.exists():
         require_regular(path)
         held = path.stat().st_size
+    if held >= _BYTES:
+        return
     if shutil.disk_usage(folder).free < 2 * _BYTES - held:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
-    if held < _BYTES:
-        with path.open("ab") as file:
-            os.posix_fallocate(file.fileno(), 0, _BYTES)
+    with path.open("ab") as file:
+        os.posix_fallocate(file.fileno(), 0, _BYTES)
 
 
 def release(folder: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from adaptdrive.recording.session import (
     TABLES,
     TICKS,
     TRIP_PREFIX,
-    Dropped,
     Ending,
+    SessionInfo,
     time_in_name,
     unfinished_folder,
     write_facts,
@@ -32,11 +33,12 @@ _BEFORE_S = 60.0
 """Time before a trip that its record begins."""
 
 
-def write_trips(directory: Path, due_s: float, after_s: float) -> list[Path]:
+def write_trips(directory: Path, info: SessionInfo, due_s: float, after_s: float) -> list[Path]:
     """Write the record of each trip of a session that has none yet.
 
     Args:
         directory: Directory of the session.
+        info: What was known about it before its first tick.
         due_s: Time of the last trip whose record is due, monotonic.
         after_s: Time after a trip that belongs to its record.
 
@@ -50,8 +52,9 @@ def write_trips(directory: Path, due_s: float, after_s: float) -> list[Path]:
     session = read_session(directory)
     trips = [one for one in session.events if one.kind == TRIP and one.monotonic_s <= due_s]
     missing = [(one, path) for one in trips if not (path := _path(directory, one)).exists()]
+    info = msgspec.structs.replace(info, ended=Ending.ORDERLY, log="")
     recent = {table: segments(directory, session.info, table)[-2:] for table in (*TABLES, *NOTES)}
-    begin_s = _first(recent[TICKS], MONOTONIC)
+    session, begin_s = replace(session, info=info), _first(recent[TICKS], MONOTONIC)
     return [
         _write(session, recent, trip, path, after_s)
         for trip, path in missing
@@ -77,17 +80,10 @@ def _write(
     after_s: float,
 ) -> Path:
     begin_s, end_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
-    info = msgspec.structs.replace(
-        session.info,
-        ended=Ending.ORDERLY,
-        dropped=Dropped(),
-        rows={},
-        histograms={},
-        losses=(),
-        log="",
-    )
     with unfinished_folder(session.path / f".{path.name}") as unfinished:
-        info = write_segment(unfinished, info, 1, lambda one: _between(recent[one], begin_s, end_s))
+        info = write_segment(
+            unfinished, session.info, 1, lambda one: _between(recent[one], begin_s, end_s)
+        )
         first = _first(segments(unfinished, info, TICKS), "sequence")
         info = msgspec.structs.replace(info, first_sequence=first)
         write_facts(unfinished, info, session.config_text)
