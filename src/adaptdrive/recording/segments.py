@@ -25,28 +25,29 @@ from adaptdrive.recording.session import (
     NOTES,
     SENSORS,
     SLOW,
-    TABLES,
     TICKS,
     SessionInfo,
 )
 from adaptdrive.recording.tables import conform, rows_batch, table_schema, ticks_batch
+from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.runtime.statistics import BINS, bin_of
 
-_TIMES = ("lateness_us", "turnaround_us", "tick_us")
 Batches = Iterator[pa.RecordBatch]
-_ALL = (*TABLES, *NOTES)
-_NAME = re.compile(rf"({'|'.join(_ALL)})-(\d{{4,}})\.parquet")
+_TIMES = ("lateness_us", "turnaround_us", "tick_us")
 _TICKS_AT_ONCE = 5_000
 _ROWS_AT_ONCE = 200
 """Rows of a batch: as Python values they take many times their size on disk."""
-_KINDS: dict[str, tuple[Kind, Any]] = {
-    TICKS: (Kind.TICKS, Ticks),
-    SLOW: (Kind.SLOW, list[dict[str, Any]]),
-    SENSORS: (Kind.SENSORS, list[dict[str, Any]]),
-    EVENTS: (Kind.EVENT, EventRow),
-    COMMANDS: (Kind.COMMAND, CommandRow),
+
+_KINDS: dict[str, tuple[Kind, Any, str]] = {
+    TICKS: (Kind.TICKS, Ticks, "sequence"),
+    SLOW: (Kind.SLOW, list[dict[str, Any]], MONOTONIC),
+    SENSORS: (Kind.SENSORS, list[dict[str, Any]], MONOTONIC),
+    EVENTS: (Kind.EVENT, EventRow, "number"),
+    COMMANDS: (Kind.COMMAND, CommandRow, "number"),
 }
-"""Kind and contents of the records of each table."""
+"""Kind and contents of the records of each table, and its column that only ever grows."""
+
+_NAME = re.compile(rf"({'|'.join(_KINDS)})-(\d{{4,}})\.parquet")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -69,6 +70,11 @@ class Segment:
     def closed(self) -> bool:
         """True once it is a Parquet file, perhaps since it was listed."""
         return not self.logged or self.path.exists()
+
+    @property
+    def key(self) -> str:
+        """Name of its column that only ever grows."""
+        return _KINDS[self.table][2]
 
     def batches(self, columns: list[str] | None = None, losses: list[str] | None = None) -> Batches:
         """Yield its rows a batch at a time, as they are on disk.
@@ -136,7 +142,7 @@ def segments(directory: Path, info: SessionInfo, table: str | None = None) -> li
     Raises:
         RecordingError: The folder of the log cannot be read.
     """
-    tables = _ALL if table is None else (table,)
+    tables = _KINDS if table is None else (table,)
     every = (*_logged(directory, info, tables), *closed_segments(directory))
     found = {(one.number, one.table): one for one in every if one.table in tables}
     return sorted(found.values())
@@ -165,7 +171,7 @@ def write_segment(
     """
     rows = dict(info.rows)
     times = {name: list(info.histograms.get(name, [0] * BINS)) for name in _TIMES}
-    for table in _ALL:
+    for table in _KINDS:
         counted = _counted(rows_of(table), table, rows, times)
         write_parquet(parquet_path(directory, table, part), counted)
     histograms = {name: tuple(counts) for name, counts in times.items()}
@@ -215,7 +221,7 @@ def logged_batches(
         RecordingError: A file cannot be read at all.
     """
     losses = [] if losses is None else losses
-    kind, contents = _KINDS[table]
+    kind, contents, _ = _KINDS[table]
     timed: list[tuple[Any, float]] = []
     rows = 0
     for record in records(files, losses):

@@ -11,25 +11,7 @@ import pyarrow as pa
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.segments import Segment, segments
-from adaptdrive.recording.session import (
-    COMMANDS,
-    EVENTS,
-    SENSORS,
-    SLOW,
-    TABLES,
-    TICKS,
-    SessionInfo,
-)
-from adaptdrive.runtime.reports import MONOTONIC
-
-_KEYS = {
-    TICKS: "sequence",
-    SLOW: MONOTONIC,
-    SENSORS: MONOTONIC,
-    EVENTS: "number",
-    COMMANDS: "number",
-}
-"""The column of each table that only ever grows."""
+from adaptdrive.recording.session import SENSORS, TABLES, TICKS, SessionInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +83,7 @@ class _Count:
         Raises:
             RecordingError: They are not later than those before them, as in a copy of a file.
         """
-        table, key = segment.table, _KEYS[segment.table]
+        table, key = segment.table, segment.key
         if key in batch.schema.names:
             first, last = (batch.column(key)[place].as_py() for place in (0, -1))
             if first is None or last is None:
