@@ -19,8 +19,8 @@ from scipy.io import loadmat
 
 from adaptdrive.analysis.export import export
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.records import Header, SensorColumn
-from adaptdrive.recording.session import TICKS, create_session
+from adaptdrive.recording.records import Header
+from adaptdrive.recording.session import TICKS, SensorColumn, create_session
 from tests.operation.peers import load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
@@ -87,15 +87,16 @@ SENSORS = ("2nd.inflow", "_x.inflow", "2nd-inflow", "a" * 64 + ".water", "a" * 6
 @pytest.fixture
 def sensed_path(tmp_path: Path) -> Path:
     """A session with sensors, whose first slow step comes 20 s after its first tick."""
-    directory = create_session(tmp_path / "sessions", INFO, "")
     columns = tuple(SensorColumn(name, "K", "temperature", "sensor bus") for name in SENSORS)
+    info = msgspec.structs.replace(INFO, sensors=columns)
+    directory = create_session(tmp_path / "sessions", info, "")
     step = replace(load_report(1), time_s=70.0)
     batch = msgspec.structs.replace(
         make_batch([make_tick(0), make_tick(1)], [step], last=True),
         sensors=[{"monotonic_s": 60.0} | dict.fromkeys(SENSORS, 288.5)],
         utc_offset_s=UTC_OFFSET_S,
     )
-    record_messages(directory, Header(INFO, "", sensors=columns), batch)
+    record_messages(directory, Header(info, ""), batch)
     return directory
 
 

@@ -37,8 +37,8 @@ SAMPLE = SensorSample(
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of one tick, one slow step, one reading of the sensors and one command."""
-    info = msgspec.structs.replace(INFO, output_unit="K")
     columns = sensor_columns(load_configuration(BATH))
+    info = msgspec.structs.replace(INFO, output_unit="K", sensors=columns)
     report = replace(
         drive_report(1),
         sensors=(SensorReport("thermocouples", True, "", READ, AGE_S, {}),),
@@ -51,7 +51,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         commands=[COMMAND],
     )
     directory = create_session(tmp_path_factory.mktemp("sessions"), info, "")
-    record_messages(directory, Header(info, "", sensors=columns), batch)
+    record_messages(directory, Header(info, ""), batch)
     return directory
 
 

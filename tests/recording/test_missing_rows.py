@@ -10,8 +10,8 @@ import msgspec
 import pytest
 
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.records import Header, SensorColumn
-from adaptdrive.recording.session import Dropped, read_info, write_info
+from adaptdrive.recording.records import Header
+from adaptdrive.recording.session import Dropped, SensorColumn, read_info, write_info
 from adaptdrive.recording.verify import Verification, verify
 from tests.operation.peers import load_report
 from tests.recording.material import INFO, Batch, make_batch, make_tick, record_messages
@@ -31,7 +31,7 @@ def batch(number: int, *, last: bool = False) -> Batch:
 
 def record_in_two_parts(directory: Path) -> None:
     """A recorder that is replaced after two of three batches, so that there are two segments."""
-    header = Header(INFO, "", sensors=SENSORS)
+    header = Header(msgspec.structs.replace(INFO, sensors=SENSORS), "")
     record_messages(directory, header, batch(0), batch(1))
     record_messages(directory, header, batch(2, last=True))
 
@@ -81,7 +81,7 @@ def test_what_of_the_log_could_not_be_read_leaves_no_session_whole(tmp_path: Pat
 
 @pytest.mark.parametrize("table", ["ticks", "slow", "sensors"])
 def test_a_copy_in_the_place_of_another_segment_hides_nothing(tmp_path: Path, table: str) -> None:
-    header = Header(INFO, "", sensors=SENSORS)
+    header = Header(msgspec.structs.replace(INFO, sensors=SENSORS), "")
     for number in range(3):
         record_messages(tmp_path, header, batch(number, last=number == 2))
     assert verdict(tmp_path).whole

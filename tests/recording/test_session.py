@@ -9,12 +9,12 @@ import msgspec
 import pytest
 
 from adaptdrive.errors import RecordingError
+from adaptdrive.recording.reader import find_session
 from adaptdrive.recording.session import (
     Dropped,
     Ending,
     SessionInfo,
     create_session,
-    find_session,
     read_info,
     session_directories,
     sessions_directory,

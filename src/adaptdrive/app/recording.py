@@ -23,8 +23,8 @@ from adaptdrive.recording.log_files import log_folder
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.recorder_settings import Place, RecordingPace
-from adaptdrive.recording.records import Header, Keep, SensorColumn
-from adaptdrive.recording.session import SessionInfo, sessions_directory
+from adaptdrive.recording.records import Header, Keep
+from adaptdrive.recording.session import SensorColumn, SessionInfo, sessions_directory
 from adaptdrive.runtime.hub import Hub
 
 
@@ -54,7 +54,6 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     header = Header(
         info=_info(configuration, learnt),
         config_text=text,
-        sensors=sensor_columns(configuration),
         segment_s=recording.segment_s,
         keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
@@ -160,4 +159,5 @@ def _info(configuration: Configuration, learnt: Learnt) -> SessionInfo:
         prior=learnt.values,
         resolution=learnt.resolution,
         output_unit=configuration.load.output_unit,
+        sensors=sensor_columns(configuration),
     )

@@ -291,6 +291,6 @@ def find(name: str | None, directory: Path | None = None) -> Path:
         name: Its folder, or its name in the folder of sessions; None for the last one.
         directory: Folder of the sessions, that of this machine when None.
     """
-    from adaptdrive.recording.session import find_session  # noqa: PLC0415 - see above
+    from adaptdrive.recording.reader import find_session  # noqa: PLC0415 - see above
 
     return find_session(name, _folder(directory))

@@ -26,7 +26,6 @@ from adaptdrive.recording import reserve
 from adaptdrive.recording.frames import ROW_KINDS, Kind
 from adaptdrive.recording.log_files import (
     LogFile,
-    first_begin,
     is_live,
     last_of,
     log_files,
@@ -104,7 +103,8 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
         for session, group in groupby(files, key=lambda file: file.session):
             of_session, newest = tuple(group), session == files[-1].session
             try:
-                if (begin := first_begin(of_session)) is None:
+                begin = next(filter(None, (file.begin() for file in of_session)), None)
+                if begin is None:
                     _put_aside(of_session, report)
                     continue
                 open_part = files[-1].part if live and newest else 0
@@ -202,8 +202,7 @@ def close_segment(
     losses: list[str] = []
 
     def rows_of(table: str) -> Iterator[pa.RecordBatch]:
-        schema = table_schema(table, header.info.output_unit, header.sensors)
-        return logged_batches(files, table, schema, losses)
+        return logged_batches(files, table, table_schema(table, header.info), losses)
 
     info = write_segment(directory, info, part, rows_of)
     last = last_of(files, Kind.DROPPED)

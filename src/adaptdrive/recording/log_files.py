@@ -10,7 +10,7 @@ import contextlib
 import fcntl
 import re
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -63,15 +63,6 @@ class LogFile:
             with contextlib.suppress(*NOT_JSON):
                 return msgspec.msgpack.decode(first.payload, type=Begin)
         return None
-
-
-def first_begin(files: Iterable[LogFile]) -> Begin | None:
-    """Return the first record that can be read of one of some files, None for none.
-
-    Raises:
-        RecordingError: A file cannot be read at all.
-    """
-    return next(filter(None, (file.begin() for file in files)), None)
 
 
 def new_file(folder: Path, number: int, started: datetime, part: int) -> LogFile:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -82,33 +81,17 @@ def read_parquet(path: Path, columns: list[str] | None = None) -> Iterator[pa.Re
     Raises:
         RecordingError: The file is damaged.
     """
-    with _opened(path) as file:
-        wanted = columns and [name for name in columns if name in file.schema_arrow.names]
-        # one thread: more of them take half as much processor time again, from the daemon
-        for batch in file.iter_batches(_BATCH_ROWS, columns=wanted, use_threads=False):
-            if batch.num_rows:
-                yield batch
-
-
-def parquet_schema(path: Path) -> pa.Schema:
-    """Return the columns of a file.
-
-    Raises:
-        RecordingError: The file is damaged.
-    """
-    with _opened(path) as file:
-        return file.schema_arrow
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[pq.ParquetFile]:
     try:
         require_regular(path)
         with (
             open_file(path, "rb") as source,
             pq.ParquetFile(source, page_checksum_verification=True) as file,
         ):
-            yield file
+            wanted = columns and [name for name in columns if name in file.schema_arrow.names]
+            # one thread: more of them take half as much processor time again, from the daemon
+            for batch in file.iter_batches(_BATCH_ROWS, columns=wanted, use_threads=False):
+                if batch.num_rows:
+                    yield batch
     except (pa.ArrowException, OSError) as problem:
         raise RecordingError(path, str(problem)) from problem
 

@@ -21,11 +21,15 @@ from adaptdrive.recording.session import (
     COMMANDS,
     CONFIG_FILE,
     EVENTS,
+    NO_SESSION,
+    PARTS,
     SENSORS,
     SLOW,
     TICKS,
     SessionInfo,
+    has_any,
     read_info,
+    session_directories,
 )
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema
 
@@ -70,13 +74,6 @@ class Session:
         """Values of the sensor buses."""
         return self._table(SENSORS)
 
-    def schema(self, table: str) -> pa.Schema:
-        """Return the columns of a table, with their units."""
-        if table != SENSORS:
-            return table_schema(table, self.info.output_unit)
-        found = [segment.schema() for segment in segments(self.path, self.info, table)]
-        return pa.unify_schemas(found) if found else pa.schema([])
-
     def batches(self, table: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
         """Yield the rows of a table a batch at a time.
 
@@ -120,13 +117,13 @@ class Session:
         self, table: str, columns: Sequence[str] | None
     ) -> list[Iterator[pa.RecordBatch]]:
         """Return the rows of each segment of a table, read when they are asked for."""
-        schema = self.schema(table)
+        schema = table_schema(table, self.info)
         if columns is not None:
             schema = pa.schema([schema.field(name) for name in columns])
         return [segment.rows(schema) for segment in segments(self.path, self.info, table)]
 
     def _table(self, table: str) -> pa.Table:
-        return pa.Table.from_batches(list(self.batches(table)), self.schema(table))
+        return pa.Table.from_batches(list(self.batches(table)), table_schema(table, self.info))
 
 
 def session_notes(
@@ -159,7 +156,8 @@ def session_notes(
 
 def _notes(segment: Segment) -> list[Any]:
     try:
-        rows = [row for batch in segment.batches() for row in batch.to_pylist()]
+        schema = table_schema(segment.table)
+        rows = [row for batch in segment.rows(schema) for row in batch.to_pylist()]
         return [msgspec.convert(row, NOTE_ROWS[segment.table]) for row in rows]
     except (msgspec.ValidationError, ValueError, OverflowError) as problem:
         raise RecordingError(segment.path, f"damaged {segment.table}: {problem}") from problem
@@ -196,3 +194,26 @@ def _read_text(path: Path) -> str:
         raise RecordingError(path, reason_of(problem)) from problem
     except UnicodeDecodeError as problem:
         raise RecordingError(path, str(problem)) from problem
+
+
+def find_session(name: str | None, sessions: Path) -> Path:
+    """Return the session that an operator names by path, or by its name in `sessions`.
+
+    Its path ends in the name of the session also where that was given as `.` or `..`.
+
+    Args:
+        name: Path or name, None for the last session.
+        sessions: Folder of the sessions.
+
+    Raises:
+        RecordingError: There is none.
+    """
+    if name is None:
+        *_, last = (None, *session_directories(sessions))
+        if last is None:
+            raise RecordingError(sessions, NO_SESSION)
+        return last
+    for directory in (Path(name), sessions / name):
+        if has_any(directory, PARTS):
+            return directory if directory.name.strip(".") else directory.resolve()
+    raise RecordingError(name, f"no such session, neither as a path nor in {sessions}")

@@ -68,22 +68,6 @@ class Ticks(msgspec.Struct, frozen=True):
     columns: dict[str, bytes | list[str]]
 
 
-class SensorColumn(msgspec.Struct, frozen=True):
-    """One column of the sensor buses.
-
-    Attributes:
-        name: Its name on disk, such as `module.water`.
-        unit: Unit, empty where it is not known.
-        meaning: What the value is.
-        source: Where it comes from.
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    source: str
-
-
 class EventRow(msgspec.Struct, frozen=True):
     """One event as it is recorded.
 
@@ -157,7 +141,6 @@ class Header(msgspec.Struct, frozen=True):
         config_text: The configuration in force, as TOML.
         sessions: Folder of all sessions, from the state directory on; empty where none is
             recorded.
-        sensors: Columns of the sensor buses.
         segment_s: Length of a segment of the session.
         keep: How long sessions are kept.
     """
@@ -165,7 +148,6 @@ class Header(msgspec.Struct, frozen=True):
     info: SessionInfo
     config_text: str
     sessions: str = ""
-    sensors: tuple[SensorColumn, ...] = ()
     segment_s: float = 3600.0
     keep: Keep = Keep()
 

@@ -16,8 +16,8 @@ import pyarrow as pa
 
 from adaptdrive.errors import NOT_JSON, RecordingError
 from adaptdrive.recording.frames import ROW_KINDS, Kind, Record
-from adaptdrive.recording.log_files import LogFile, first_begin, records, unarchived
-from adaptdrive.recording.parquet import parquet_schema, read_parquet, write_parquet
+from adaptdrive.recording.log_files import LogFile, records, unarchived
+from adaptdrive.recording.parquet import read_parquet, write_parquet
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
 from adaptdrive.recording.session import (
     COMMANDS,
@@ -28,7 +28,7 @@ from adaptdrive.recording.session import (
     TICKS,
     SessionInfo,
 )
-from adaptdrive.recording.tables import conform, rows_batch, table_schema, ticks_batch
+from adaptdrive.recording.tables import conform, rows_batch, ticks_batch
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.runtime.statistics import BINS, bin_of
 
@@ -76,54 +76,24 @@ class Segment:
         """Name of its column that only ever grows."""
         return _KINDS[self.table][2]
 
-    def batches(self, columns: list[str] | None = None, losses: list[str] | None = None) -> Batches:
-        """Yield its rows a batch at a time, as they are on disk.
-
-        Args:
-            columns: The columns wanted, where the segment has them; None for all.
-            losses: Takes what of the log cannot be read, in words.
-
-        Raises:
-            RecordingError: The file is damaged.
-        """
-        if self.closed:
-            yield from read_parquet(self.path, columns)
-            return
-        schema = self._logged_schema()
-        wanted = [name for name in schema.names if columns is None or name in columns]
-        for batch in logged_batches(self.logged, self.table, schema, losses):
-            yield batch.select(wanted)
-
     def rows(self, schema: pa.Schema, losses: list[str] | None = None) -> Batches:
-        """Yield its rows a batch at a time, as those of its table.
+        """Yield its rows a batch at a time.
 
         Args:
-            schema: The columns wanted.
+            schema: The columns wanted, of those of its table.
             losses: Takes what of the log cannot be read, in words.
 
         Raises:
             RecordingError: The file is damaged, or holds another table.
         """
-        for batch in self.batches(schema.names, losses):
+        if not self.closed:
+            yield from logged_batches(self.logged, self.table, schema, losses)
+            return
+        for batch in read_parquet(self.path, schema.names):
             try:
                 yield conform(batch, schema)
             except ValueError as problem:
                 raise RecordingError(self.path, str(problem)) from problem
-
-    def schema(self) -> pa.Schema:
-        """Return its columns as they are on disk.
-
-        Raises:
-            RecordingError: The file is damaged.
-        """
-        if self.closed:
-            return parquet_schema(self.path)
-        return self._logged_schema()
-
-    def _logged_schema(self) -> pa.Schema:
-        if (begin := first_begin(self.logged)) is None:
-            return pa.schema([])
-        return table_schema(self.table, begin.header.info.output_unit, begin.header.sensors)
 
 
 def parquet_path(directory: Path, table: str, number: int) -> Path:

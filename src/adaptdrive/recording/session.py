@@ -41,7 +41,7 @@ NOTES = (EVENTS, COMMANDS)
 
 NO_SESSION = "it holds no session; sessions are looked for here unless another folder is named"
 
-_PARTS = (INFO_FILE, f"{EVENTS}-*.parquet", f"{TICKS}-*.parquet")
+PARTS = (INFO_FILE, f"{EVENTS}-*.parquet", f"{TICKS}-*.parquet")
 """Files by which a folder is known as a session, although one of them may be lost."""
 
 
@@ -70,6 +70,22 @@ class Dropped(msgspec.Struct, frozen=True):
         return f"{self.ticks} ticks, {self.slow} slow steps and {self.events} events or commands"
 
 
+class SensorColumn(msgspec.Struct, frozen=True):
+    """One column of the sensor buses.
+
+    Attributes:
+        name: Its name on disk, such as `module.water`.
+        unit: Unit, empty where it is not known.
+        meaning: What the value is.
+        source: Where it comes from.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    source: str
+
+
 _MOST_TICKS = 1_000_000_000
 """More than any slow period has: three months."""
 
@@ -94,6 +110,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
         rows: Rows of its tables up to that segment.
         first_sequence: Running number of the first tick: 0 but in the record of a trip.
         losses: What of its log could not be read, in words.
+        sensors: Columns of the sensor buses.
         log: Folder of the log with what follows the closed segments, from that of the sessions on.
         format: Version of the layout of the files.
     """
@@ -114,6 +131,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     rows: dict[str, int] = {}
     first_sequence: int = 0
     losses: tuple[str, ...] = ()
+    sensors: tuple[SensorColumn, ...] = ()
     log: str = ""
     format: int = FORMAT
 
@@ -226,44 +244,22 @@ def session_directories(sessions: Path) -> Iterator[Path]:
 
 def recorded_directories(sessions: Path) -> Iterator[Path]:
     """Yield these, and those of sessions whose `session.json` is lost."""
-    yield from _with_any(sessions, _PARTS)
+    yield from _with_any(sessions, PARTS)
 
 
 def _with_any(sessions: Path, files: tuple[str, ...]) -> Iterator[Path]:
     if sessions.is_dir():
         finished = (path for path in sessions.iterdir() if not path.name.startswith("."))
-        found = [path for path in finished if _has_any(path, files)]
+        found = [path for path in finished if has_any(path, files)]
         yield from sorted(found, key=lambda path: path.name.removeprefix(TRIP_PREFIX))
 
 
-def _has_any(directory: Path, files: tuple[str, ...]) -> bool:
+def has_any(directory: Path, files: tuple[str, ...]) -> bool:
+    """Return whether a folder has a file with one of some names."""
     try:
         return any(True for file in files for _ in directory.glob(file))
     except FileNotFoundError:  # removed meanwhile
         return False
-
-
-def find_session(name: str | None, sessions: Path) -> Path:
-    """Return the session that an operator names by path, or by its name in `sessions`.
-
-    Its path ends in the name of the session also where that was given as `.` or `..`.
-
-    Args:
-        name: Path or name, None for the last session.
-        sessions: Folder of the sessions.
-
-    Raises:
-        RecordingError: There is none.
-    """
-    if name is None:
-        *_, last = (None, *session_directories(sessions))
-        if last is None:
-            raise RecordingError(sessions, NO_SESSION)
-        return last
-    for directory in (Path(name), sessions / name):
-        if any(path.is_file() for part in _PARTS for path in directory.glob(part)):
-            return directory if directory.name.strip(".") else directory.resolve()
-    raise RecordingError(name, f"no such session, neither as a path nor in {sessions}")
 
 
 def write_facts(directory: Path, info: SessionInfo, config_text: str) -> None:

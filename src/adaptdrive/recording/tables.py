@@ -15,8 +15,16 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.control.columns import Column
-from adaptdrive.recording.records import CommandRow, EventRow, SensorColumn, Ticks
-from adaptdrive.recording.session import COMMANDS, EVENTS, SENSORS, SLOW, TICKS
+from adaptdrive.recording.records import CommandRow, EventRow, Ticks
+from adaptdrive.recording.session import (
+    COMMANDS,
+    EVENTS,
+    SENSORS,
+    SLOW,
+    TICKS,
+    SensorColumn,
+    SessionInfo,
+)
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
 
 UTC = pa.timestamp("us", "UTC")
@@ -47,25 +55,24 @@ _UTC_FIELD = _field(
     SensorColumn("utc", "", "wall-clock time of the row, UTC", f"{MONOTONIC} + offset"), UTC, ""
 )
 _MONOTONIC = SensorColumn(MONOTONIC, "s", "monotonic time of the row", "daemon")
+_MONOTONIC_FIELD = _field(_MONOTONIC, pa.float64(), _MONOTONIC.unit)
 
 
-def table_schema(
-    table: str, output_unit: str = "", sensors: Sequence[SensorColumn] = ()
-) -> pa.Schema:
+def table_schema(table: str, info: SessionInfo | None = None) -> pa.Schema:
     """Return the columns of a table.
 
     Args:
         table: Name of the table.
-        output_unit: Unit of the regulated quantity.
-        sensors: Columns of the sensor buses.
+        info: Facts about the session, which has the unit of the output and the sensors.
     """
     if table in NOTE_ROWS:
         found = msgspec.structs.fields(NOTE_ROWS[table])
         return pa.schema([(field.name, _NOTE_TYPES[field.type]) for field in found])
     if table == SENSORS:
-        fields = [_field(one, pa.float64(), one.unit) for one in (_MONOTONIC, *sensors)]
+        sensors = (_MONOTONIC, *(info.sensors if info else ()))
+        fields = [_field(one, pa.float64(), one.unit) for one in sensors]
     else:
-        units = {"y": output_unit, "u": INPUT_UNIT}
+        units = {"y": info.output_unit if info else "", "u": INPUT_UNIT}
         fields = [
             _field(one, _TYPES[one.kind], units.get(one.unit, one.unit)) for one in _COLUMNS[table]
         ]
@@ -80,14 +87,14 @@ def ticks_batch(timed: Sequence[tuple[Ticks, float]], schema: pa.Schema) -> pa.R
         schema: Schema of the ticks.
     """
     rows = sum(ticks.rows for ticks, _ in timed)
-    arrays = {
-        field.name: _array(field.type, [ticks.columns[field.name] for ticks, _ in timed], rows)
-        for field in schema
-        if field.name != _UTC_FIELD.name
-    }
-    offsets = (offset_s for ticks, offset_s in timed for _ in range(ticks.rows))
-    arrays[_UTC_FIELD.name] = pa.array(map(_utc, arrays[MONOTONIC].to_pylist(), offsets), UTC)
-    return pa.RecordBatch.from_pydict(arrays, schema)
+
+    def column(field: pa.Field) -> pa.Array:
+        if field.name != _UTC_FIELD.name:
+            return _array(field.type, [ticks.columns[field.name] for ticks, _ in timed], rows)
+        offsets = (offset_s for ticks, offset_s in timed for _ in range(ticks.rows))
+        return pa.array(map(_utc, column(_MONOTONIC_FIELD).to_pylist(), offsets), UTC)
+
+    return pa.RecordBatch.from_arrays(list(map(column, schema)), schema=schema)
 
 
 def rows_batch(
@@ -129,7 +136,9 @@ def conform(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
         raise ValueError(f"a column is damaged: {problem}") from problem
     rows = pa.RecordBatch.from_arrays(arrays, schema=schema)
     for name in _CHOICES.keys() & set(schema.names):
-        for value in rows.column(name).unique().to_pylist():
+        column = rows.column(name)
+        # without `unique`, for which Arrow loads a large library
+        for value in (*column.dictionary.to_pylist(), *([None] if column.null_count else [])):
             if value not in _CHOICES[name]:
                 choices = ", ".join(_CHOICES[name])
                 flaw = f"{name} is {value!r}, which is none of {choices}"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import pyarrow as pa
 from adaptdrive.recording.memory import TRIP
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import EventRow
-from adaptdrive.recording.segments import Segment, segments, write_segment
+from adaptdrive.recording.segments import Batches, Segment, segments, write_segment
 from adaptdrive.recording.session import (
     NOTES,
     TABLES,
@@ -26,6 +26,7 @@ from adaptdrive.recording.session import (
     unfinished_folder,
     write_facts,
 )
+from adaptdrive.recording.tables import table_schema
 from adaptdrive.runtime.reports import MONOTONIC
 
 TEXT_FILE = "trip.txt"
@@ -67,8 +68,9 @@ def _path(directory: Path, trip: EventRow) -> Path:
 
 
 def _first(found: list[Segment], column: str) -> Any:  # noqa: ANN401 - of the column
-    """Return the first value of a column; 0 without one."""
-    values = (batch.column(column)[0].as_py() for one in found for batch in one.batches([column]))
+    """Return the first value of a column of ticks; 0 without one."""
+    schema = pa.schema([table_schema(TICKS).field(column)])
+    values = (batch.column(column)[0].as_py() for one in found for batch in one.rows(schema))
     return next(values, 0)
 
 
@@ -80,26 +82,23 @@ def _write(
     after_s: float,
 ) -> Path:
     begin_s, end_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
+
+    def rows_of(table: str) -> Batches:
+        schema = table_schema(table, session.info)
+        for batch in chain.from_iterable(segment.rows(schema) for segment in recent[table]):
+            times_s = batch.column(MONOTONIC).to_pylist()
+            first, last = bisect.bisect_left(times_s, begin_s), bisect.bisect_right(times_s, end_s)
+            if first < last:
+                yield batch.slice(first, last - first)
+
     with unfinished_folder(session.path / f".{path.name}") as unfinished:
-        info = write_segment(
-            unfinished, session.info, 1, lambda one: _between(recent[one], begin_s, end_s)
-        )
+        info = write_segment(unfinished, session.info, 1, rows_of)
         first = _first(segments(unfinished, info, TICKS), "sequence")
         info = msgspec.structs.replace(info, first_sequence=first)
         write_facts(unfinished, info, session.config_text)
         events = [one for one in session.events if begin_s <= one.monotonic_s <= end_s]
         (unfinished / TEXT_FILE).write_text(_text(info.drive, trip, events), encoding="utf-8")
         return unfinished.rename(path)
-
-
-def _between(found: list[Segment], begin_s: float, end_s: float) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of some segments within a time."""
-    for segment in found:
-        for batch in segment.batches():
-            times_s = batch.column(MONOTONIC).to_pylist()
-            first, last = bisect.bisect_left(times_s, begin_s), bisect.bisect_right(times_s, end_s)
-            if first < last:
-                yield batch.slice(first, last - first)
 
 
 def _text(drive: str, trip: EventRow, events: list[EventRow]) -> str:

@@ -11,7 +11,8 @@ import pyarrow as pa
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.segments import Segment, segments
-from adaptdrive.recording.session import SENSORS, TABLES, TICKS, SessionInfo
+from adaptdrive.recording.session import TABLES, TICKS, SessionInfo
+from adaptdrive.recording.tables import table_schema
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +46,7 @@ def verify(session: Session) -> Verification:
     count = _Count(session.info.first_sequence)
     for segment in segments(session.path, session.info):
         try:
-            # the columns of sensors are the user's
-            known = segment.table != SENSORS
-            schema = session.schema(segment.table) if known else segment.schema()
-            for batch in segment.rows(schema, problems):
+            for batch in segment.rows(table_schema(segment.table, session.info), problems):
                 count.take(segment, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
@@ -84,16 +82,15 @@ class _Count:
             RecordingError: They are not later than those before them, as in a copy of a file.
         """
         table, key = segment.table, segment.key
-        if key in batch.schema.names:
-            first, last = (batch.column(key)[place].as_py() for place in (0, -1))
-            if first is None or last is None:
-                raise RecordingError(segment.path, f"it does not hold the {key} of each row")
-            if first <= self.last.get(table, -math.inf):
-                raise RecordingError(segment.path, "its rows are not later than those before them")
-            self.last[table] = last
-            if table == TICKS:
-                self.missing_ticks += last + 1 - self.next_sequence - batch.num_rows
-                self.next_sequence = last + 1
+        first, last = (batch.column(key)[place].as_py() for place in (0, -1))
+        if first is None or last is None:
+            raise RecordingError(segment.path, f"it does not hold the {key} of each row")
+        if first <= self.last.get(table, -math.inf):
+            raise RecordingError(segment.path, "its rows are not later than those before them")
+        self.last[table] = last
+        if table == TICKS:
+            self.missing_ticks += last + 1 - self.next_sequence - batch.num_rows
+            self.next_sequence = last + 1
         self.rows[table] = self.rows.get(table, 0) + batch.num_rows
 
 
