@@ -89,9 +89,11 @@ class Master:
 
     def statusword(self) -> int:
         """What the node says of its state after SYNC."""
+        tell = self.node.tpdo[1]
+        tell.is_received = False  # the answer may come before anybody could wait for it
         self.network.sync.transmit()
-        self.node.tpdo[1].wait_for_reception(PATIENCE_S)
-        return int(self.node.tpdo[1][0x6041].raw)
+        until(lambda: tell.is_received, "the state after SYNC")
+        return int(tell[0x6041].raw)
 
 
 @pytest.fixture
