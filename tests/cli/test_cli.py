@@ -1,4 +1,4 @@
-"""The command line, as its own process: exit status, and one clear line for every error."""
+"""The command line: exit status, and one clear line for every error."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 from adaptdrive_sim.cli import app as sim_app
+from tests.cli.here import run_here
 from tests.operation.peers import (
     STANDBY,
     Bench,
@@ -80,6 +81,11 @@ async def adaptdrive(*words: str) -> Outcome:
     output, errors = await process.communicate()
     assert process.returncode is not None
     return Outcome(process.returncode, output.decode(), errors.decode())
+
+
+def here(*words: str) -> Outcome:
+    done = run_here(*words)
+    return Outcome(done.returncode, done.stdout, done.stderr)
 
 
 @pytest.fixture
@@ -137,16 +143,16 @@ async def test_a_refused_command_ends_with_1_and_the_reason(
 
 
 @pytest.mark.parametrize("verb", ["enable", "status"])
-async def test_a_drive_that_is_not_there_ends_with_3(mosquitto: Broker, verb: str) -> None:
-    outcome = await adaptdrive(verb, "nobody", "--timeout", "0.3", *at(mosquitto))
+def test_a_drive_that_is_not_there_ends_with_3(mosquitto: Broker, verb: str) -> None:
+    outcome = here(verb, "nobody", "--timeout", "0.3", *at(mosquitto))
     assert (outcome.status, outcome.output) == (3, "")
     assert outcome.errors.startswith("adaptdrive: nobody: no answer")
     assert outcome.errors.count("\n") == 1
 
 
 @pytest.mark.parametrize("verb", ["enable", "status"])
-async def test_a_broker_that_is_not_there_ends_with_3(free_tcp_port: int, verb: str) -> None:
-    outcome = await adaptdrive(verb, "bench", "--broker", f"127.0.0.1:{free_tcp_port}")
+def test_a_broker_that_is_not_there_ends_with_3(free_tcp_port: int, verb: str) -> None:
+    outcome = here(verb, "bench", "--broker", f"127.0.0.1:{free_tcp_port}")
     assert (outcome.status, outcome.output) == (3, "")
     assert "refused" in outcome.errors
     assert outcome.errors.count("\n") == 1
@@ -255,16 +261,16 @@ async def test_status_of_a_drive_that_left_is_not_shown_as_live(
     assert outcome.output.startswith("left is offline\n  last state")
 
 
-async def test_a_good_configuration_ends_with_0() -> None:
-    outcome = await adaptdrive("check", str(EXAMPLE))
+def test_a_good_configuration_ends_with_0() -> None:
+    outcome = here("check", str(EXAMPLE))
     assert (outcome.status, outcome.errors) == (0, "")
 
 
-async def test_a_bad_configuration_ends_with_2_and_every_flaw(tmp_path: Path) -> None:
+def test_a_bad_configuration_ends_with_2_and_every_flaw(tmp_path: Path) -> None:
     text = EXAMPLE.read_text(encoding="utf-8")
     flawed = tmp_path / "flawed.toml"
     flawed.write_text("unknown_key = 1\n" + text + "\n[realtime]\nlate_fraction = 7\n")
-    outcome = await adaptdrive("check", str(flawed))
+    outcome = here("check", str(flawed))
     assert (outcome.status, outcome.output) == (2, "")
     lines = outcome.errors.splitlines()
     assert all(line.startswith(f"adaptdrive: {flawed}: ") for line in lines)
@@ -272,14 +278,14 @@ async def test_a_bad_configuration_ends_with_2_and_every_flaw(tmp_path: Path) ->
     assert any("realtime.late_fraction" in line for line in lines)
 
 
-async def test_a_configuration_without_an_end_ends_with_2() -> None:
-    outcome = await adaptdrive("check", "/dev/zero")
+def test_a_configuration_without_an_end_ends_with_2() -> None:
+    outcome = here("check", "/dev/zero")
     assert outcome.status == 2
     assert "more than" in outcome.errors
 
 
-async def test_a_check_for_programs_lists_limits_and_flaws(tmp_path: Path) -> None:
-    outcome = await adaptdrive("check", "--json", str(EXAMPLE))
+def test_a_check_for_programs_lists_limits_and_flaws(tmp_path: Path) -> None:
+    outcome = here("check", "--json", str(EXAMPLE))
     report = json.loads(outcome.output)
     assert (outcome.status, outcome.errors) == (0, "")
     assert report["valid"]
@@ -289,29 +295,29 @@ async def test_a_check_for_programs_lists_limits_and_flaws(tmp_path: Path) -> No
     assert stale["limit_s"] == tomllib.loads(EXAMPLE.read_text())["interlocks"]["stale_s"]
     flawed = tmp_path / "flawed.toml"
     flawed.write_text("unknown_key = 1\n" + EXAMPLE.read_text(encoding="utf-8"))
-    outcome = await adaptdrive("check", "--json", str(flawed))
+    outcome = here("check", "--json", str(flawed))
     report = json.loads(outcome.output)
     assert (outcome.status, report["valid"]) == (2, False)
     assert "unknown_key" in [one["place"] for one in report["flaws"]]
 
 
 @pytest.mark.parametrize("verb", ["check", "run", "probe"])
-async def test_a_missing_configuration_ends_with_2(tmp_path: Path, verb: str) -> None:
-    outcome = await adaptdrive(verb, str(tmp_path / "none.toml"))
+def test_a_missing_configuration_ends_with_2(tmp_path: Path, verb: str) -> None:
+    outcome = here(verb, str(tmp_path / "none.toml"))
     assert (outcome.status, outcome.output) == (2, "")
     assert "none.toml" in outcome.errors
     assert outcome.errors.count("\n") == 1
 
 
-async def test_a_missing_session_is_one_clear_line(tmp_path: Path) -> None:
-    outcome = await adaptdrive("replay", str(tmp_path / "none"))
+def test_a_missing_session_is_one_clear_line(tmp_path: Path) -> None:
+    outcome = here("replay", str(tmp_path / "none"))
     assert (outcome.status, outcome.output) == (1, "")
     assert outcome.errors.startswith("adaptdrive: ")
     assert outcome.errors.count("\n") == 1
 
 
-async def test_the_schema_is_the_one_of_the_configuration() -> None:
-    outcome = await adaptdrive("schema")
+def test_the_schema_is_the_one_of_the_configuration() -> None:
+    outcome = here("schema")
     assert outcome.status == 0
     assert json.loads(outcome.output) == Configuration.model_json_schema()
 
@@ -320,8 +326,8 @@ async def test_the_version() -> None:
     assert await adaptdrive("--version") == Outcome(0, f"{__version__} (pure Python)\n", "")
 
 
-async def test_help_names_every_command() -> None:
-    outcome = await adaptdrive("--help")
+def test_help_names_every_command() -> None:
+    outcome = here("--help")
     assert (outcome.status, outcome.errors) == (0, "")
     for command in ("run", "check", "schema", "probe", "replay", "status", "setpoint"):
         assert command in outcome.output
@@ -360,8 +366,8 @@ def test_help_names_each_argument_as_a_person_would(
         "check",
     ],
 )
-async def test_wrong_words_end_with_2_and_one_line(words: str) -> None:
-    outcome = await adaptdrive(*words.split())
+def test_wrong_words_end_with_2_and_one_line(words: str) -> None:
+    outcome = here(*words.split())
     assert (outcome.status, outcome.output) == (2, "")
     assert outcome.errors.startswith("adaptdrive: ")
     assert outcome.errors.count("\n") == 1
@@ -576,16 +582,16 @@ def test_a_password_that_is_too_long_is_one_line(
 
 
 @pytest.mark.parametrize("words", [("--ca-file", "/etc/ca.pem"), ("--tls", "--ca-file", "x")])
-async def test_an_authority_without_tls_is_refused(words: tuple[str, ...]) -> None:
-    outcome = await adaptdrive("disable", "bench", "--broker", "127.0.0.1:1", *words)
+def test_an_authority_without_tls_is_refused(words: tuple[str, ...]) -> None:
+    outcome = here("disable", "bench", "--broker", "127.0.0.1:1", *words)
     refused = "--tls" not in words
     assert ("over the wire in clear" in outcome.errors) is refused
     assert outcome.status == (2 if refused else 3)
 
 
 @pytest.mark.parametrize("host", ["a" * 64, "bad_-", "x..y", "tür" * 30])
-async def test_a_broker_that_cannot_be_looked_up_is_refused(host: str) -> None:
-    outcome = await adaptdrive("disable", "bench", "--broker", host)
+def test_a_broker_that_cannot_be_looked_up_is_refused(host: str) -> None:
+    outcome = here("disable", "bench", "--broker", host)
     assert "host name" in outcome.errors
     assert outcome.status == 2
 

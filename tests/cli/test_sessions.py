@@ -1,4 +1,4 @@
-"""The commands on recorded sessions, as their own process."""
+"""The commands on recorded sessions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from datetime import timedelta
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from adaptdrive.recording.recorder import EVENT_KIND
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import Dropped, create_session
 from adaptdrive.runtime.reports import EVENT_KINDS
+from tests.cli.here import run_here
 from tests.recording.material import INFO, make_batch, make_tick, record_messages, write_log
 
 NAME = "20261121T012209Z_motor"
@@ -27,13 +27,7 @@ TICKS_FILE = "ticks-0001.parquet"
 
 
 def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join(sys.path),
-        "STATE_DIRECTORY": str(folder),
-        "COLUMNS": "200",
-    }
-    command = [sys.executable, "-m", "adaptdrive.cli", *words]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    return run_here(*words, STATE_DIRECTORY=str(folder))
 
 
 @pytest.fixture
