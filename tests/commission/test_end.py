@@ -21,6 +21,8 @@ from tests.commission.answering_drive import answering_drive
 from tests.pseudo_terminal import Screen
 from tests.support import Broker, acting
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 PATIENCE_S = 120.0
 HELD_S = 1.0

@@ -6,6 +6,7 @@ import ast
 import sys
 import tomllib
 from collections.abc import Iterable
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -37,6 +38,7 @@ NOT_IMPORTED = {
 }
 
 
+@cache
 def modules(folder: str) -> dict[str, Path]:
     """The packages of others that a folder imports, each with one place."""
     found: dict[str, Path] = {}
@@ -65,8 +67,11 @@ def declared(extras: Iterable[str]) -> set[str]:
     return {canonicalize_name(Requirement(text).name) for text in texts}
 
 
+installed = cache(packages_distributions)
+
+
 def distributions(module: str) -> set[str]:
-    return {canonicalize_name(name) for name in packages_distributions().get(module, [])}
+    return {canonicalize_name(name) for name in installed().get(module, [])}
 
 
 @pytest.mark.parametrize("folder", EXTRAS)
