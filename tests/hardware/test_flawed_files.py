@@ -54,7 +54,13 @@ def test_a_flaw_of_a_dbc_is_a_remark_with_its_line(tmp_path: Path, flaw: str) ->
 
 
 @pytest.mark.parametrize(
-    "text", ['CM_ SG_ 256 "no name";\n', "BS_: 500000 : 1,2\n", 'CM_ "a;\nb"\n']
+    "text",
+    [
+        'CM_ SG_ 256 "no name";\n',
+        "BS_: 500000 : 1,2\n",
+        'CM_ "a;\nb"\n',
+        'BA_DEF_ BO_  "Colour" STRING ;\nBA_ "Colour" BO_ 256 "#57e389";\n',
+    ],
 )
 def test_what_nobody_reads_may_be_spoilt(tmp_path: Path, text: str) -> None:
     assert read_dbc(written(tmp_path, text + SOUND)).remarks == []
@@ -84,6 +90,17 @@ def test_a_name_that_begins_with_a_digit_is_used_as_it_stands(tmp_path: Path) ->
     found = catalogue.find("Sound.5V_RAIL", "signals.bridge")
     assert found is not None
     assert catalogue.field(found, "state").names == {1: "On"}
+
+
+def test_names_of_values_may_continue_in_the_next_lines(tmp_path: Path) -> None:
+    text = SOUND + 'VAL_ 256 Level 0 "Off" \n 1 "On" -2\n"Back" \n;\n' + FLAWS["names of nothing"]
+    description = read_dbc(written(tmp_path, text))
+    catalogue = SignalCatalogue(description, fd=False)
+    found = catalogue.find("Sound.Level", "signals.bridge")
+    assert found is not None
+    assert catalogue.field(found, "state").names == {0: "Off", 1: "On", -2: "Back"}
+    (remark,) = description.remarks
+    assert remark.startswith("line 9: ")
 
 
 def test_an_id_of_29_bits_without_its_mark_is_one_of_29_bits(tmp_path: Path) -> None:

@@ -15,6 +15,9 @@ from adaptdrive.config.tables import shortened
 from adaptdrive.hardware.link.layout import bit_mask
 
 _COMMENT = re.compile(r'^[ \t]*CM_(?=[ \t])[^"\n]*"(?:[^"\\]|\\.)*"[ \t]*;?', re.MULTILINE)
+_CONTINUED = re.compile(r'^[ \t]*VAL_[ \t][^;\n]*(?:\n[ \t]*(?:-?\d|"|;).*)+', re.MULTILINE)
+"""An entry of a value table in several lines: no other line begins with a number or a text."""
+
 _BIT_TIMING = re.compile(r"^[ \t]*BS_[ \t]*:.*$", re.MULTILINE)
 _MESSAGE = re.compile(r"[ \t]*BO_[ \t]+(\d+)[ \t]+(\w+)[ \t]*:[ \t]*(\d+)")
 _SIGNAL = re.compile(
@@ -30,8 +33,9 @@ _NAMED_BY_DIGIT = re.compile(
 )
 _BARE_POINT = re.compile(r"(?<=[(,\[|])([ \t]*-?)\.(?=\d)")
 
-_LARGE = re.compile(r"(?<![\w.])[0-9]+(?:(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)|(?<=[0-9]{309}))")
-"""A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
+_LARGE = re.compile(r"(?<![\w.#])[0-9]+(?:(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)|(?<=[0-9]{309}))")
+"""A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below. A
+colour, `#57e389`, is none."""
 
 _PLACE = re.compile(r'\bSG_\s[^:;"]*:\s*(-?[0-9]+)\s*\|\s*(-?[0-9]+)\s*@')
 _PAGES = re.compile(r'\bSG_MUL_VAL_\s[^;"]*')
@@ -132,6 +136,7 @@ def mended(text: str) -> MendedText:
     """
     bare = _COMMENT.sub(lambda found: "\n" * found[0].count("\n"), text)
     text = bare if bare.strip() or not text.strip() else 'VERSION ""'
+    text = _CONTINUED.sub(_in_one_line, text)
     result = MendedText(_BIT_TIMING.sub("BS_:", text).split("\n"))
     for number, line in enumerate(result.lines):
         result.lines[number] = _renamed(result, number, _renumbered(result, number, line))
@@ -143,6 +148,11 @@ def mended(text: str) -> MendedText:
         elif found and (found[1], found[2]) not in known:
             result.leave_out(number, f"message {found[1]} has no signal {found[2]!r}")
     return result
+
+
+def _in_one_line(found: re.Match[str]) -> str:
+    """Return an entry in one line, and an empty line for each other one that it had."""
+    return found[0].replace("\n", " ") + "\n" * found[0].count("\n")
 
 
 def _renumbered(result: MendedText, number: int, line: str) -> str:
