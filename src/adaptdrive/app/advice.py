@@ -146,13 +146,14 @@ def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The λ filters and the slow period suit the load."""
     mean_s = load.lag_s / load.order
     lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
-    known = f"the load's mean time constant of {mean_s:.4g} s"
-    if not _LEAST_LAMBDA <= lambda_s / mean_s <= _MOST_LAMBDA:
-        wanted = f"{_LEAST_LAMBDA * mean_s:.3g}…{_MOST_LAMBDA * mean_s:.3g} s"
-        yield Flaw("estimator.tau_lambda_s", f"{lambda_s:g} s does not suit {known}: {wanted}")
-    if not _LEAST_PERIODS <= mean_s / period_s <= _MOST_PERIODS:
-        wanted = f"{mean_s / _MOST_PERIODS:.3g}…{mean_s / _LEAST_PERIODS:.3g} s"
-        yield Flaw("load.period_s", f"{period_s:g} s does not suit {known}: {wanted}")
+    for place, value_s, low_s, high_s in (
+        ("estimator.tau_lambda_s", lambda_s, _LEAST_LAMBDA * mean_s, _MOST_LAMBDA * mean_s),
+        ("load.period_s", period_s, mean_s / _MOST_PERIODS, mean_s / _LEAST_PERIODS),
+    ):
+        if not low_s <= value_s <= high_s:
+            known = f"the load's mean time constant of {mean_s:.4g} s"
+            text = f"{value_s:g} s does not suit {known}: {low_s:.3g}…{high_s:.3g} s"
+            yield Flaw(place, text)
 
 
 def _delay(configuration: Configuration) -> Iterator[Flaw]:

@@ -210,9 +210,8 @@ class Intake:
 
     def forget_telemetry(self) -> None:
         """Throw away telemetry that was not sent in time."""
-        self.load.drain()
-        self.drive.drain()
-        self.histograms.drain()
+        for box in (self.load, self.drive, self.histograms):
+            box.drain()
 
     def _lay_out(self, reports: Sequence[Report]) -> None:
         for report in reports:
