@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.app.recording import surroundings_of
+from adaptdrive.app.run import surroundings_of
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.service import ServiceSurroundings
 from adaptdrive.recording.frames import Kind

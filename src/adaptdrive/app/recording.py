@@ -8,8 +8,6 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-import msgspec
-
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import Learnt
 from adaptdrive.clock.now import now_s
@@ -17,8 +15,6 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
 from adaptdrive.errors import RecordingError, escaped
-from adaptdrive.operation.service import ServiceSurroundings
-from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log_files import log_folder
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.recorder import Recorder
@@ -60,27 +56,6 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     pace = RecordingPace(flush_s=recording.flush_s, start_thread=start_thread)
     place = place_of(configuration)
     return Recorder(place, header, hub, lambda: (now_s(), time.time()), pace, recalled)
-
-
-def surroundings_of(recalled: Recalled, recorder: Recorder) -> ServiceSurroundings:
-    """Return the log as the operators' side sees it.
-
-    Args:
-        recalled: What an earlier run has left in it.
-        recorder: Appends to it.
-    """
-
-    def note_reply(identity: str, body: bytes) -> None:
-        recorder.note(Kind.REPLY, msgspec.msgpack.encode((identity, body)))
-
-    return ServiceSurroundings(
-        replies=recalled.replies,
-        events=[(row.time, row.event) for row in recalled.unsent],
-        trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.detail),
-        note_reply=note_reply,
-        note_sent=lambda: recorder.note(Kind.SENT, b""),
-        kept=recorder.kept,
-    )
 
 
 def place_of(configuration: Configuration) -> Place:
@@ -135,13 +110,8 @@ def sensor_columns(configuration: Configuration) -> tuple[SensorColumn, ...]:
 
 def _unit(name: str, quantity: SignalSource) -> str:
     """Return the SI unit of a value, from its conversion or from the end of its name."""
-    return (si_unit(quantity.unit) if quantity.unit else None) or unit_of(name)
-
-
-def unit_of(name: str) -> str:
-    """Return the unit that a name ends with, such as V in `line_voltage_V`; empty for none."""
-    _, _, unit = name.rpartition("_")
-    return unit if unit in UNITS else ""
+    stated, last = si_unit(quantity.unit) if quantity.unit else None, name.rpartition("_")[2]
+    return stated or (last if last in UNITS else "")
 
 
 UNITS = {"V", "A", "W", "K", "S", "s", "Hz", "rad", "m", "kg", "N", "Pa", "C"}

@@ -14,6 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import (
     Keeper,
@@ -31,7 +33,7 @@ from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.ports import build_port, build_whole_port, publish_samples, sensor_reports
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.realtime import Rehearsal, prepared
-from adaptdrive.app.recording import build_recorder, place_of, surroundings_of
+from adaptdrive.app.recording import build_recorder, place_of
 from adaptdrive.app.reload import FEED_S, Given, RunCourse
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.clock.now import now_s
@@ -40,10 +42,11 @@ from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.lines import log
-from adaptdrive.operation.service import MqttService
+from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.pure import build_name
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log_files import recall as recall_log
+from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
@@ -118,21 +121,18 @@ async def _serve(
     asyncio.get_running_loop().set_default_executor(helpers)
     _stop_on_signals(course.end)
     feed = functools.partial(course.feed_between, ServiceManager(os.environ))
-    feeding = asyncio.create_task(repeat(feed, FEED_S))
+    greet = functools.partial(send_visitors_away, locks)
+    services = [asyncio.create_task(repeat(*one)) for one in ((feed, FEED_S), (greet, VISITS_S))]
     complete = True
     while (present := course.next_run()) is not None:
-        complete &= await _run(present, course, locks, start_thread)
-    await _end(feeding)
+        complete &= await _run(present, course, start_thread)
+    for service in services:
+        await _end(service)
     log("info", "stopped", drive=given.configuration.drive.name)
     return complete
 
 
-async def _run(
-    given: Given,
-    course: RunCourse,
-    locks: Sequence[socket.socket],
-    start_thread: Callable[[], None],
-) -> bool:
+async def _run(given: Given, course: RunCourse, start_thread: Callable[[], None]) -> bool:
     """Serve until the run ends; False when the end of its session is not recorded."""
     configuration, hub = given.configuration, Hub()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
@@ -162,7 +162,6 @@ async def _run(
     async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
         # ended in reverse: broker and log receive the last reports of those that end before them
         start = functools.partial(_start, tasks, ending)
-        start("lock", repeat(functools.partial(send_visitors_away, locks), VISITS_S))
         start("log", log_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
         profile, around = operator_profile(configuration), surroundings_of(recalled, recorder)
@@ -180,6 +179,27 @@ async def _run(
         with uncaught_errors_end(daemon.fail), prepared(configuration, rehearsal, hub):
             await daemon.run(course.stop)
     return recorder.complete
+
+
+def surroundings_of(recalled: Recalled, recorder: Recorder) -> ServiceSurroundings:
+    """Return the log as the operators' side sees it.
+
+    Args:
+        recalled: What an earlier run has left in it.
+        recorder: Appends to it.
+    """
+
+    def note_reply(identity: str, body: bytes) -> None:
+        recorder.note(Kind.REPLY, msgspec.msgpack.encode((identity, body)))
+
+    return ServiceSurroundings(
+        replies=recalled.replies,
+        events=[(row.time, row.event) for row in recalled.unsent],
+        trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.detail),
+        note_reply=note_reply,
+        note_sent=lambda: recorder.note(Kind.SENT, b""),
+        kept=recorder.kept,
+    )
 
 
 def _start(

@@ -83,7 +83,10 @@ class BrokerSession:
             MqttError: The connection is lost.
         """
         try:
-            await self._greet()
+            self.intake.forget_telemetry()
+            self.client.receive_with(self._receive)
+            await self._subscribe()
+            await self._publish_state()
             if announcement is not None:
                 topic, payload = announcement
                 await self.client.publish(topic, encode(payload), qos=1, retain=True)
@@ -111,12 +114,6 @@ class BrokerSession:
         yield "history", self._send_history, HISTORY_EVERY_S
         if topics.probe not in self._refused and self.client.protocol is ProtocolVersion.V5:
             yield "probe", self._probe.send, PROBE_EVERY_S
-
-    async def _greet(self) -> None:
-        self.intake.forget_telemetry()
-        self.client.receive_with(self._receive)
-        await self._subscribe()
-        await self._publish_state()
 
     async def _publish_online(self) -> None:
         await self.client.publish(self.topics.availability, ONLINE, qos=1, retain=True)
