@@ -16,7 +16,7 @@ from adaptdrive.config.file import Findings, find_flaws, read_text
 from adaptdrive.config.load import AnyLoad, BatterySection
 from adaptdrive.config.modbus import ModbusBus, ModbusLink
 from adaptdrive.config.scpi import ScpiBus
-from adaptdrive.config.sensors import AnySensorBus, sensor_flaws
+from adaptdrive.config.sensors import sensor_flaws
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.reach import nominal_reach
@@ -72,21 +72,14 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
     for number, bus in enumerate(configuration.sensor_bus):
         place = f"sensor_bus.{number}"
         if isinstance(bus, ModbusLink):
-            unknown = tuple(_unknown_registers(bus, place))
+            # other flaws may hide those of signals, for which the slow period does not matter
+            flaws = sensor_flaws(bus, place, math.inf)
+            unknown = [one for one in flaws if one.place.startswith(f"{place}.signals.")]
             yield from unknown
             if unknown or any(one.startswith(f"{place}.") for one in flawed):
                 continue
         build = functools.partial(build_sensor_port, bus, place, now_s, path, demands)
         yield from _flaws_of(build)
-
-
-def _unknown_registers(bus: AnySensorBus, place: str) -> Iterator[Flaw]:
-    """Yield the signals of a sensor bus that no register carries: other flaws may hide them.
-
-    The slow period, which such a flaw may concern, does not matter for them.
-    """
-    flaws = sensor_flaws(bus, place, math.inf)
-    return (flaw for flaw in flaws if flaw.place.startswith(f"{place}.signals."))
 
 
 def _leads_somewhere(findings: Findings) -> bool:

@@ -154,7 +154,11 @@ def prepared(configuration: Configuration, rehearsal: Rehearsal, hub: Hub) -> It
     """
     grants: list[Grant] = []
     if configuration.realtime.warm_up:
-        grants.append(_rehearse(rehearsal))
+        began_s = time.monotonic()
+        ticks = rehearsal.run()
+        spent_ms = (time.monotonic() - began_s) * 1e3
+        meaning = f"{ticks} ticks rehearsed in {spent_ms:.0f} ms"
+        grants.append(Grant("warm_up = true", granted=True, meaning=meaning))
     grants.extend(before_frames(configuration))
     with real_time(configuration.realtime) as answers:
         for grant in (*grants, *answers):
@@ -186,12 +190,3 @@ def _event(grant: Grant) -> Event:
     severity = Severity.INFO if grant.granted else Severity.WARNING
     answer = "granted" if grant.granted else "refused"
     return Event("realtime", severity, f"{grant.asked} {answer}: {grant.meaning}", -1)
-
-
-def _rehearse(rehearsal: Rehearsal) -> Grant:
-    began_s = time.monotonic()
-    ticks = rehearsal.run()
-    spent_ms = (time.monotonic() - began_s) * 1e3
-    return Grant(
-        "warm_up = true", granted=True, meaning=f"{ticks} ticks rehearsed in {spent_ms:.0f} ms"
-    )

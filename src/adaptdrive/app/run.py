@@ -161,7 +161,9 @@ async def _run(given: Given, course: RunCourse, start_thread: Callable[[], None]
     log("info", "starting", **facts, bus=port.description)
     async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
         # ended in reverse: broker and log receive the last reports of those that end before them
-        start = functools.partial(_start, tasks, ending)
+        def start(name: str, service: Coroutine[Any, Any, None]) -> None:
+            ending.push_async_callback(_end, tasks.create_task(service, name=name))
+
         start("log", log_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
         profile, around = operator_profile(configuration), surroundings_of(recalled, recorder)
@@ -202,17 +204,8 @@ def surroundings_of(recalled: Recalled, recorder: Recorder) -> ServiceSurroundin
     )
 
 
-def _start(
-    tasks: asyncio.TaskGroup,
-    ending: contextlib.AsyncExitStack,
-    name: str,
-    service: Coroutine[Any, Any, None],
-) -> None:
-    """Start a service that `ending` ends; each bounds the time that this takes."""
-    ending.push_async_callback(_end, tasks.create_task(service, name=name))
-
-
 async def _end(service: asyncio.Task[Any]) -> None:
+    """End a service; each bounds the time that this takes."""
     service.cancel()
     await asyncio.wait([service])
 

@@ -120,7 +120,8 @@ class Payload:
             raise RefusedError(str(problem).replace("`$.", "`")) from problem
         except UnicodeError as problem:
             raise RefusedError("text with a lone surrogate") from problem
-        return _filled(kind, filled), filled.expires
+        values = {one.name: _value(one.name, getattr(filled, one.name)) for one in fields(kind)}
+        return kind(**values), filled.expires
 
 
 def _read(raw: bytes) -> object:
@@ -178,10 +179,6 @@ def _form(kind: type[Request]) -> type[msgspec.Struct]:
         for one in fields(kind)
     ]
     return msgspec.defstruct(kind.verb, members, bases=(_Plain,), frozen=True, kw_only=True)
-
-
-def _filled(kind: type[Request], form: msgspec.Struct) -> Request:
-    return kind(**{one.name: _value(one.name, getattr(form, one.name)) for one in fields(kind)})
 
 
 def _value(place: str, sent: Any) -> Any:  # noqa: ANN401 - as the request declares it

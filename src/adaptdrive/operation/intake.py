@@ -204,10 +204,6 @@ class Intake:
         self._lay_out(self._reports.drain())
         self._release()
 
-    def history_pages(self) -> Iterator[Payload]:
-        """Yield the payloads that answer a request for the last hour."""
-        return self.history.pages(self.wall())
-
     def forget_telemetry(self) -> None:
         """Throw away telemetry that was not sent in time."""
         for box in (self.load, self.drive, self.histograms):

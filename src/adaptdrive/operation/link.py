@@ -90,7 +90,8 @@ class BrokerLink:
             async with connection(self._settings, ProtocolVersion.V5, probe):
                 return ProtocolVersion.V5
         except MqttConnectError as refusal:
-            if not _speaks_only_older(refusal):
+            code = refusal.rc.value if isinstance(refusal.rc, ReasonCode) else refusal.rc
+            if code not in _UNSUPPORTED_PROTOCOL:
                 raise
             return ProtocolVersion.V311
 
@@ -218,8 +219,3 @@ async def _contained(
             task.exception()
         raise
     task.result()
-
-
-def _speaks_only_older(refusal: MqttConnectError) -> bool:
-    code = refusal.rc.value if isinstance(refusal.rc, ReasonCode) else refusal.rc
-    return code in _UNSUPPORTED_PROTOCOL

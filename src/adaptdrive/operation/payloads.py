@@ -58,7 +58,7 @@ def quantity_and_unit(name: str, names: Collection[str], output_unit: str) -> tu
         output_unit: Unit of the output, of which a gain is so much for each volt.
     """
     if name == "gain":
-        return name, _per_volt(output_unit)
+        return name, f"({output_unit})/V" if "/" in output_unit else f"{output_unit or '1'}/V"
     if name == "input_offset":
         return "input offset", "W" if _BATH in names else "V"
     match = _UNIT.fullmatch(name)
@@ -68,7 +68,3 @@ def quantity_and_unit(name: str, names: Collection[str], output_unit: str) -> tu
     for word, sign in _WRITTEN:
         unit = unit.replace(word, sign)
     return match[1].replace("_", " "), unit
-
-
-def _per_volt(unit: str) -> str:
-    return f"({unit})/V" if "/" in unit else f"{unit or '1'}/V"

@@ -8,6 +8,7 @@ import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 
 from aiomqtt import Will
 
@@ -110,9 +111,8 @@ class MqttService:
         outbox, history = Outbox(unsent, surroundings.note_sent), History(surroundings.monotonic)
         self._intake = Intake(hub, self._board, outbox, history, wall, profile.output)
         self._desk = self._build_desk(hub)
-        self._name = ClientName(
-            f"adaptdrive-{drive}", surroundings.monotonic, self._alarm, host.trip
-        )
+        alarm = partial(self._intake.report, "broker", Severity.ALARM)
+        self._name = ClientName(f"adaptdrive-{drive}", surroundings.monotonic, alarm, host.trip)
         self._link = self._build_link(settings)
 
     def _build_desk(self, hub: Hub) -> Desk:
@@ -143,9 +143,6 @@ class MqttService:
             tasks.create_task(repeat(self._read_clock, CLOCK_CHECK_S), name="mqtt clock")
             tasks.create_task(self._desk.run(), name="mqtt desk")
             tasks.create_task(self._link.run(self._serve), name="mqtt link")
-
-    def _alarm(self, cause: str) -> None:
-        self._intake.report("broker", Severity.ALARM, cause)
 
     async def _read_clock(self) -> None:
         self._board.show_clock(self._around.synchronisation())

@@ -84,7 +84,7 @@ class BrokerSession:
         """
         try:
             self.intake.forget_telemetry()
-            self.client.receive_with(self._receive)
+            self.client.receive = self._receive
             await self._subscribe()
             await self._publish_state()
             if announcement is not None:
@@ -119,12 +119,16 @@ class BrokerSession:
         await self.client.publish(self.topics.availability, ONLINE, qos=1, retain=True)
 
     async def _subscribe(self) -> None:
+        """Subscribe; log what is refused, and report it where no command arrives without it."""
         for topic, wishes in self._subscriptions():
             for code in await self.client.subscribe(topic, **wishes):
                 value = code.value if isinstance(code, ReasonCode) else code
                 if value >= LOWEST_FAILURE_CODE:
                     self._refused.add(topic)
-                    self._report_refusal(topic, str(code))
+                    log("error", "broker does not allow to subscribe", topic=topic, code=str(code))
+                    if topic == self.topics.commands:
+                        refused = f"the broker refuses the subscription to {topic} ({code})"
+                        self.intake.report_deaf(refused)
 
     def _subscriptions(self) -> Iterator[tuple[str, dict[str, Any]]]:
         topics = [self.topics.commands, self.topics.ask_history]
@@ -136,12 +140,6 @@ class BrokerSession:
         foreign = SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)
         yield from ((topic, {"options": foreign}) for topic in topics)
         yield self.topics.probe, {"qos": 1}  # with what it publishes itself
-
-    def _report_refusal(self, topic: str, code: str) -> None:
-        """Log a refused subscription, and report it where no command arrives without it."""
-        log("error", "broker does not allow to subscribe", topic=topic, code=code)
-        if topic == self.topics.commands:
-            self.intake.report_deaf(f"the broker refuses the subscription to {topic} ({code})")
 
     async def _publish_state(self) -> None:
         if (message := self.intake.board.message) is not None:
@@ -211,7 +209,7 @@ class BrokerSession:
         """Answer all requests of the meantime at once; every client can read the answer."""
         await self._asked.wait()
         self._asked.clear()
-        for page in self.intake.history_pages():
+        for page in self.intake.history.pages(self.intake.wall()):
             await self.client.publish(self.topics.history, encode(page), qos=1)
             await asyncio.sleep(PAUSE_S)
 

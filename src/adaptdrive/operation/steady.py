@@ -49,13 +49,14 @@ class SteadyClient(Client):
 
     Attributes:
         protocol: Version of MQTT.
+        receive: Takes each message as it arrives, ahead of every queue and task; None for a queue.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
         super().__init__(*args, **kwargs)
         self.protocol = kwargs.get("protocol", ProtocolVersion.V311)
         self._client.connect_timeout = self.timeout  # of TCP, and of the handshake of TLS
-        self._receive: Callable[[Message], None] | None = None
+        self.receive: Callable[[Message], None] | None = None
         self._largest: int | None = None
         self._withheld: set[str] = set()
         self._refusals: set[int] = set()
@@ -100,10 +101,6 @@ class SteadyClient(Client):
             return await self._wait_for(answer, None)
         finally:
             del self._offers[number]
-
-    def receive_with(self, receive: Callable[[Message], None]) -> None:
-        """Hand each message over as it arrives, ahead of every queue and task."""
-        self._receive = receive
 
     @property
     def taken_over(self) -> bool:
@@ -155,10 +152,10 @@ class SteadyClient(Client):
             super()._on_subscribe(client, userdata, mid, *args)
 
     def _on_message(self, client: paho.Client, userdata: object, message: paho.MQTTMessage) -> None:
-        if self._receive is None:
+        if self.receive is None:
             super()._on_message(client, userdata, message)
         else:
-            self._receive(Message._from_paho_message(message))  # noqa: SLF001
+            self.receive(Message._from_paho_message(message))  # noqa: SLF001
         self._acknowledge_segment()
 
     def _on_publish(self, *args: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
