@@ -93,8 +93,8 @@ class Desk:
     report: Callable[[CommandReport], None]
     kept: Keep
     shutting_down: Callable[[], bool]
-    _turn: asyncio.Lock = field(default_factory=asyncio.Lock)
-    _stops: int = 0
+    _turn: asyncio.Lock = field(default_factory=asyncio.Lock, init=False)
+    _stops: int = field(default=0, init=False)
 
     async def run(self) -> None:
         """Own the commands under way until cancelled: a lost broker leaves none half done."""
