@@ -7,7 +7,6 @@ being the time after a trip that belongs to its record, and outlives the daemon 
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import os
 import signal
 import subprocess
@@ -46,8 +45,6 @@ def report(severity: Severity, detail: str) -> None:
 
 def draw(directory: Path) -> bool:
     """Draw the figure of a trip, where the libraries for that are installed."""
-    if importlib.util.find_spec("matplotlib") is None:
-        return False
     command = [sys.executable, "-P", "-m", _FIGURE_MODULE, str(directory)]
     try:
         drawn = subprocess.run(  # noqa: S603 - this program itself

@@ -89,31 +89,25 @@ class ReplayReport:
         return not (self.gaps or self.unmatched or self.differing_commands)
 
     def __str__(self) -> str:
-        lines = [f"{self.session}: replayed {self.ticks} ticks and {self.slow_steps} slow steps"]
-        lines += self._told_gaps() + self._told_commands() + self._told_decisions()
-        return "\n".join(lines)
+        return "\n".join(self._lines())
 
-    def _told_gaps(self) -> list[str]:
-        lines = []
+    def _lines(self) -> Iterator[str]:
+        yield f"{self.session}: replayed {self.ticks} ticks and {self.slow_steps} slow steps"
         if self.gaps:
             shown = ", ".join(map(str, self.gaps[:5])) + (", ..." if len(self.gaps) > 5 else "")
-            lines.append(f"cannot be exact, the record lacks ticks: {shown}")
+            yield f"cannot be exact, the record lacks ticks: {shown}"
         if self.unmatched:
             count, first = len(self.unmatched), self.unmatched[0]
-            lines.append(f"no decision to apply for {count} slow steps, the first at k = {first}")
-        return lines
-
-    def _told_commands(self) -> list[str]:
+            yield f"no decision to apply for {count} slow steps, the first at k = {first}"
         if self.first_command is None:
-            return ["every command is bit-equal"]
-        share = f"{self.differing_commands} of {self.ticks} commands differ"
-        return [share, f"first {self.first_command}", f"largest difference {_text(self.largest)}"]
-
-    def _told_decisions(self) -> list[str]:
-        if self.first_decision is None:
-            return []
-        share = f"{self.differing_decisions} of {self.slow_steps} slow steps differ"
-        return [share, f"first {self.first_decision}"]
+            yield "every command is bit-equal"
+        else:
+            yield f"{self.differing_commands} of {self.ticks} commands differ"
+            yield f"first {self.first_command}"
+            yield f"largest difference {_text(self.largest)}"
+        if self.first_decision is not None:
+            yield f"{self.differing_decisions} of {self.slow_steps} slow steps differ"
+            yield f"first {self.first_decision}"
 
 
 def replay(session: Session, controller: TwoRate) -> ReplayReport:

@@ -10,7 +10,7 @@ neither counted nor removed.
 
 from __future__ import annotations
 
-import math
+import contextlib
 import os
 import shutil
 import stat
@@ -100,22 +100,15 @@ def _too_old(directories: list[Path], keep: Keep, now: datetime, *, by_person: b
     """Return the sessions that are too old, none where no session shows the clock to be right."""
     if keep.days is None:
         return set()
-    ages_days = {path: _age_days(path, now) for path in directories}
+    ages_days: dict[Path, float] = {}
+    for path in directories:
+        # one that cannot be read is left for a person
+        with contextlib.suppress(RecordingError):
+            ages_days[path] = (now - read_info(path).started).total_seconds() / _DAY_S
     least_days = min(_CONFIRMED_DAYS, 0.5 * keep.days)
     if by_person or any(least_days <= age_days <= keep.days for age_days in ages_days.values()):
         return {path for path, age_days in ages_days.items() if age_days > keep.days}
     return set()
-
-
-def _age_days(directory: Path, now: datetime) -> float:
-    """Return the time since a session began, in days.
-
-    It is NaN for a session that cannot be read, which is left for a person.
-    """
-    try:
-        return (now - read_info(directory).started).total_seconds() / _DAY_S
-    except RecordingError:
-        return math.nan
 
 
 def size_of(directory: Path) -> int:
