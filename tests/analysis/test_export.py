@@ -20,7 +20,7 @@ from scipy.io import loadmat
 from adaptdrive.analysis.export import export
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.session import TICKS, SensorColumn, create_session
+from adaptdrive.recording.session import SensorColumn, TableName, create_session
 from tests.operation.peers import load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
@@ -75,7 +75,7 @@ def test_mcap_opens_in_its_reader(session_path: Path, output: list[float], tmp_p
         reader = make_reader(stream)
         found = [
             (message.log_time, json.loads(message.data)["output"])
-            for _, _, message in reader.iter_messages(topics=[f"/motor/{TICKS}"])
+            for _, _, message in reader.iter_messages(topics=[f"/motor/{TableName.TICKS}"])
         ]
     assert [value for _, value in found] == output
     assert datetime.fromtimestamp(found[0][0] * 1e-9, UTC) == INFO.started

@@ -31,7 +31,7 @@ from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.segments import logged_batches
-from adaptdrive.recording.session import CONFIG_FILE, EVENTS, INFO_FILE, NOTES, TABLES
+from adaptdrive.recording.session import CONFIG_FILE, INFO_FILE, NOTES, TABLES, TableName
 from adaptdrive.recording.tables import table_schema
 from tests.fuzz.target import EXAMPLES, Target, scratch
 from tests.recording.material import INFO, make_batch, make_tick, write_log
@@ -114,7 +114,7 @@ def _events() -> bytes:
     batch = msgspec.structs.replace(make_batch([], last=True), events=[event])
     file = write_log(scratch() / "events.log", Header(INFO, ""), batch)
     path = scratch() / "events.good"
-    write_parquet(path, logged_batches([file], EVENTS, table_schema(EVENTS)))
+    write_parquet(path, logged_batches([file], TableName.EVENTS, table_schema(TableName.EVENTS)))
     return path.read_bytes()
 
 

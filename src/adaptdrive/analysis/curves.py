@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
-from adaptdrive.recording.session import SLOW, TICKS
+from adaptdrive.recording.session import TableName
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def find_window(session: Session, begin_s: float | None, end_s: float | None) ->
         RecordingError: There is no tick in it.
     """
     clock = session_clock(session)
-    ends = session.ends(TICKS, ("utc", "monotonic_s", "tick"))
+    ends = session.ends(TableName.TICKS, ("utc", "monotonic_s", "tick"))
     if ends is None:
         raise RecordingError(session.path, "it holds no ticks")
     first, last = clock(ends[0])[0], clock(ends[1])[-1]
@@ -148,7 +148,7 @@ def session_clock(session: Session) -> Callable[[pa.RecordBatch], Array]:
 def read_curves(session: Session, window: Window) -> Curves:
     """Read what a figure shows of a session."""
     clock = session_clock(session)
-    steps = _thinned(list(_within(session, SLOW, _SLOW_COLUMNS, window, clock)))
+    steps = _thinned(list(_within(session, TableName.SLOW, _SLOW_COLUMNS, window, clock)))
     slow_s = np.concatenate([time_s for time_s, _ in steps]) if steps else np.empty(0)
     batches = [batch for _, batch in steps]
     return Curves(
@@ -196,7 +196,7 @@ def _envelopes(
     width_s = (window.end_s - window.begin_s) / _BINS
     low = {name: np.full(_BINS, np.inf) for name in _TICK_COLUMNS}
     high = {name: np.full(_BINS, -np.inf) for name in _TICK_COLUMNS}
-    for time_s, batch in _within(session, TICKS, _TICK_COLUMNS, window, clock):
+    for time_s, batch in _within(session, TableName.TICKS, _TICK_COLUMNS, window, clock):
         bins = np.minimum((time_s / width_s).astype(np.int64), _BINS - 1)
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
         at = bins[starts]

@@ -16,7 +16,7 @@ from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.recording.reader import Session
-from adaptdrive.recording.session import TICKS
+from adaptdrive.recording.session import TableName
 
 Array = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ def _running(session: Session, begin_s: float, end_s: float) -> dict[str, Any]:
     first_s = math.nan
     kept: dict[str, list[Any]] = {n: [] for n in ("time_s", "mode", "tick", *_COLUMNS)}
     read = ("monotonic_s", "tick", "stage", "fresh", "mode", *_COLUMNS)
-    for batch in session.batches(TICKS, read):
+    for batch in session.batches(TableName.TICKS, read):
         time_s = clock(batch)
         first_s = time_s[0] if math.isnan(first_s) and len(time_s) else first_s
         since_s = time_s - first_s

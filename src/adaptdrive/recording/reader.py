@@ -18,15 +18,11 @@ from adaptdrive.files import read_regular
 from adaptdrive.recording.records import CommandRow, EventRow
 from adaptdrive.recording.segments import Segment, closed_segments, segments
 from adaptdrive.recording.session import (
-    COMMANDS,
     CONFIG_FILE,
-    EVENTS,
     NO_SESSION,
     PARTS,
-    SENSORS,
-    SLOW,
-    TICKS,
     SessionInfo,
+    TableName,
     has_any,
     read_info,
     session_directories,
@@ -62,17 +58,17 @@ class Session:
     @cached_property
     def ticks(self) -> pa.Table:
         """Fast ticks, all of them in memory."""
-        return self._table(TICKS)
+        return self._table(TableName.TICKS)
 
     @cached_property
     def slow(self) -> pa.Table:
         """Slow steps."""
-        return self._table(SLOW)
+        return self._table(TableName.SLOW)
 
     @cached_property
     def sensors(self) -> pa.Table:
         """Values of the sensor buses."""
-        return self._table(SENSORS)
+        return self._table(TableName.SENSORS)
 
     def batches(self, table: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
         """Yield the rows of a table a batch at a time.
@@ -109,7 +105,7 @@ class Session:
     @property
     def last_tick(self) -> datetime | None:
         """Time of the last recorded tick, None where that is not recorded."""
-        ends = self.ends(TICKS, ("utc",))
+        ends = self.ends(TableName.TICKS, ("utc",))
         found: datetime | None = ends and ends[1].column("utc")[-1].as_py()
         return found
 
@@ -142,7 +138,7 @@ def session_notes(
         found = segments(directory, read_info(directory))
     except RecordingError:
         found = closed_segments(directory)
-    notes: dict[str, list[Any]] = {EVENTS: [], COMMANDS: []}
+    notes: dict[str, list[Any]] = {TableName.EVENTS: [], TableName.COMMANDS: []}
     for segment in found:
         try:
             if segment.table in notes:
@@ -151,7 +147,7 @@ def session_notes(
             if damage is None:
                 raise
             damage.append(str(problem))
-    return tuple(notes[EVENTS]), tuple(notes[COMMANDS])
+    return tuple(notes[TableName.EVENTS]), tuple(notes[TableName.COMMANDS])
 
 
 def _notes(segment: Segment) -> list[Any]:

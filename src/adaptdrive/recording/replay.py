@@ -19,7 +19,7 @@ from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import Command, Decision, Snapshot
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
-from adaptdrive.recording.session import INFO_FILE, SLOW, TICKS
+from adaptdrive.recording.session import INFO_FILE, TableName
 from adaptdrive.runtime.reports import TICK_COLUMNS, TickReport
 
 _COLUMNS = tuple(column.name for column in TICK_COLUMNS)
@@ -135,7 +135,7 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
 
 def recorded_ticks(session: Session) -> Iterator[TickReport]:
     """Yield the fast ticks of a session, in their order."""
-    return map(partial(rebuild, TickReport), table_rows(session, TICKS, _COLUMNS))
+    return map(partial(rebuild, TickReport), table_rows(session, TableName.TICKS, _COLUMNS))
 
 
 def table_rows(session: Session, table: str, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -164,10 +164,12 @@ class _Player:
         self.report = ReplayReport(session.path.name)
         self._controller = controller
         self._schedule = Schedule(controller, latency_ticks=0)  # delivered when it took effect
-        self._slow = {row["k"]: row for row in table_rows(session, SLOW, ("k", *_DECIDED))}
+        self._slow = {
+            row["k"]: row for row in table_rows(session, TableName.SLOW, ("k", *_DECIDED))
+        }
         self._decided = set(self._slow)
         self.known = 0
-        for row in table_rows(session, TICKS, ("applied_k",)):
+        for row in table_rows(session, TableName.TICKS, ("applied_k",)):
             # a decision that took effect was made, even where its own record is lost
             self._decided.add(row["applied_k"])
             self.known += 1

@@ -19,15 +19,7 @@ from adaptdrive.recording.frames import ROW_KINDS, Kind, Record
 from adaptdrive.recording.log_files import LogFile, records, unarchived
 from adaptdrive.recording.parquet import read_parquet, write_parquet
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
-from adaptdrive.recording.session import (
-    COMMANDS,
-    EVENTS,
-    NOTES,
-    SENSORS,
-    SLOW,
-    TICKS,
-    SessionInfo,
-)
+from adaptdrive.recording.session import NOTES, SessionInfo, TableName
 from adaptdrive.recording.tables import conform, rows_batch, ticks_batch
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.runtime.statistics import BINS, bin_of
@@ -39,11 +31,11 @@ _ROWS_AT_ONCE = 200
 """Rows of a batch: as Python values they take many times their size on disk."""
 
 _KINDS: dict[str, tuple[Kind, Any, str]] = {
-    TICKS: (Kind.TICKS, Ticks, "sequence"),
-    SLOW: (Kind.SLOW, list[dict[str, Any]], MONOTONIC),
-    SENSORS: (Kind.SENSORS, list[dict[str, Any]], MONOTONIC),
-    EVENTS: (Kind.EVENT, EventRow, "number"),
-    COMMANDS: (Kind.COMMAND, CommandRow, "number"),
+    TableName.TICKS: (Kind.TICKS, Ticks, "sequence"),
+    TableName.SLOW: (Kind.SLOW, list[dict[str, Any]], MONOTONIC),
+    TableName.SENSORS: (Kind.SENSORS, list[dict[str, Any]], MONOTONIC),
+    TableName.EVENTS: (Kind.EVENT, EventRow, "number"),
+    TableName.COMMANDS: (Kind.COMMAND, CommandRow, "number"),
 }
 """Kind and contents of the records of each table, and its column that only ever grows."""
 
@@ -153,7 +145,7 @@ def _counted(
 ) -> Batches:
     for batch in batches:
         rows[table] = rows.get(table, 0) + batch.num_rows
-        for name, counts in times.items() if table == TICKS else ():
+        for name, counts in times.items() if table == TableName.TICKS else ():
             for time_us in batch.column(name).to_pylist():
                 if not math.isnan(time_us):  # a stand-in tick has no turnaround
                     counts[bin_of(time_us)] += 1
@@ -202,7 +194,7 @@ def logged_batches(
             found = [msgspec.structs.asdict(found)]
         timed.append((found, record.wall_s - record.monotonic_s))
         rows += found.rows if isinstance(found, Ticks) else len(found)
-        if rows >= (_TICKS_AT_ONCE if table == TICKS else _ROWS_AT_ONCE):
+        if rows >= (_TICKS_AT_ONCE if table == TableName.TICKS else _ROWS_AT_ONCE):
             yield from _made(timed, table, schema, losses)
             timed, rows = [], 0
     if rows:
@@ -214,7 +206,7 @@ def _made(
 ) -> Iterator[pa.RecordBatch]:
     """Yield a batch, or note that its rows do not fit their table, as those of another version."""
     try:
-        yield ticks_batch(timed, schema) if table == TICKS else rows_batch(timed, schema)
+        yield ticks_batch(timed, schema) if table == TableName.TICKS else rows_batch(timed, schema)
     except (LookupError, TypeError, ValueError, OverflowError) as problem:
         losses.append(f"rows that make no table: {problem}")
 

@@ -11,7 +11,7 @@ import errno
 import shutil
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from enum import StrEnum
 from itertools import count
@@ -30,18 +30,24 @@ CONFIG_FILE = "config.toml"
 TRIP_PREFIX = "trip-"
 """Beginning of the name of a trip's record; without a session it is next to the sessions."""
 
-TICKS = "ticks"
-SLOW = "slow"
-SENSORS = "sensors"
-EVENTS = "events"
-COMMANDS = "commands"
-TABLES = (TICKS, SLOW, SENSORS)
-NOTES = (EVENTS, COMMANDS)
+
+class TableName(StrEnum):
+    """Name of a table of a session."""
+
+    TICKS = "ticks"
+    SLOW = "slow"
+    SENSORS = "sensors"
+    EVENTS = "events"
+    COMMANDS = "commands"
+
+
+TABLES: tuple[str, ...] = (TableName.TICKS, TableName.SLOW, TableName.SENSORS)
+NOTES = (TableName.EVENTS, TableName.COMMANDS)
 """Tables that a session keeps for as long as it exists."""
 
 NO_SESSION = "it holds no session; sessions are looked for here unless another folder is named"
 
-PARTS = (INFO_FILE, f"{EVENTS}-*.parquet", f"{TICKS}-*.parquet")
+PARTS = (INFO_FILE, f"{TableName.EVENTS}-*.parquet", f"{TableName.TICKS}-*.parquet")
 """Files by which a folder is known as a session, although one of them may be lost."""
 
 
@@ -198,15 +204,12 @@ def session_of(sessions: Path, info: SessionInfo) -> Path | None:
         session_directories(sessions),
         key=lambda path: (not path.name.startswith(name), len(path.name)),
     )
-    return next((path for path in likeliest_first if _is_of(info, path)), None)
-
-
-def _is_of(info: SessionInfo, directory: Path) -> bool:
-    try:
-        found = read_info(directory)
-    except RecordingError:
-        return False
-    return (found.started, found.drive) == (info.started, info.drive)
+    for path in likeliest_first:
+        with suppress(RecordingError):
+            found = read_info(path)
+            if (found.started, found.drive) == (info.started, info.drive):
+                return path
+    return None
 
 
 def session_name(info: SessionInfo) -> str:

@@ -16,15 +16,7 @@ import pyarrow as pa
 
 from adaptdrive.control.columns import Column
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
-from adaptdrive.recording.session import (
-    COMMANDS,
-    EVENTS,
-    SENSORS,
-    SLOW,
-    TICKS,
-    SensorColumn,
-    SessionInfo,
-)
+from adaptdrive.recording.session import SensorColumn, SessionInfo, TableName
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
 
 UTC = pa.timestamp("us", "UTC")
@@ -40,9 +32,11 @@ _TYPES: dict[type, pa.DataType] = {
     tuple: pa.list_(pa.float64()),
     dict: pa.list_(_ESTIMATE),
 }
-NOTE_ROWS: dict[str, type[msgspec.Struct]] = {EVENTS: EventRow, COMMANDS: CommandRow}
+NOTE_ROWS: dict[str, type[msgspec.Struct]] = {
+    TableName.EVENTS: EventRow,
+    TableName.COMMANDS: CommandRow,
+}
 _NOTE_TYPES = _TYPES | {str: pa.string(), datetime: UTC}
-_COLUMNS = {TICKS: TICK_COLUMNS, SLOW: SLOW_COLUMNS}
 _CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
 
 
@@ -68,14 +62,13 @@ def table_schema(table: str, info: SessionInfo | None = None) -> pa.Schema:
     if table in NOTE_ROWS:
         found = msgspec.structs.fields(NOTE_ROWS[table])
         return pa.schema([(field.name, _NOTE_TYPES[field.type]) for field in found])
-    if table == SENSORS:
+    if table == TableName.SENSORS:
         sensors = (_MONOTONIC, *(info.sensors if info else ()))
         fields = [_field(one, pa.float64(), one.unit) for one in sensors]
     else:
         units = {"y": info.output_unit if info else "", "u": INPUT_UNIT}
-        fields = [
-            _field(one, _TYPES[one.kind], units.get(one.unit, one.unit)) for one in _COLUMNS[table]
-        ]
+        columns = TICK_COLUMNS if table == TableName.TICKS else SLOW_COLUMNS
+        fields = [_field(one, _TYPES[one.kind], units.get(one.unit, one.unit)) for one in columns]
     return pa.schema([_UTC_FIELD, *fields])
 
 

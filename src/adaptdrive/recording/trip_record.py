@@ -18,10 +18,10 @@ from adaptdrive.recording.segments import Batches, Segment, segments, write_segm
 from adaptdrive.recording.session import (
     NOTES,
     TABLES,
-    TICKS,
     TRIP_PREFIX,
     Ending,
     SessionInfo,
+    TableName,
     time_in_name,
     unfinished_folder,
     write_facts,
@@ -55,7 +55,7 @@ def write_trips(directory: Path, info: SessionInfo, due_s: float, after_s: float
     missing = [(one, path) for one in trips if not (path := _path(directory, one)).exists()]
     info = msgspec.structs.replace(info, ended=Ending.ORDERLY, log="")
     recent = {table: segments(directory, session.info, table)[-2:] for table in (*TABLES, *NOTES)}
-    session, begin_s = replace(session, info=info), _first(recent[TICKS], MONOTONIC)
+    session, begin_s = replace(session, info=info), _first(recent[TableName.TICKS], MONOTONIC)
     return [
         _write(session, recent, trip, path, after_s)
         for trip, path in missing
@@ -69,7 +69,7 @@ def _path(directory: Path, trip: EventRow) -> Path:
 
 def _first(found: list[Segment], column: str) -> Any:  # noqa: ANN401 - of the column
     """Return the first value of a column of ticks; 0 without one."""
-    schema = pa.schema([table_schema(TICKS).field(column)])
+    schema = pa.schema([table_schema(TableName.TICKS).field(column)])
     values = (batch.column(column)[0].as_py() for one in found for batch in one.rows(schema))
     return next(values, 0)
 
@@ -93,7 +93,7 @@ def _write(
 
     with unfinished_folder(session.path / f".{path.name}") as unfinished:
         info = write_segment(unfinished, session.info, 1, rows_of)
-        first = _first(segments(unfinished, info, TICKS), "sequence")
+        first = _first(segments(unfinished, info, TableName.TICKS), "sequence")
         info = msgspec.structs.replace(info, first_sequence=first)
         write_facts(unfinished, info, session.config_text)
         events = [one for one in session.events if begin_s <= one.monotonic_s <= end_s]

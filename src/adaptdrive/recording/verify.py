@@ -11,7 +11,7 @@ import pyarrow as pa
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.segments import Segment, segments
-from adaptdrive.recording.session import TABLES, TICKS, SessionInfo
+from adaptdrive.recording.session import TABLES, SessionInfo, TableName
 from adaptdrive.recording.tables import table_schema
 
 
@@ -53,7 +53,7 @@ def verify(session: Session) -> Verification:
     info, rows = session.info, count.rows
     problems += [*_missing(info, rows), *info.losses]
     # a whole file that is gone leaves no gap in the running numbers
-    gone = info.rows.get(TICKS, 0) - rows.get(TICKS, 0)
+    gone = info.rows.get(TableName.TICKS, 0) - rows.get(TableName.TICKS, 0)
     missing = max(count.missing_ticks, info.dropped.ticks, gone)
     shown = {table: rows[table] for table in TABLES if table in rows}
     return Verification(shown, missing, tuple(dict.fromkeys(problems)))
@@ -88,7 +88,7 @@ class _Count:
         if first <= self.last.get(table, -math.inf):
             raise RecordingError(segment.path, "its rows are not later than those before them")
         self.last[table] = last
-        if table == TICKS:
+        if table == TableName.TICKS:
             self.missing_ticks += last + 1 - self.next_sequence - batch.num_rows
             self.next_sequence = last + 1
         self.rows[table] = self.rows.get(table, 0) + batch.num_rows
@@ -98,7 +98,7 @@ def _missing(info: SessionInfo, rows: Mapping[str, int]) -> Iterator[str]:
     """Yield what is missing but ticks, which are counted on their own."""
     for table, number in info.rows.items():
         missing = number - rows.get(table, 0)
-        if table != TICKS and missing > 0:
+        if table != TableName.TICKS and missing > 0:
             yield f"{missing} of {number} rows of the table {table} are missing"
     for kind, number in {"slow steps": info.dropped.slow, "events": info.dropped.events}.items():
         if number:
