@@ -76,7 +76,7 @@ def _recorded(folder: Path, batches: list[Batch], hours: int) -> Iterator[Run]:
     for hour in range(1, hours + 1):
         for _ in range(3600 // _FILE_s):
             write_log(log, header, *islice(seconds, _FILE_s), part=hour)
-        yield _run("adaptdrive.recording.archiver", str(log), str(sessions), "10")
+        yield _run("adaptdrive.recording.archiver", str(log), "10")
 
 
 def _read(session: Path, hours: int) -> Iterator[Row]:

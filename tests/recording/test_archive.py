@@ -153,7 +153,7 @@ def test_an_archiver_that_is_killed_anywhere_gives_the_same_session_when_run_aga
 
 def run_archiver(place: Place) -> subprocess.Popen[bytes]:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    words = [str(place.log), str(place.sessions), "10"]
+    words = [str(place.log), "10"]
     command = [sys.executable, "-m", "adaptdrive.recording.archiver", *words]
     return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
 
@@ -376,7 +376,7 @@ def test_an_archiver_takes_the_memory_of_minutes(place: Place) -> None:
             for first in range(24_000 * part, 24_000 * (part + 1), 30)
         ]
         write_log(place.log, place.header(), *batches)
-    command = [sys.executable, "-c", ARCHIVER, str(place.log), str(place.sessions), "10"]
+    command = [sys.executable, "-c", ARCHIVER, str(place.log), "10"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     answer = subprocess.check_output(command, env=environment, text=True).splitlines()
     assert place.session.ticks.num_rows == 72_000

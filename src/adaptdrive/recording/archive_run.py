@@ -47,7 +47,7 @@ class Archiving:
         self._sessions = place.sessions
         self._header = header
         program = [sys.executable, "-P", "-m", "adaptdrive.recording.archiver"]
-        self._command = [*program, str(place.log), str(place.sessions), str(pace.trip_s)]
+        self._command = [*program, str(place.log), str(pace.trip_s)]
         self._report = report
         self._pace = pace
         self._due = asyncio.Event()

@@ -1,6 +1,6 @@
 """The archiver process: writes what the log has into the folders of its sessions, and ends.
 
-It is started as `python -m adaptdrive.recording.archiver LOG SESSIONS AFTER [--no-figure]`, AFTER
+It is started as `python -m adaptdrive.recording.archiver LOG AFTER [--no-figure]`, AFTER
 being the time after a trip that belongs to its record, and outlives the daemon that started it.
 """
 
@@ -73,7 +73,7 @@ def main() -> None:
     from adaptdrive.recording.archive import ERRORS, archive  # noqa: PLC0415 - after that
 
     try:
-        trips = archive(Path(sys.argv[1]), now_s(), float(sys.argv[3]), report)
+        trips = archive(Path(sys.argv[1]), now_s(), float(sys.argv[2]), report)
     except ERRORS as problem:
         sys.exit(str(problem))
     for directory in trips:

@@ -76,7 +76,6 @@ class Log:
         self._notes = self._synced = self._rows_bytes = 0
         self._in_vain_s = 0.0
         self._written = False
-        self._told = dict(self.problems)
         self._news = asyncio.Event()
 
     @property
@@ -183,16 +182,15 @@ class Log:
 
     def _tell(self, news: LogNews) -> None:
         """Pass what is new of a thread to the event loop, which may have ended."""
-        told = self._told.items()
+        told = self.problems.items()
         problems = {what: why for what, why in news.problems.items() if (what, why) not in told}
-        self._told |= problems
+        self.problems |= problems
         news = msgspec.structs.replace(news, problems=problems)
         if self._loop is not None and news != LogNews():
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._take, news)
 
     def _take(self, news: LogNews) -> None:
-        self.problems |= news.problems
         if news.synced is not None:
             self._synced, self._in_vain_s = news.synced, 0.0
         self._written |= news.written

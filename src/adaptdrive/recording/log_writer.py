@@ -160,7 +160,12 @@ class LogWriter:
         while _fill(self._taken_rows, self.rows):
             # the last space of a disk is for events and for the record of a trip
             reserve.set_aside(self._folder)
-            self._append([_compressed(item) for item in self._taken_rows])
+            self._append(
+                [
+                    replace(item, payload=zlib.compress(item.payload, _FAST))
+                    for item in self._taken_rows
+                ]
+            )
             self.rows_written += sum(len(item.payload) for item in self._taken_rows)
             self._taken_rows.clear()
 
@@ -248,10 +253,6 @@ class LogWriter:
         if why and self._closing.wait(_PAUSE_S):
             time.sleep(_PAUSE_S / 10.0)  # keep a broken disk from taking the processor
         return not why
-
-
-def _compressed(item: Record) -> Record:
-    return replace(item, payload=zlib.compress(item.payload, _FAST))
 
 
 def _fill(taken: list[Record], waiting: deque[Record]) -> bool:

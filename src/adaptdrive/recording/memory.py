@@ -93,31 +93,28 @@ class LogMemory:
         """
         self._last = record
         with contextlib.suppress(*NOT_JSON):
-            self._take(record)
-
-    def _take(self, record: Record) -> None:
-        match record.kind:
-            case Kind.BEGIN:
-                begin = msgspec.msgpack.decode(record.payload, type=Begin)
-                self._begin(begin.left, record.monotonic_s)
-            case Kind.REPLY:
-                identity, body = msgspec.msgpack.decode(record.payload, type=tuple[str, bytes])
-                self._replies.pop(identity, None)
-                self._replies[identity] = record.monotonic_s, body
-                if len(self._replies) > REPLIES:
-                    self._replies.popitem(last=False)
-            case Kind.EVENT:
-                event = msgspec.msgpack.decode(record.payload, type=EventRow)
-                self._unsent.append(event)
-                if event.kind == TRIP:
-                    self._trip = event
-            case Kind.SENT:
-                if self._unsent:
-                    self._unsent.popleft()
-            case Kind.LEARNT:
-                self._learnt = record.payload
-            case _:
-                pass
+            match record.kind:
+                case Kind.BEGIN:
+                    begin = msgspec.msgpack.decode(record.payload, type=Begin)
+                    self._begin(begin.left, record.monotonic_s)
+                case Kind.REPLY:
+                    identity, body = msgspec.msgpack.decode(record.payload, type=tuple[str, bytes])
+                    self._replies.pop(identity, None)
+                    self._replies[identity] = record.monotonic_s, body
+                    if len(self._replies) > REPLIES:
+                        self._replies.popitem(last=False)
+                case Kind.EVENT:
+                    event = msgspec.msgpack.decode(record.payload, type=EventRow)
+                    self._unsent.append(event)
+                    if event.kind == TRIP:
+                        self._trip = event
+                case Kind.SENT:
+                    if self._unsent:
+                        self._unsent.popleft()
+                case Kind.LEARNT:
+                    self._learnt = record.payload
+                case _:
+                    pass
 
     def left(self, now_s: float) -> Recalled:
         """Return what the next segment begins with.

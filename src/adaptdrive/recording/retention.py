@@ -87,11 +87,10 @@ def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
 
 
 def _remove(directory: Path) -> bool:
-    try:
+    # nobody writes a session whose facts cannot be read
+    with contextlib.suppress(RecordingError):
         if in_progress(directory, read_info(directory)):
             return False
-    except RecordingError:
-        pass  # nobody writes a session whose facts cannot be read
     shutil.rmtree(directory)
     return True
 
