@@ -195,20 +195,22 @@ def logged_batches(
         timed.append((found, record.wall_s - record.monotonic_s))
         rows += found.rows if isinstance(found, Ticks) else len(found)
         if rows >= (_TICKS_AT_ONCE if table == TableName.TICKS else _ROWS_AT_ONCE):
-            yield from _made(timed, table, schema, losses)
-            timed, rows = [], 0
+            # they are given up before the batch is taken
+            made, timed, rows = _made(timed, table, schema, losses), [], 0
+            yield from made
     if rows:
         yield from _made(timed, table, schema, losses)
 
 
 def _made(
     timed: Sequence[tuple[Any, float]], table: str, schema: pa.Schema, losses: list[str]
-) -> Iterator[pa.RecordBatch]:
-    """Yield a batch, or note that its rows do not fit their table, as those of another version."""
+) -> list[pa.RecordBatch]:
+    """Return a batch, or note that its rows do not fit their table, as those of another version."""
     try:
-        yield ticks_batch(timed, schema) if table == TableName.TICKS else rows_batch(timed, schema)
+        return [(ticks_batch if table == TableName.TICKS else rows_batch)(timed, schema)]
     except (LookupError, TypeError, ValueError, OverflowError) as problem:
         losses.append(f"rows that make no table: {problem}")
+        return []
 
 
 def content_of(record: Record, kind: type[Any], losses: list[str]) -> Any:  # noqa: ANN401 - of a kind
