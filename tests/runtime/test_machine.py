@@ -31,7 +31,7 @@ from adaptdrive.runtime.requests import (
 LIMITS = MachineLimits(
     reference_min=0.0,
     reference_max=4.5,
-    unit="V",
+    output_unit="V",
     pole_min=0.5,
     pole_max=0.98,
     period_min_s=4.0,

@@ -26,7 +26,7 @@ def first_complaint(
     limits: StillnessLimits, outputs: np.ndarray, voltages: np.ndarray
 ) -> tuple[float, str]:
     """When something was said, and what; infinity for never."""
-    watch = Stillness(limits, "output stands", limits.unit)
+    watch = Stillness(limits, "output stands", limits.output_unit)
     for number, (output, voltage) in enumerate(zip(outputs, voltages, strict=True)):
         said = watch.advance(float(output), float(voltage), number * TICK_s)
         if said:
@@ -84,14 +84,14 @@ def test_a_sensor_of_few_digits_is_believed_where_its_digit_is_known(levels: lis
     voltages = np.repeat(levels, 2400)
     outputs = np.round(response(voltages, 3.0) / 0.2) * 0.2
     assert first_complaint(LIMITS, outputs, voltages)[0] < 60.0
-    assert first_complaint(replace(LIMITS, digit=0.2), outputs, voltages) == (math.inf, "")
+    assert first_complaint(replace(LIMITS, resolution=0.2), outputs, voltages) == (math.inf, "")
 
 
 def test_a_frozen_sensor_is_noticed_after_twenty_digits_where_its_digit_is_known() -> None:
     voltages = np.repeat([300.0, 380.0], [120, 3480])
     moved = response(voltages) - response(voltages)[0]
     due_s = float(np.argmax(moved > 20.0 * 0.02)) * TICK_s
-    when_s, _ = first_complaint(replace(LIMITS, digit=0.02), np.full(3600, 3.3), voltages)
+    when_s, _ = first_complaint(replace(LIMITS, resolution=0.02), np.full(3600, 3.3), voltages)
     assert when_s == pytest.approx(due_s, abs=0.02)
 
 
@@ -99,7 +99,7 @@ def test_the_digit_is_the_resolution_of_the_configuration() -> None:
     load = MOTOR.load.model_copy(update={"resolution": 0.02})
     limits = stillness_limits(MOTOR.model_copy(update={"load": load}))
     assert limits is not None
-    assert limits.digit == 0.02
+    assert limits.resolution == 0.02
 
 
 def test_a_change_of_one_digit_begins_anew() -> None:
@@ -152,7 +152,8 @@ def test_it_can_be_left_out() -> None:
 
 def derived_complaint(hot: np.ndarray, cold: np.ndarray, voltages: np.ndarray) -> tuple[float, str]:
     """When a watch over hot - cold, of which the load moves hot, says something, and what."""
-    watch = StillnessWatch(replace(LIMITS, name="temperature", unit="K", inputs=("hot",)))
+    named = replace(LIMITS, output_name="temperature", output_unit="K")
+    watch = StillnessWatch(replace(named, inputs=("hot",)))
     for number, (warm, cool, voltage) in enumerate(zip(hot, cold, voltages, strict=True)):
         values = {"hot": float(warm), "cold": float(cool)}
         reading = replace(
@@ -193,4 +194,4 @@ def test_the_inputs_come_from_the_derived_output() -> None:
     limits = stillness_limits(configuration)
     assert limits is not None
     assert limits.inputs == ("bath_temperature",)
-    assert limits.name == "temperature"
+    assert limits.output_name == "temperature"

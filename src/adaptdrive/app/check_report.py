@@ -135,7 +135,7 @@ def _response(limits: ResponseLimits | None) -> Iterator[str]:
 
 def _level(limits: ResponseLimits, share: float) -> str:
     level = limits.at_rest(share * limits.input_max) - limits.margin
-    return f"{level:.4g} {limits.unit}".rstrip()
+    return f"{level:.4g} {limits.output_unit}".rstrip()
 
 
 def _fact(what: str, value: str, key: str) -> str:

@@ -62,14 +62,11 @@ def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
     if section.traits.charges:  # takes no current at all below its own voltage
         distance = 0.0
     return StillnessLimits(
-        **alike(StillnessLimits, load),
-        unit=section.output_unit,
+        **alike(StillnessLimits, load, section),
         lags_s=_lags_s(load),
         distance=distance or math.inf,
         longest_s=interlocks.stuck_s or math.inf,
-        name=section.output_name,
         inputs=moved_inputs("output", configuration.derived),
-        digit=section.resolution,
     )
 
 
@@ -86,9 +83,7 @@ def response_limits(configuration: Configuration) -> ResponseLimits | None:
     load, highest_V = build_load(configuration), configuration.drive.limits.boost_reference_max_V
     reference_range = section.reference_max - section.reference_min
     limits = ResponseLimits(
-        name=section.output_name,
-        unit=section.output_unit,
-        **alike(ResponseLimits, load),
+        **alike(ResponseLimits, load, section),
         input_max=to_input(highest_V, load.input_gain, load.input_exponent),
         lags_s=_lags_s(load),
         factor=factor,

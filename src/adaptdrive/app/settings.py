@@ -204,7 +204,6 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
     drive = configuration.drive
     return MachineLimits(
         **alike(MachineLimits, load, but=("pole_min", "pole_max")),
-        unit=load.output_unit,
         pole_min=pole_min,
         pole_max=pole_max,
         period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,

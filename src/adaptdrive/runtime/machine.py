@@ -85,7 +85,7 @@ class Machine:
         """Return the reason why V_c cannot hold the set-point, empty where it can."""
         if not self.energised:
             return ""
-        reach, unit = self.reach, self._limits.unit
+        reach, unit = self.reach, self._limits.output_unit
         within = f"{reach.low:g}…{reach.high:g} {unit}".rstrip()
         if self.coasting:
             known = f" within {within}" if reach.is_known else ""

@@ -29,7 +29,7 @@ class MachineLimits:
     Attributes:
         reference_min: Lowest set-point.
         reference_max: Highest set-point.
-        unit: Unit of the set-point, for refusals.
+        output_unit: Unit of the set-point, for refusals.
         pole_min: Fastest pole whose fixed gains stand an error of the model.
         pole_max: Slowest such pole.
         period_min_s: Shortest period of a waveform.
@@ -48,7 +48,7 @@ class MachineLimits:
 
     reference_min: float
     reference_max: float
-    unit: str
+    output_unit: str
     pole_min: float
     pole_max: float
     period_min_s: float
@@ -80,7 +80,8 @@ class MachineLimits:
             RefusedError: The value is out of range or not finite.
         """
         if not (math.isfinite(value) and self.reference_min <= value <= self.reference_max):
-            raise _outside(what, value, self.reference_min, self.reference_max, f" {self.unit}")
+            unit = f" {self.output_unit}"
+            raise _outside(what, value, self.reference_min, self.reference_max, unit)
 
     def require_reach(self, what: str, value: float, reach: Reach) -> None:
         """Refuse a set-point that V_c cannot hold, unless it is governed.
@@ -88,7 +89,7 @@ class MachineLimits:
         Arguments as of `require_reference`.
         """
         if not (self.govern or reach.holds(value)):
-            unit = f" {self.unit}"
+            unit = f" {self.output_unit}"
             raise _outside(what, value, reach.low, reach.high, unit, ", which V_c can hold")
 
     def require_period(self, what: str, value: float) -> None:

@@ -47,8 +47,8 @@ class ResponseLimits:
     """The load with the lowest plausible output.
 
     Attributes:
-        name: Name of the output, for the text of the trip.
-        unit: Its unit, as above.
+        output_name: Name of the output, for the text of the trip.
+        output_unit: Its unit, as above.
         gain: Change of the output at rest per unit of the input.
         input_gain: u = gain · v_bst^exponent.
         input_exponent: 1 or 2.
@@ -59,8 +59,8 @@ class ResponseLimits:
         by_power: Whether the input is the power over the boost voltage, and stores nothing.
     """
 
-    name: str
-    unit: str
+    output_name: str
+    output_unit: str
     gain: float
     input_gain: float
     input_exponent: int
@@ -127,9 +127,9 @@ class Response:
         if self._output >= lowest - limits.margin:
             return None
         return (
-            f"no response: {limits.name} = {self._value(self._output)}, and with this input must "
-            f"be above {self._value(lowest)}: is the sensor reversed or its wire broken, is the "
-            "load blocked?"
+            f"no response: {limits.output_name} = {self._value(self._output)}, and with this input "
+            f"must be above {self._value(lowest)}: is the sensor reversed or its wire broken, is "
+            "the load blocked?"
         )
 
     def _fallen(self, period_s: float) -> str | None:
@@ -141,8 +141,8 @@ class Response:
         if self._output >= self._highest - _FALL_MARGIN * limits.reference_range:
             return None
         return (
-            f"no response: {limits.name} fell to {self._value(self._output)}, and the load cannot "
-            f"have fallen below {self._value(self._highest)} yet: is the sensor's wire broken?"
+            f"no response: {limits.output_name} fell to {self._value(self._output)}, and the load "
+            f"cannot have fallen below {self._value(self._highest)} yet: is the sensor's wire broken?"
         )
 
     def _lowest(self, reading: Reading, period_s: float) -> float:
@@ -164,4 +164,4 @@ class Response:
         return limits.input_gain * voltage_V**limits.input_exponent
 
     def _value(self, output: float) -> str:
-        return f"{output:.3g} {self._limits.unit}".rstrip()
+        return f"{output:.3g} {self._limits.output_unit}".rstrip()

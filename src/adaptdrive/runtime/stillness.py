@@ -36,37 +36,37 @@ class StillnessLimits:
     """Limits of the time that the output may stand still.
 
     Attributes:
-        unit: Unit of the output, for the text of the trip.
+        output_unit: Unit of the output, for the text of the trip.
         gain: Change of the output at rest per unit of the input.
         input_gain: u = gain · v_bst^exponent.
         input_exponent: 1 or 2.
         lags_s: Time constants between input and output.
         distance: Predicted movement that must show; infinite for no limit.
         longest_s: Longest time without any change, infinite for no limit.
-        name: Name of the output, for the text of the trip.
+        output_name: Name of the output, for the text of the trip.
         inputs: Names of the measured values that the output is derived from and the load moves.
-        digit: Last digit of the output where it is known, 0 where it is not.
+        resolution: Last digit of the output where it is known, 0 where it is not.
     """
 
-    unit: str
+    output_unit: str
     gain: float
     input_gain: float
     input_exponent: int
     lags_s: tuple[float, ...]
     distance: float
     longest_s: float
-    name: str = "output"
+    output_name: str = "output"
     inputs: tuple[str, ...] = ()
-    digit: float = 0.0
+    resolution: float = 0.0
 
 
 class StillnessWatch:
     """Watches the output of a running drive, and what it is derived from."""
 
     def __init__(self, limits: StillnessLimits) -> None:
-        self._output = Stillness(limits, f"{limits.name} stands", limits.unit)
+        self._output = Stillness(limits, f"{limits.output_name} stands", limits.output_unit)
         self._inputs = {
-            name: Stillness(limits, f"{name}, from which {limits.name} is derived, stands")
+            name: Stillness(limits, f"{name}, from which {limits.output_name} is derived, stands")
             for name in limits.inputs
         }
 
@@ -139,7 +139,7 @@ class Stillness:
         self._last_s = arrival_s
         still_s = arrival_s - self._since_s
         if abs(moved) > self._distance:
-            distance = f"{limits.name} should have moved by {moved:.3g} {limits.unit}"
+            distance = f"{limits.output_name} should have moved by {moved:.3g} {limits.output_unit}"
             return f"{self._text(still_s)}, and {distance}"
         return self._text(still_s) if still_s > limits.longest_s else None
 
@@ -147,8 +147,8 @@ class Stillness:
     def _distance(self) -> float:
         """Predicted movement of which an honest value shows one digit at least."""
         distance = self._limits.distance
-        if self._limits.digit > 0.0:
-            return max(distance, _DIGITS * self._limits.digit)
+        if self._limits.resolution > 0.0:
+            return max(distance, _DIGITS * self._limits.resolution)
         if self._digit == math.inf:  # it has never changed
             return distance
         return max(distance, min(_DIGITS * self._digit, _COARSEST * distance))
