@@ -22,12 +22,10 @@ _BELOW_RANGE = 0.25  # noise of 5 % and the overshoot of a step downwards stay a
 
 def trip_limits(configuration: Configuration) -> Limits:
     """Return the levels at which a single reading trips the drive."""
-    sections = configuration.interlocks, configuration.load
+    sections = configuration.interlocks, configuration.load, configuration.drive
     return Limits(
         **alike(Limits, *sections, but=("output_min",)),
         output_min=_output_min(configuration),
-        voltage_name=configuration.drive.manipulated.name,
-        voltage_unit=configuration.drive.manipulated.unit,
         absent=absent_names(configuration),
     )
 

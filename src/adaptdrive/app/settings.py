@@ -203,13 +203,11 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
     patience_s = configuration.interlocks.precharge_timeout_s
     drive = configuration.drive
     return MachineLimits(
-        **alike(MachineLimits, load, but=("pole_min", "pole_max")),
+        **alike(MachineLimits, load, drive, but=("pole_min", "pole_max")),
         pole_min=pole_min,
         pole_max=pole_max,
         period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
         floor_V=drive.limits.boost_reference_min_V,
-        voltage_name=drive.manipulated.name,
-        voltage_unit=drive.manipulated.unit,
         ceiling_V=drive.limits.boost_reference_max_V,
         slew_V_per_s=drive.limits.manual_slew_V_per_s,
         boost_needs_bridge=drive.enable_bit == "bridge-and-boost",

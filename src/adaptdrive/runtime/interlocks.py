@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
+from adaptdrive.config.drive import Manipulated
 from adaptdrive.hardware.fault_latch import describe_fault
 from adaptdrive.hardware.port import Reading
 
@@ -28,8 +29,7 @@ class Limits:
         output_name: Name of the output, as above.
         output_min: Lowest output.
         absent: Quantities that nobody measures.
-        voltage_name: Name of what the drive gives, for the text of the trip.
-        voltage_unit: Unit of that, as above.
+        manipulated: Name and unit of what the drive gives, for the text of the trip.
     """
 
     boost_voltage_max_V: float
@@ -38,8 +38,7 @@ class Limits:
     output_name: str = "output"
     output_min: float = -math.inf
     absent: frozenset[str] = frozenset()
-    voltage_name: str = "v_bst"
-    voltage_unit: str = "V"
+    manipulated: Manipulated = field(default_factory=Manipulated)
 
 
 class Watch(Protocol):
@@ -102,9 +101,10 @@ def _unhealthy(reading: Reading, absent: frozenset[str]) -> str | None:
 
 def _exceeded(reading: Reading, limits: Limits) -> str | None:
     if abs(reading.boost_voltage_V) > limits.boost_voltage_max_V:
+        name, unit = limits.manipulated.name, limits.manipulated.unit
         return (
-            f"over-voltage: {limits.voltage_name} = {reading.boost_voltage_V:.1f} "
-            f"{limits.voltage_unit}, limit {limits.boost_voltage_max_V:g} {limits.voltage_unit}"
+            f"over-voltage: {name} = {reading.boost_voltage_V:.1f} {unit}, limit "
+            f"{limits.boost_voltage_max_V:g} {unit}"
         )
     if reading.output > limits.output_max:
         values = _compared(reading.output, limits.output_max, limits)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from adaptdrive.config.drive import Manipulated
 from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.manual import ManualVoltage
@@ -42,8 +43,7 @@ class MachineLimits:
         boost_needs_bridge: Whether the bridge is on in `starting` already.
         reach: What V_c can hold by the nominal model.
         govern: Whether a set-point out of reach is moved to its edge, not refused.
-        voltage_name: Name of V_c and what it leads to, for texts.
-        voltage_unit: Unit of that, as above.
+        manipulated: Name and unit of V_c and what it leads to, for texts.
     """
 
     reference_min: float
@@ -61,8 +61,7 @@ class MachineLimits:
     boost_needs_bridge: bool = False
     reach: Reach = UNKNOWN
     govern: bool = False
-    voltage_name: str = "v_bst"
-    voltage_unit: str = "V"
+    manipulated: Manipulated = field(default_factory=Manipulated)
 
     @property
     def rest_V(self) -> float:
@@ -105,7 +104,7 @@ class MachineLimits:
     def require_voltage(self, value: float, hold_s: float | None) -> None:
         """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
         if not self.floor_V <= value <= self.ceiling_V:
-            unit = f" {self.voltage_unit}"
+            unit = f" {self.manipulated.unit}"
             raise _outside("voltage", value, self.floor_V, self.ceiling_V, unit)
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
             raise RefusedError(
@@ -136,7 +135,7 @@ class MachineLimits:
 
     def precharge_cause(self, boost_voltage_V: float) -> str:
         """Return the cause of a trip in state `starting`, with the likeliest remedy."""
-        passed_s = self.starting_ticks * self.tick_s
+        passed_s, unit = self.starting_ticks * self.tick_s, self.manipulated.unit
         hint = (
             ", with its enable bit on"
             if self.boost_needs_bridge
@@ -144,8 +143,8 @@ class MachineLimits:
             "'bridge-and-boost'"
         )
         return (
-            f"precharge: {self.voltage_name} = {boost_voltage_V:.1f} {self.voltage_unit} after "
-            f"{passed_s:g} s, needs {self.floor_V:g} {self.voltage_unit}{hint}; else the "
+            f"precharge: {self.manipulated.name} = {boost_voltage_V:.1f} {unit} after "
+            f"{passed_s:g} s, needs {self.floor_V:g} {unit}{hint}; else the "
             "drive refuses the commands (checksum, counter, local instead of remote mode), or line "
             "or precharge circuit is open"
         )

@@ -142,7 +142,8 @@ class Response:
             return None
         return (
             f"no response: {limits.output_name} fell to {self._value(self._output)}, and the load "
-            f"cannot have fallen below {self._value(self._highest)} yet: is the sensor's wire broken?"
+            f"cannot have fallen below {self._value(self._highest)} yet: is the sensor's wire "
+            "broken?"
         )
 
     def _lowest(self, reading: Reading, period_s: float) -> float:
