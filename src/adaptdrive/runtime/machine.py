@@ -328,12 +328,7 @@ class Machine:
         self.state = State.STANDBY if self.stopped else State.STOPPING
 
     def advance(
-        self,
-        tick: int,
-        boost_voltage_V: float,
-        *,
-        rate_known: bool = True,
-        now_s: float = 0.0,
+        self, tick: int, boost_voltage_V: float, *, rate_known: bool = True, now_s: float = 0.0
     ) -> None:
         """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
 

@@ -15,9 +15,7 @@ class SlowLoop:
     """Decides on every snapshot, in order, outside the tick that took it."""
 
     def __init__(
-        self,
-        decide: Callable[[Snapshot], Decision],
-        deliver: Callable[[Snapshot, Decision], None],
+        self, decide: Callable[[Snapshot], Decision], deliver: Callable[[Snapshot, Decision], None]
     ) -> None:
         """Join the slow half of the controller to the fast loop.
 

@@ -248,18 +248,13 @@ class Commander:
             self._witness.note_step()
 
     async def _wrote(
-        self,
-        link: PolledLink,
-        block: Block,
-        registers: list[int],
-        command: Command,
-        void: Void | None,
+        self, link: PolledLink, block: Block, words: list[int], command: Command, void: Void | None
     ) -> bool:
         """Write one block of a command; whether the drive has taken it."""
         self._pace.doubt(block)
         exchange = Exchange(write=block)
         try:
-            await self._exchange(link, exchange, registers, void)
+            await self._exchange(link, exchange, words, void)
         except ExchangeError as failure:
             if self._is_void(command):
                 self._count_withheld()
@@ -268,7 +263,7 @@ class Commander:
             self.refused_write = f"command: {failure.problem}"
             self._untaken.note(exchange, failure, silent=self._witness.silent)
             return False
-        self._pace.note(block, registers)
+        self._pace.note(block, words)
         return True
 
     def _count_withheld(self) -> None:
