@@ -251,11 +251,9 @@ class SensoredPort:
             self._listener.on_bus(up, detail)
 
     def _note_news(self) -> None:
-        news = False
-        for bus in self.buses:
-            news = news or bus.news
-            bus.news = False
-        if news:
+        if any(bus.news for bus in self.buses):
+            for bus in self.buses:
+                bus.news = False
             self.sampled()
 
     def completed(self, reading: Reading) -> Reading:

@@ -161,15 +161,10 @@ def _missing(register: Register, *, measured: bool) -> Raw | None:
         if register.real or register.switches or not measured:
             return None
         return -span // 2 if _signed(register) else span - 1
-    if register.type == "float32":
-        return count_of_word(given) if given > _LARGEST_COUNT else given
+    if register.type == "float32" and given > _LARGEST_COUNT:
+        found: float = struct.unpack(">f", struct.pack(">I", given))[0]
+        return found
     return given - span if _signed(register) and given >= span // 2 else given
-
-
-def count_of_word(word: int) -> float:
-    """Return the number that a word of 32 bits is in a float."""
-    found: float = struct.unpack(">f", struct.pack(">I", word))[0]
-    return found
 
 
 def _ordered(register: Register, words: Sequence[int]) -> list[int]:
