@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 from collections.abc import Callable
+from queue import SimpleQueue
 
 import msgspec
 
 SYNC = "sync"
-_CLOSE = -1
+
+Job = tuple[int | None, int | None]
+"""A file, None to end, and the records other than rows that the log has by now, None to close it."""
 
 
 class LogNews(msgspec.Struct, frozen=True):
@@ -32,54 +34,25 @@ class LogNews(msgspec.Struct, frozen=True):
     ended: bool = False
 
 
-class LogSyncs:
-    """Syncs files of the log, each after all that was written to it before."""
+def sync_for_ever(jobs: SimpleQueue[Job], tell: Callable[[LogNews], None]) -> None:
+    """Have the disk keep files of the log, each with all that was written to it before.
 
-    def __init__(self, tell: Callable[[LogNews], None]) -> None:
-        """Sync nothing yet.
-
-        Args:
-            tell: Takes what there is to report.
-        """
-        self._tell = tell
-        self._jobs: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
-
-    def keep(self, descriptor: int, notes: int) -> None:
-        """Have the disk keep a file; returns at once.
-
-        Args:
-            descriptor: The file.
-            notes: Records other than rows that the log has by now.
-        """
-        self._jobs.put((descriptor, notes))
-
-    def close(self, descriptor: int) -> None:
-        """Have the disk keep a file, and close it; returns at once."""
-        self._jobs.put((descriptor, _CLOSE))
-
-    def end(self, notes: int) -> None:
-        """End the thread after all of this; returns at once."""
-        self._jobs.put((_CLOSE, notes))
-
-    def run(self) -> None:
-        """Sync until `end`."""
-        while True:
-            descriptor, notes = self._jobs.get()
-            if descriptor == _CLOSE:
-                self._tell(LogNews(synced=notes, ended=True))
-                return
-            if notes == _CLOSE:
-                self._sync(descriptor, None)
-                with contextlib.suppress(OSError):
-                    os.close(descriptor)
-            elif self._jobs.empty():  # a later sync of this file serves those before it
-                self._sync(descriptor, notes)
-
-    def _sync(self, descriptor: int, notes: int | None) -> None:
-        """Have the disk keep a file."""
-        problem = ""
-        try:
-            os.fdatasync(descriptor)
-        except OSError as failure:
-            problem = str(failure)
-        self._tell(LogNews(notes, {SYNC: problem}))
+    Args:
+        jobs: What there is to do, until a job without a file.
+        tell: Takes what there is to report.
+    """
+    while True:
+        descriptor, notes = jobs.get()
+        if descriptor is None:
+            tell(LogNews(notes, ended=True))
+            return
+        if notes is None or jobs.empty():  # a later sync of this file serves those before it
+            problem = ""
+            try:
+                os.fdatasync(descriptor)
+            except OSError as failure:
+                problem = str(failure)
+            tell(LogNews(notes, {SYNC: problem}))
+        if notes is None:
+            with contextlib.suppress(OSError):
+                os.close(descriptor)

@@ -16,6 +16,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -23,7 +24,7 @@ import msgspec
 from adaptdrive.recording import reserve
 from adaptdrive.recording.frames import Kind, Record, framed
 from adaptdrive.recording.log_files import new_file
-from adaptdrive.recording.log_syncs import LogNews, LogSyncs
+from adaptdrive.recording.log_syncs import Job, LogNews, sync_for_ever
 from adaptdrive.recording.memory import Begin, LogMemory, Recalled
 from adaptdrive.recording.records import Header
 
@@ -83,7 +84,7 @@ class LogWriter:
         self._memory = LogMemory(recalled, clock()[0])
         self._file_number = recalled.file
         self._wakes: queue.SimpleQueue[None] = queue.SimpleQueue()
-        self._syncs = LogSyncs(tell)
+        self._syncs: queue.SimpleQueue[Job] = queue.SimpleQueue()
         self._descriptor, self._path, self._size = -1, Path(), 0
         self._part, self._part_began_s = 0, 0.0
         self._taken: list[Record] = []
@@ -99,7 +100,7 @@ class LogWriter:
         Raises:
             RuntimeError: This process may have no further thread.
         """
-        for work in (self._write_for_ever, self._syncs.run):
+        for work in (self._write_for_ever, partial(sync_for_ever, self._syncs, self._tell)):
             threading.Thread(target=self._begin, args=(work,), name="log", daemon=True).start()
         self.wake()
 
@@ -130,7 +131,7 @@ class LogWriter:
             self._write_all()
         self._end_file()
         self._tell(LogNews(written=True))
-        self._syncs.end(self._notes_written)
+        self._syncs.put((None, self._notes_written))
 
     @property
     def _idle(self) -> bool:
@@ -153,7 +154,7 @@ class LogWriter:
                 self._append(self._taken)
             self._notes_written += len(self._taken)
             self._taken.clear()
-            self._syncs.keep(self._descriptor, self._notes_written)
+            self._syncs.put((self._descriptor, self._notes_written))
 
     def _write_rows(self) -> None:
         self._begin_rows()
@@ -229,11 +230,11 @@ class LogWriter:
         # without a separate number: the next record has the same one in whichever file it is
         self._write(framed(Record(self._memory.number, now_s, wall_s, Kind.BEGIN, payload)))
         # before an archiver may remove the files before this one
-        self._syncs.keep(self._descriptor, self._notes_written)
+        self._syncs.put((self._descriptor, self._notes_written))
 
     def _end_file(self) -> None:
         if self._descriptor >= 0:
-            self._syncs.close(self._descriptor)
+            self._syncs.put((self._descriptor, None))
             self._descriptor = -1
 
     def _is_in_place(self) -> bool:
