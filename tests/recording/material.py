@@ -25,7 +25,7 @@ from adaptdrive.recording.records import (
     EventRow,
     Header,
     Ticks,
-    TickTable,
+    packed_ticks,
     slow_row,
 )
 from adaptdrive.recording.session import (
@@ -86,9 +86,7 @@ def make_batch(
     ticks: Sequence[TickReport], slow: Sequence[LoadReport] = (), *, last: bool = False
 ) -> Batch:
     """Reports packed as the recorder packs them."""
-    table = TickTable()
-    table.extend(ticks)
-    return Batch(table.packed(), list(map(slow_row, slow)), last=last)
+    return Batch(packed_ticks(ticks), list(map(slow_row, slow)), last=last)
 
 
 def write_log(folder: Path, header: Header, *batches: Batch, part: int = 1) -> LogFile:

@@ -26,7 +26,7 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import read_session, session_notes
-from adaptdrive.recording.records import CommandRow, EventRow, Header, event_row
+from adaptdrive.recording.records import CommandRow, EventRow, Header, note_row
 from adaptdrive.recording.replay import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, TickReport
@@ -205,7 +205,7 @@ def test_a_damaged_event_log_is_named_and_leaves_the_ticks(tmp_path: Path) -> No
 
 def test_an_event_that_names_a_file_whose_name_is_no_utf_8_is_recorded(tmp_path: Path) -> None:
     event = Event("journal", Severity.WARNING, os.fsdecode(b"st\xff/motor: damaged"), -1)
-    row = event_row(event, INFO.started, 1.0, 1)
+    row = note_row(event, INFO.started, 1.0, 1)
     batch = msgspec.structs.replace(make_batch([], last=True), events=[row])
     record_messages(tmp_path, Header(INFO, ""), batch)
     assert read_session(tmp_path).events[0].detail == r"st\udcff/motor: damaged"

@@ -12,7 +12,7 @@ import msgspec
 SYNC = "sync"
 
 Job = tuple[int | None, int | None]
-"""A file, None to end, and the records other than rows that the log has by now, None to close it."""
+"""A file (None to end), and the records but rows that the log has by now (None to close it)."""
 
 
 class LogNews(msgspec.Struct, frozen=True):

@@ -20,9 +20,8 @@ from adaptdrive.recording.memory import TRIP, Recalled
 from adaptdrive.recording.recorder_settings import DEFAULT_PACE, Place, RecordingPace
 from adaptdrive.recording.records import (
     Header,
-    TickTable,
-    command_row,
-    event_row,
+    note_row,
+    packed_ticks,
     sensor_row,
     slow_row,
 )
@@ -182,14 +181,12 @@ class Recorder:
         now_s, wall_s = self._clock()
         utc = datetime.fromtimestamp(wall_s, UTC)
         for report in reports:
-            if isinstance(report, Event):
-                event = event_row(report, utc, now_s, next(self._numbers))
-                self._log.append(Kind.EVENT, msgspec.msgpack.encode(event))
-                if event.kind == TRIP:
-                    self._archiving.due_for_trip()
-            elif isinstance(report, CommandReport):
-                command = command_row(report, utc, now_s, next(self._numbers))
-                self._log.append(Kind.COMMAND, msgspec.msgpack.encode(command))
+            if isinstance(report, Event | CommandReport):
+                row = note_row(report, utc, now_s, next(self._numbers))
+                kind = Kind.EVENT if isinstance(report, Event) else Kind.COMMAND
+                self._log.append(kind, msgspec.msgpack.encode(row))
+            if isinstance(report, Event) and report.kind == TRIP:
+                self._archiving.due_for_trip()
 
     async def _gather(self) -> None:
         """Turn queued reports into columns and rows; cancelled half-way, it loses none."""
@@ -207,20 +204,11 @@ class Recorder:
         self._append_rows(Kind.SENSORS, [row for row in sensors if len(row) > 1])
         self._waiting += (r for r in self._ticks.drain() if isinstance(r, TickReport))
         while self._waiting:
-            await self._append_ticks()
-
-    async def _append_ticks(self) -> None:
-        """Append a table of ticks; one that is cancelled half-way appends what it has."""
-        ticks = TickTable()
-        try:
-            while self._waiting and ticks.rows < _EVENTS_HELD:
-                reports = [self._waiting.popleft() for _ in range(min(_SLICE, len(self._waiting)))]
-                ticks.extend(reports)
-                self._last_tick = reports[-1].measurement.tick
-                await asyncio.sleep(0)
-        finally:
-            packed = msgspec.msgpack.encode(ticks.packed())
-            self._log.append(Kind.TICKS, packed, ticks.rows)
+            reports = [self._waiting.popleft() for _ in range(min(_SLICE, len(self._waiting)))]
+            self._last_tick = reports[-1].measurement.tick
+            packed = msgspec.msgpack.encode(packed_ticks(reports))
+            self._log.append(Kind.TICKS, packed, len(reports))
+            await asyncio.sleep(0)
 
     def _append_rows(self, kind: Kind, rows: Sequence[dict[str, Any]]) -> None:
         if rows:

@@ -112,14 +112,10 @@ def _too_old(directories: list[Path], keep: Keep, now: datetime, *, by_person: b
 
 def size_of(directory: Path) -> int:
     """Return the bytes of the files in a folder; what is removed meanwhile takes none."""
-    files = (Path(folder, name) for folder, _, names in os.walk(directory) for name in names)
-    return sum(map(_file_size, files))
-
-
-def _file_size(path: Path) -> int:
-    """Return the bytes of a file, 0 for what is none or has just been removed."""
-    try:
-        found = path.stat()
-    except OSError:
-        return 0
-    return found.st_size if stat.S_ISREG(found.st_mode) else 0
+    size = 0
+    for folder, _, names in os.walk(directory):
+        for name in names:
+            with contextlib.suppress(OSError):
+                found = Path(folder, name).stat()
+                size += found.st_size if stat.S_ISREG(found.st_mode) else 0
+    return size
