@@ -17,7 +17,7 @@ from adaptdrive.config.bus import CanBus, Signals
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 LOADS = ("motor", "bath", "battery")
-BUSES = ("can", "modbus-tcp", "modbus-rtu", "canopen")
+BUSES = ("can", "modbus-tcp", "modbus-rtu", "canopen", "scpi")
 DESCRIPTIONS = (
     ("can", "--dbc", "bath.dbc", '"K"', '"°C"'),
     ("canopen", "--eds", "cia402.eds", "=Tachometer", "=Tachometer °"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from adaptdrive.app.examine import examine_text
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.references import scpi_flaws
-from adaptdrive.config.scpi import ScpiBus
+from adaptdrive.config.scpi import ScpiBus, ScpiValue
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.polled.mapping import map_drive
 
@@ -55,6 +56,9 @@ def test_the_values_of_the_page_are_valid_and_set_in_two_lines() -> None:
         ('write = "*CLS"', 'unit = "V"', "bus.values.clear", "needs `query` or `write`"),
         ("timeout_s = 0.05", "timeout_s = 0.1", "bus.timeout_s", "must be below one poll"),
         ("turnaround_s = 0.005", "turnaround_s = 0.02", "bus.poll_ticks", "poll_ticks = 22 fits"),
+        ('"MEAS:AUX?"', '"MEAS:AUX?", reply = "(.*"', "bus.values.tachometer.reply", "no regular"),
+        ('"MEAS:AUX?"', '"MEAS:AUX?", reply = ".*V"', "bus.values.tachometer.reply", "0 groups"),
+        ("port = 5025 ", 'done = "*OPC"\nport = 5025 ', "bus.done", "pattern"),
         ("integer = true, names", "names", "", ""),
     ],
 )
@@ -69,3 +73,25 @@ def test_what_cannot_be_used_is_named(old: str, new: str, place: str, problem: s
         examine_text(text, EXAMPLE)
     found = {flaw.place: flaw.message for flaw in error.value.flaws}
     assert problem in found[place], found
+
+
+@pytest.mark.parametrize(
+    ("reply", "line", "number"),
+    [
+        ("(.*)V", "12.000V", 12.0),
+        ("V1 (.*)", "V1 12.000", 12.0),
+        ("(?:[^,]*,){1}([^,]*).*", "+1.5E+00,+2.50E+00,10.0", 2.5),
+        ("V1 (.*)", "V2 12.000", math.nan),
+        ("(.*)V", "---V", math.nan),
+    ],
+)
+def test_the_value_is_a_part_of_the_reply(reply: str, line: str, number: float) -> None:
+    value = ScpiValue(query="V1?", reply=reply)
+    assert value.number(line) == pytest.approx(number, nan_ok=True)
+
+
+def test_a_stop_that_nothing_confirms_is_refused() -> None:
+    text = EXAMPLE.read_text(encoding="utf-8").replace("port = 5025 ", 'done = ""\nport = 5025 ')
+    examine_text(text, EXAMPLE)
+    with pytest.raises(ConfigurationError, match="is empty: signals"):
+        examine_text(text.replace('bridge = "output"     ', "#", 1), EXAMPLE)

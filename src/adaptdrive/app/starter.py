@@ -19,9 +19,9 @@ from adaptdrive.config.services import LONGEST_STALE_S
 from adaptdrive.config.units import si_unit
 from adaptdrive.errors import ConfigurationError, Flaw
 
-BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen"]
+BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen", "scpi"]
 
-_POLLED = ("modbus-tcp", "modbus-rtu")
+_POLLED = ("modbus-tcp", "modbus-rtu", "scpi")
 _POLL_TICKS = 12  # as in the examples of polled drives
 _LONG_STRIDE = 2  # the examples' six ticks are three readings of such a drive
 _TICK_S = 1.0 / 120.0
@@ -31,10 +31,17 @@ _SHARED = (
     ("command_timeout_s", "1.0", "of the simulated drive; a real one: its own parameter"),
     ("stale_s", "0.5", "a shared machine is late by this much; on a real bus 0.05"),
 )
-_CURRENT_REGISTERS: Mapping[str, str] = {
-    "modbus-tcp": 'address = 19, table = "holding", type = "int32", scale = 1.0e-4',
-    "modbus-rtu": 'address = 4, table = "input", type = "float32", word_order = "little"',
+_AMPERES = 'unit = "A", range = { low = -80.0, high = 80.0 } }'
+_OUTPUTS: Mapping[str, str] = {
+    "battery-modbus-tcp": 'current = { address = 19, table = "holding", type = "int32", '
+    f"scale = 1.0e-4, {_AMPERES}",
+    "battery-modbus-rtu": 'current = { address = 4, table = "input", type = "float32", '
+    f'word_order = "little", {_AMPERES}',
+    "battery-scpi": f'current = {{ query = "MEAS:CURR?", {_AMPERES}',
+    "bath-scpi": 'temperature = { query = "MEAS:TEMP?", unit = "K" }  # above the inflow',
 }
+"""Outputs of loads that no example has on a bus, in place of the tachometer."""
+
 _HEAD = """\
 # A {load} behind a drive on {bus}. Adapt each value to your own drive and load, then validate this
 # file with `adaptdrive check`. A key that is not named here has the default that `adaptdrive
@@ -154,14 +161,11 @@ def _bus_example(load: LoadName, bus: BusName) -> str:
         return _example(f"{load}.toml")
     if bus == "canopen":
         return _example("motor-cia402.toml")
-    if load != "battery":
+    output = _OUTPUTS.get(f"{load}-{bus}")
+    if output is None:
         return _example(f"{load}-{bus}.toml")
-    register = (
-        f"current = {{ {_CURRENT_REGISTERS[bus]}, "
-        'unit = "A", range = { low = -80.0, high = 80.0 } }'
-    )
-    text = re.sub(r"(?m)^tachometer = \{.*\}", register, _example(f"motor-{bus}.toml"))
-    return text.replace('output = "tachometer"', 'output = "current"')
+    text = re.sub(r"(?m)^tachometer = \{.*\}", output, _example(f"motor-{bus}.toml"))
+    return text.replace('output = "tachometer"', f'output = "{output.partition(" ")[0]}"')
 
 
 def _between(text: str, first: str, last: str) -> str:

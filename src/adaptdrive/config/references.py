@@ -46,6 +46,8 @@ def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
         bus: `[bus]`.
         signals: `[signals]`.
     """
+    if not bus.done and signals.bridge is None:
+        yield Flaw("bus.done", "is empty: signals.bridge must be asked for, to confirm a stop")
     for name, register in bus.as_registers().registers.items():
         yield from register_flaws(f"bus.values.{name}", register)
     written = [*commanded_names(signals), *((f"bus.setup.{name}", name) for name in bus.setup)]

@@ -24,6 +24,7 @@ class ScpiValue(Section):
 
     query: str | None = key(None, pattern=r"^[!-~][ -~]*\?[ -~]*$")
     write: str | None = key(None, pattern=r"^[!-~][ -~]*$")
+    reply: str = "(.*)"
     integer: bool = False
     unit: str = ""
     range: RegisterRange | None = None
@@ -38,6 +39,13 @@ class ScpiValue(Section):
                 self.line(number)
         except (ValueError, LookupError, AttributeError) as problem:
             yield Flaw("", f"write = {self.write!r} takes no value: {problem}")
+        try:
+            groups = re.compile(self.reply).groups
+        except re.error as problem:
+            yield Flaw("reply", f"{self.reply!r} is no regular expression: {problem}")
+        else:
+            if groups != 1:
+                yield Flaw("reply", f"{self.reply!r} has {groups} groups: one is the value")
 
     @property
     def whole(self) -> bool:
@@ -59,9 +67,11 @@ class ScpiValue(Section):
         Args:
             reply: The line without its end.
         """
-        if reply in self.names:
-            return self.names[reply]
-        found = (_WHOLE if self.whole else _REAL).fullmatch(reply)
+        part = re.fullmatch(self.reply, reply)
+        text = part[1].strip() if part else ""
+        if text in self.names:
+            return self.names[text]
+        found = (_WHOLE if self.whole else _REAL).fullmatch(text)
         return float(found[self.whole]) if found else math.nan
 
     def register(self, address: int) -> Register:
@@ -85,6 +95,7 @@ class ScpiBus(PolledBus, TcpHost):
 
     type: Literal["scpi"]
     port: int = key(5025, span=(1, 65535))
+    done: str = key("*OPC?", pattern=r"^([!-~][ -~]*\?)?$")
     values: dict[str, ScpiValue] = key({}, max_length=1000)
 
     def as_registers(self) -> ModbusTcp:

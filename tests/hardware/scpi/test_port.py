@@ -97,12 +97,12 @@ class Rig:
 
 
 @pytest.fixture
-async def rig() -> AsyncIterator[Rig]:
-    """The example on a port of its own, patient with a busy machine."""
+async def rig(request: pytest.FixtureRequest) -> AsyncIterator[Rig]:
+    """The example on a port of its own, patient with a busy machine; `param` is its `done`."""
     supply, ear = Supply(free_port(socket.SOCK_STREAM)), Ear()
     tables = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
     tables["bus"] |= {"port": supply.port, "poll_ticks": 24, "timeout_s": 0.15}
-    tables["bus"] |= {"command_timeout_s": 1.0}
+    tables["bus"] |= {"command_timeout_s": 1.0, "done": getattr(request, "param", "*OPC?")}
     tables["load"]["latency_ticks"], tables["interlocks"]["stale_s"] = 24, 1.0
     port = build_port(validate_configuration(tables, EXAMPLE), time.monotonic, EXAMPLE)
     server = await asyncio.start_server(supply.serve, "127.0.0.1", supply.port)
@@ -174,6 +174,29 @@ async def test_a_supply_that_is_silent_is_named_with_its_remedy(rig: Rig) -> Non
     cause = f"stale: measurement is 600 ms old, limit 500 ms; {rig.port.explain_age()}"
     assert cause.endswith("the polls give no reading: no reply within 0.15 s to 'MEAS:POW?'")
     assert remedy(cause).startswith("check the device's supply, the cable")
+
+
+async def test_a_supply_that_does_not_say_that_it_is_done_is_named(rig: Rig) -> None:
+    await rig.hears()
+    rig.supply.spoil = lambda line: b"" if line == "*OPC?" else None
+    rig.port.send(RUN)
+    missing = "no reply within 0.15 s to 'VOLT 287.654' and '*OPC?'"
+    await until(lambda: any(missing in line for line in rig.port.details()))
+
+
+@pytest.mark.parametrize("rig", ["", "*IDN?"], indirect=True)
+async def test_a_supply_without_the_question_is_commanded_and_its_stop_confirmed(rig: Rig) -> None:
+    del rig.supply.replies["*OPC?"]
+    rig.supply.replies["*IDN?"] = "a supply"
+    await rig.runs()
+    rig.supply.obeys = False
+    rig.port.send(SAFE_COMMAND)
+    await until(lambda: "OUTP OFF" in rig.supply.commands)
+    await rig.hears(3)
+    assert rig.ear.readings[-1].bridge
+    rig.supply.obeys = True
+    await until(lambda: not rig.ear.readings[-1].bridge)
+    assert rig.supply.connections == 1
 
 
 async def test_a_reply_that_nothing_asked_for_ends_the_connection(rig: Rig) -> None:

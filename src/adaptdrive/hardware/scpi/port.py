@@ -21,7 +21,7 @@ from adaptdrive.hardware.polled.mapping import Poll, planned
 from adaptdrive.hardware.polled.port import PolledPort
 from adaptdrive.hardware.port import Port
 
-_DONE = "*OPC?"
+_COMPLETE = "*OPC?"
 """Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
 
 
@@ -64,11 +64,19 @@ class ScpiConnection(PolledLink):
             return await self._read(exchange.read, void)
         if exchange.write is not None:
             value, register = self._values[exchange.write.address]
-            line = value.line(count(register, words))
-            reply = await self._ask(f"{line}\n{_DONE}", void)
-            if reply.lstrip("+") != "1":
-                raise ExchangeError(f"{reply!r} came in reply to {line!r} and {_DONE}")
+            await self._set(value.line(count(register, words)), void)
         return []
+
+    async def _set(self, line: str, void: Void | None) -> None:
+        """Send a command, and wait until the supply has done it, where it can say so."""
+        done = self._config.done
+        if not done:
+            self._ready(void)
+            self._stream.send(f"{line}\n".encode())
+            return
+        reply = await self._ask(f"{line}\n{done}", void)
+        if done == _COMPLETE and reply.lstrip("+") != "1":
+            raise ExchangeError(f"{reply!r} came in reply to {line!r} and {done}")
 
     async def _read(self, block: Block, void: Void | None) -> list[int]:
         """Return the registers of a value; one that is no number is NaN, or fails."""
@@ -80,23 +88,31 @@ class ScpiConnection(PolledLink):
         except ValueError as problem:
             raise ExchangeError(f"{reply!r} came in reply to {question!r}") from problem
 
+    def _ready(self, void: Void | None) -> None:
+        """Begin a request, unless bytes came that nothing asked for.
+
+        Raises:
+            ExchangeError: They did, or the request is not wanted any more.
+        """
+        if self._stream.received:
+            self._counts["foreign"] += 1
+            self.suspect()
+        self._begin(void, "it was no longer wanted")
+
     async def _ask(self, line: str, void: Void | None) -> str:
         """Send a line, and return the line that answers it.
 
         Raises:
             ExchangeError: There is none.
         """
+        self._ready(void)
         stream = self._stream
-        if stream.received:
-            self._counts["foreign"] += 1
-            self.suspect()
-        self._begin(void, "it was no longer wanted")
         reply = await self._reply(f"{line}\n".encode(), _first_line)
         if reply is None:
             self._counts["timeouts"] += 1
             self._note_end()
-            asked = line.partition("\n")[0]
-            self.lost = self.lost or f"no reply within {self._timeout_s:g} s to {asked!r}"
+            asked = " and ".join(map(repr, line.split("\n")))
+            self.lost = self.lost or f"no reply within {self._timeout_s:g} s to {asked}"
             raise ExchangeError(self.lost)
         stream.received = stream.received[len(reply) :]
         self._counts["received"] += 1
