@@ -30,7 +30,7 @@ def cycle(turns: Turns, dead: AbstractSet[int | None]) -> Asked:
         answered = turn.device_id not in dead
         left_s.append(left_s[-1] if answered else -1.0)
         turns.note(turn, answered=answered)
-        read = turn.block.exchange.read
+        read = turn.exchange.read
         assert read is not None
         asked.append((turn.device_id, read.address))
     return asked

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, groupby
 from pathlib import Path
 
@@ -38,32 +38,26 @@ _GATEWAY_CODES = frozenset({10, 11})
 """Exception codes with which a gateway says that the device behind it does not answer."""
 
 
-@dataclass(frozen=True, slots=True)
-class SensorBlock:
-    """Registers that are asked for at once, and what is taken from them."""
-
-    exchange: Exchange
-    sources: tuple[Source[Named], ...]
-
-
 @dataclass(slots=True, eq=False)
-class Turn:
-    """A block with what became of its requests on an open link.
+class SensorBlock:
+    """Registers that are asked for at once, with what became of the requests on an open link.
 
     Attributes:
-        block: The block.
+        exchange: The request.
+        sources: Values in the registers.
         misses: Replies that are missing in a row.
         asked: Number of the cycle in which it was asked for last.
     """
 
-    block: SensorBlock
+    exchange: Exchange
+    sources: tuple[Source[Named], ...]
     misses: int = 0
     asked: int = 0
 
     @property
     def device_id(self) -> int | None:
         """The device that has the block."""
-        return self.block.exchange.device_id
+        return self.exchange.device_id
 
 
 class Turns:
@@ -76,7 +70,7 @@ class Turns:
             blocks: The blocks in the order in which they are asked for while all answer.
             patience: Replies missing in a row after which a block is silent.
         """
-        self._turns = [Turn(block) for block in blocks]
+        self._turns = [replace(block) for block in blocks]
         self._patience = patience
         self._cycle = 0
         self._tried = 0
@@ -87,7 +81,7 @@ class Turns:
         """True if no block gave a reply when it was asked for last."""
         return all(turn.misses for turn in self._turns)
 
-    def due(self, left_s: Callable[[], float], miss_s: float) -> Iterator[Turn]:
+    def due(self, left_s: Callable[[], float], miss_s: float) -> Iterator[SensorBlock]:
         """Yield what is asked for in a cycle; each must be noted before the next one is taken.
 
         Args:
@@ -106,7 +100,7 @@ class Turns:
             self._tried = self._cycle
             yield silent
 
-    def note(self, turn: Turn, *, answered: bool) -> None:
+    def note(self, turn: SensorBlock, *, answered: bool) -> None:
         """Note what became of a request; a silent device that answers is awake as a whole."""
         turn.asked = self._cycle
         if not answered:
@@ -118,11 +112,11 @@ class Turns:
             if one is turn or (found and one.device_id == turn.device_id):
                 one.misses = 0
 
-    def _is_doubtful(self, turn: Turn) -> bool:
+    def _is_doubtful(self, turn: SensorBlock) -> bool:
         """Return whether a reply is missing in this cycle and may be missing here, too."""
         return bool(self._missing) and (turn.misses > 0 or turn.device_id in self._missing)
 
-    def _next_silent(self) -> Turn | None:
+    def _next_silent(self) -> SensorBlock | None:
         """Return the block that has waited longest of the silent device that has waited longest."""
         silent = [turn for turn in self._turns if turn.misses >= self._patience]
         asked: dict[int | None, int] = {}
@@ -221,7 +215,7 @@ class ModbusSensorPort(Polling[ModbusConnection]):
             heard = True
             self._note_bus(up=True)
             if self._listener is not None and not self._is_mixed_up:
-                self._listener.on_values(self._values(turn.block, words), link.asked_s)
+                self._listener.on_values(self._values(turn, words), link.asked_s)
         if self._is_mixed_up:
             link.suspect()  # the replies that are left would answer the next cycle
         if heard:
@@ -229,14 +223,14 @@ class ModbusSensorPort(Polling[ModbusConnection]):
         else:
             self._note_silence(problem)
 
-    async def _ask(self, link: ModbusConnection, turns: Turns, turn: Turn) -> list[int]:
+    async def _ask(self, link: ModbusConnection, turns: Turns, turn: SensorBlock) -> list[int]:
         """Return the registers of a block, and note whether its device answers.
 
         Raises:
             ExchangeError: They did not come.
         """
         try:
-            words = await link.exchange(turn.block.exchange, [], lambda: self._closing)
+            words = await link.exchange(turn.exchange, [], lambda: self._closing)
         except ExchangeError as failure:
             silent = failure.code is None or failure.code in _GATEWAY_CODES
             turns.note(turn, answered=not silent)
