@@ -9,7 +9,7 @@ import can
 import cantools
 import pytest
 
-from adaptdrive.config.bus import CanBus
+from adaptdrive.config.bus import CanBus, SignalRange
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.hardware.dbc.database import Description, SignalCatalogue, describe, read_dbc
@@ -144,6 +144,25 @@ def test_messages_come_from_several_files(tmp_path: Path) -> None:
     assert {one.codec.name for one in whole.statuses} == {"DriveStatus", "DriveLoad"}
     with pytest.raises(ConfigurationError, match="no message 'DriveLoad'"):
         map_drive(motor_bus(database=tmp_path / "rest.dbc"), MOTOR.signals, TIMING)
+
+
+def test_a_stated_range_stands_in_place_of_a_wrong_one(tmp_path: Path) -> None:
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    place = text.index(" BoostReference : ")
+    line = text[place : text.index("\n", place)]
+    spoilt = line[: line.index("[")] + '[32768|32767] "V"' + line.split('"')[2]
+    bus = rewritten(tmp_path, (line, spoilt))
+    with pytest.raises(ConfigurationError, match="ends below its start: state bus"):
+        map_drive(bus, MOTOR.signals, TIMING)
+    name = "DriveCommand.BoostReference"
+    stated = bus.model_copy(update={"ranges": {name: SignalRange(low=0.0, high=600.0)}})
+    (order,) = map_drive(stated, MOTOR.signals, TIMING).orders
+    assert order.codec.encode({"BoostReference": 600.0})
+    with pytest.raises(ValueError, match="outside 0…600"):
+        order.codec.encode({"BoostReference": 600.1})
+    wrong = bus.model_copy(update={"ranges": {f"{name}s": SignalRange(low=0.0, high=1.0)}})
+    with pytest.raises(ConfigurationError, match=f"did you mean '{name}'"):
+        map_drive(wrong, MOTOR.signals, TIMING)
 
 
 J1939 = (

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section, key
+from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
 from adaptdrive.config.services import check_host
 from adaptdrive.config.units import Converted
 from adaptdrive.errors import Flaw
@@ -128,6 +128,10 @@ class FrameAddress(Section):
         return frame_id
 
 
+class SignalRange(Range):
+    """`[bus.ranges]`: what a value may be, in place of the range of the DBC."""
+
+
 class CanDescription(CanLink):
     """Keys of a CAN bus that describe the frames on it."""
 
@@ -135,6 +139,7 @@ class CanDescription(CanLink):
     database: FilePath
     databases: list[FilePath] = key([])
     frames: dict[str, FrameAddress] = key({})
+    ranges: dict[str, SignalRange] = key({})
     integrity: dict[str, FrameIntegrity] = key({})
 
 

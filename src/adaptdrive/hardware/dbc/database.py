@@ -17,7 +17,7 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity
+from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity, SignalRange
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.tables import shortened
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -76,7 +76,7 @@ def read_dbc(path: Path, source: Path | str = "configuration", bus: str = "bus")
 def describe(
     bus: CanDescription, source: Path | str = "configuration", place: str = "bus"
 ) -> Description:
-    """Read the DBC files of a bus, and give its messages the ids that it states.
+    """Read the DBC files of a bus, and give messages their ids and signals their ranges.
 
     Args:
         bus: The bus.
@@ -88,7 +88,10 @@ def describe(
     """
     files = [read_dbc(path, source, place) for path in (bus.database, *bus.databases)]
     messages = [message for one in files for message in one.database.messages]
-    flaws = [*_readdressed(messages, bus.frames, f"{place}.frames")]
+    flaws = [
+        *_readdressed(messages, bus.frames, f"{place}.frames"),
+        *_ranged(messages, bus.ranges, f"{place}.ranges"),
+    ]
     if flaws:
         raise ConfigurationError(source, flaws)
     return Description(
@@ -112,6 +115,19 @@ def _readdressed(
                 message.frame_id = address.of(message.frame_id)
             else:
                 yield Flaw(f"{place}.{name}", "an id of 11 bits has no source address")
+
+
+def _ranged(
+    messages: Sequence[Message], ranges: Mapping[str, SignalRange], place: str
+) -> Iterator[Flaw]:
+    """Change the ranges of signals; yield what names none."""
+    known = {f"{one.name}.{signal.name}": signal for one in messages for signal in one.signals}
+    for name, stated in ranges.items():
+        if name in known:
+            known[name].minimum, known[name].maximum = stated.low, stated.high
+        else:
+            hint = nearest(name, known)
+            yield Flaw(f"{place}.{name}", f"the database has no signal {name!r}{hint}")
 
 
 def _described(text: str) -> Description:
@@ -241,7 +257,7 @@ class SignalCatalogue(Catalogue[Located]):
             return None
         if low is not None and high is not None and low > high:
             problem = f"the range [{low:g}|{high:g}] of signal {name!r} ends below its start"
-            self.note(place, problem)
+            self.note(place, f"{problem}: state bus.ranges")
             return None
         return found
 
