@@ -63,13 +63,9 @@ class Archiving:
             found = session_of(self._sessions, info)
             self.directory = found or create_session(self._sessions, info, text)
 
-    def due(self) -> None:
-        """Have it run as soon as it can."""
-        self._due.set()
-
-    def due_for_trip(self) -> None:
-        """Have it run once the record of a trip that has just been is complete."""
-        asyncio.get_running_loop().call_later(self._pace.trip_s + 0.1, self._due.set)
+    def due(self, after_s: float = 0.0) -> None:
+        """Have it run as soon as it can after a time."""
+        asyncio.get_running_loop().call_later(after_s, self._due.set)
 
     async def run(self) -> None:
         """Run it until cancelled."""

@@ -13,6 +13,7 @@ from pyarrow import parquet as pq
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.files import require_regular
+from adaptdrive.recording.tables import conform
 
 ROW_GROUP = 20_000
 """Rows of a row group: some three minutes of ticks, of which an archiver holds one in memory."""
@@ -71,15 +72,15 @@ def write_parquet(path: Path, batches: Iterable[pa.RecordBatch]) -> None:
         unfinished.unlink(missing_ok=True)
 
 
-def read_parquet(path: Path, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+def read_parquet(path: Path, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
     """Yield the rows of a file a batch at a time; each page is held against its checksum.
 
     Args:
         path: The file.
-        columns: The columns wanted, where the file has them; None for all.
+        schema: The columns wanted.
 
     Raises:
-        RecordingError: The file is damaged.
+        RecordingError: The file is damaged, or holds another table.
     """
     try:
         require_regular(path)
@@ -87,12 +88,12 @@ def read_parquet(path: Path, columns: list[str] | None = None) -> Iterator[pa.Re
             open_file(path, "rb") as source,
             pq.ParquetFile(source, page_checksum_verification=True) as file,
         ):
-            wanted = columns and [name for name in columns if name in file.schema_arrow.names]
+            wanted = [name for name in schema.names if name in file.schema_arrow.names]
             # one thread: more of them take half as much processor time again, from the daemon
             for batch in file.iter_batches(_BATCH_ROWS, columns=wanted, use_threads=False):
                 if batch.num_rows:
-                    yield batch
-    except (pa.ArrowException, OSError) as problem:
+                    yield conform(batch, schema)
+    except (pa.ArrowException, OSError, ValueError) as problem:
         raise RecordingError(path, str(problem)) from problem
 
 

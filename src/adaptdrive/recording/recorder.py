@@ -186,7 +186,7 @@ class Recorder:
                 kind = Kind.EVENT if isinstance(report, Event) else Kind.COMMAND
                 self._log.append(kind, msgspec.msgpack.encode(row))
             if isinstance(report, Event) and report.kind == TRIP:
-                self._archiving.due_for_trip()
+                self._archiving.due(self._pace.trip_s + 0.1)  # once its record is complete
 
     async def _gather(self) -> None:
         """Turn queued reports into columns and rows; cancelled half-way, it loses none."""

@@ -14,13 +14,13 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.errors import NOT_JSON, RecordingError
+from adaptdrive.errors import NOT_JSON
 from adaptdrive.recording.frames import ROW_KINDS, Kind, Record
 from adaptdrive.recording.log_files import LogFile, records, unarchived
 from adaptdrive.recording.parquet import read_parquet, write_parquet
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
 from adaptdrive.recording.session import NOTES, SessionInfo, TableName
-from adaptdrive.recording.tables import conform, rows_batch, ticks_batch
+from adaptdrive.recording.tables import rows_batch, ticks_batch
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.runtime.statistics import BINS, bin_of
 
@@ -78,14 +78,10 @@ class Segment:
         Raises:
             RecordingError: The file is damaged, or holds another table.
         """
-        if not self.closed:
+        if self.closed:
+            yield from read_parquet(self.path, schema)
+        else:
             yield from logged_batches(self.logged, self.table, schema, losses)
-            return
-        for batch in read_parquet(self.path, schema.names):
-            try:
-                yield conform(batch, schema)
-            except ValueError as problem:
-                raise RecordingError(self.path, str(problem)) from problem
 
 
 def parquet_path(directory: Path, table: str, number: int) -> Path:
