@@ -38,6 +38,15 @@ def test_line_and_power_may_be_absent_and_the_lowest_voltage_zero() -> None:
     assert "signals.load_power_W" not in {flaw.place for flaw in advice(parse())}
 
 
+def test_a_drive_that_holds_its_voltage_need_not_report_it() -> None:
+    absent: dict[str, str | None] = {**ABSENT, "signals__boost_voltage_V": None}
+    assert flaws(**absent) == {}
+    cautions = {flaw.place: flaw.message for flaw in advice(parse(**absent))}
+    assert "V_c stands for it" in cautions["signals.boost_voltage_V"]
+    assert "boost_voltage_V" in trip_limits(parse(**absent)).absent
+    assert "signals.boost_voltage_V" in documents.flaws(signals__boost_voltage_V=None)
+
+
 def test_a_voltage_below_zero_is_for_a_motor() -> None:
     signed = "{ address = 0, table = 'holding', type = 'int16', scale = 0.1 }"
     limit: dict[str, str | None] = {"drive__limits__boost_reference_min_V": "-200.0"}

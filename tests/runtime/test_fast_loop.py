@@ -15,6 +15,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from tests.runtime.bench import (
     FAST,
+    MOTOR,
     RATE_FRAMES,
     TICK_S,
     FastBench,
@@ -166,6 +167,20 @@ async def test_enabled_it_precharges_with_the_bridge_off_and_then_runs() -> None
         assert bench.sent[-1].bridge
         stages = [report.order.stage for report in bench.reports]
         assert sorted(set(stages), key=stages.index) == [Stage.OFF, Stage.PRECHARGE, Stage.RUN]
+
+
+async def test_a_drive_that_reports_no_voltage_has_the_one_that_it_was_last_commanded() -> None:
+    absent = replace(FAST.limits, absent=frozenset({"boost_voltage_V"}))
+    async with fast_bench(replace(FAST, limits=absent)) as bench:
+        bench.measured = replace(bench.measured, boost_voltage_V=math.nan)
+        bench.frames(RATE_FRAMES)
+        assert bench.reports[-1].measurement.boost_voltage_V == 0.0
+        bench.ask(Enable())
+        bench.frames(20)
+        assert bench.state() is State.RUNNING
+        commanded = bench.sent[-2].boost_reference_V
+        assert commanded >= MOTOR.drive.limits.boost_reference_min_V
+        assert bench.reports[-1].measurement.boost_voltage_V == commanded
 
 
 async def test_enabling_again_after_one_tick_begins_anew() -> None:

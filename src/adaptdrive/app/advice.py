@@ -93,6 +93,9 @@ def _absent(configuration: Configuration) -> Iterator[Flaw]:
     if "load_power_W" in absent:
         text = "is absent: drive.limits.load_power_max_W holds nothing back"
         yield Flaw("signals.load_power_W", f"{text}; the drive must limit its own power")
+    if "boost_voltage_V" in absent:
+        text = "is absent: V_c stands for it, and interlocks.boost_voltage_max_V can trip nothing"
+        yield Flaw("signals.boost_voltage_V", text)
 
 
 def _power(configuration: Configuration, load: Load) -> Iterator[Flaw]:

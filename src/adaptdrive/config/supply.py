@@ -126,7 +126,7 @@ def _optional(whole: Configuration) -> tuple[str, ...]:
     if whole.voltage_loop.where == "daemon":
         return ()
     battery = whole.load.type == "battery"
-    return ("line_voltage_V",) if battery else ("line_voltage_V", "load_power_W")
+    return ("line_voltage_V",) if battery else MEASURED[:-1]
 
 
 def absent_names(whole: Configuration) -> frozenset[str]:

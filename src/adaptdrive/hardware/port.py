@@ -170,6 +170,16 @@ def confirming(  # noqa: PLR0913 - what is newer than the reading
     )
 
 
+def assuming(reading: Reading, voltage_V: float) -> Reading:
+    """Return the reading of a drive that does not report what it was commanded to hold.
+
+    Args:
+        reading: Its values.
+        voltage_V: V_c in force, which stands for v_bst.
+    """
+    return replace(reading, boost_voltage_V=voltage_V)
+
+
 @dataclass(frozen=True, slots=True)
 class PortStatistics:
     """Counts since the port was opened; every refusal of a frame is one of them.

@@ -23,7 +23,7 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.hardware.port import Port, Reading, assuming
 from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlock_board import InterlockBoard
@@ -79,6 +79,7 @@ class FastLoop:
         self._half_cycles = HalfCycles(port.counter_modulus, tick_s, stride, timing.stale_s)
         self.guard = Guard(settings.command)
         self._settings = settings
+        self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
         self._interlocks = InterlockBoard(settings, port, self._half_cycles)
         self._stopping = Stopping(port, timing, machine, surroundings.not_stopped)
@@ -122,6 +123,8 @@ class FastLoop:
         """Run the tick of a complete reading, unless a stand-in already did."""
         half_cycles, arrival_s = self._half_cycles, reading.arrival_s
         tick = half_cycles.place(reading.counter, arrival_s, self.tick)
+        if self._assumes_voltage:
+            reading = assuming(reading, self.command.boost_reference_V)
         self.reading = reading
         if tick > self.tick:
             self._run(tick, arrival_s, self._surroundings.now_s(), fresh=True)
