@@ -56,7 +56,7 @@ def _no_cause(*_: object, **__: object) -> None:
     ("story", "owner", "name"),
     [
         (Story, InterlockBoard, "standing_cause"),
-        (Story, InterlockBoard, "_gap_cause"),
+        (Story, InterlockBoard, "gap_cause"),
         (PatientStory, BridgeWatch, "find_cause"),
         (PatientStory, BridgeWatch, "_note_silence"),
     ],
