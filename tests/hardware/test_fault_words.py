@@ -40,6 +40,52 @@ def test_bits_outside_the_mask_are_no_faults() -> None:
     assert latch.word == 0
 
 
+def test_a_value_that_is_healthy_is_no_fault_and_each_other_one_is_a_code() -> None:
+    latch = FaultLatch({"fault": FaultWord("", -1, {61: "None", 65: "Open"}, frozenset({61}))})
+    latch.see(61.0)
+    assert latch.complaint is None
+    latch.see(65.0)
+    latch.see(61.0)
+    latch.see(64.0)
+    assert latch.complaint == "drive fault: Open (word 0x41)"
+    latch.clear(latch.word)
+    latch.see(64.0)
+    assert latch.complaint == "drive fault: word 0x40"
+
+
+@pytest.mark.parametrize("key", ["signals__fault", "signals__faults"])
+@pytest.mark.parametrize("healthy", ["[2, 4]", "['Run', 'Ready']"])
+def test_a_state_register_has_healthy_values(key: str, healthy: str) -> None:
+    given = f"{{ signal = 'state', healthy = {healthy} }}"
+    names = "{ Ready = 2, Fault = 3, Run = 4 }"
+    words: dict[str, str | None] = {
+        "bus__registers__state": f"{{ address = 5, table = 'input', names = {names} }}",
+        key: given if key == "signals__fault" else f"[{given}]",
+    }
+    configuration = parse(**words)
+    poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
+    assembly = PollAssembly(poll)
+    for state, fault in ((4, 0), (2, 0), (3, 3), (7, 3)):
+        assembly.begin()
+        for block, sources in poll.reads:
+            assembly.take(block, sources, [0, 0, 2, 0, 0, state][: block.count])
+        reading = assembly.reading(1.0, 1.0, bridge_sent=True, stopped=False)
+        assert reading is not None
+        assert (reading.fault, "Fault" in reading.fault_name) == (fault, fault == 3)
+
+
+def test_what_cannot_be_healthy_is_refused() -> None:
+    state = "{ address = 5, table = 'input', names = { Down = 0, Run = 4 } }"
+
+    def found(healthy: str) -> dict[str, str]:
+        fault = f"{{ signal = 'state', healthy = {healthy} }}"
+        return flaws(bus__registers__state=state, signals__fault=fault)
+
+    assert "leaves out 0 (Down)" in found("[4]")["signals.fault.healthy"]
+    assert "has no 'Rum'" in found("['Rum', 0]")["signals.fault.healthy"]
+    assert found("['Run', 'Down']") == {}
+
+
 def test_a_fault_that_was_not_carried_stays() -> None:
     latch = FaultLatch(WORDS)
     latch.see(1.0, "fault.0")

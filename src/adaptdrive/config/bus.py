@@ -219,9 +219,10 @@ SwitchQuantity = Annotated[
 
 
 class FaultSource(SignalSource):
-    """`[[signals.faults]]`: one more fault word, whole or some of its bits."""
+    """`signals.fault`, `[[signals.faults]]`: a fault word, whole or some bits, or a state."""
 
     mask: int | None = key(None, ge=1)
+    healthy: list[int | str] = key([])
     names: dict[str, str] = key({})
 
     def flaws(self) -> Iterator[Flaw]:
@@ -274,7 +275,7 @@ class Signals(Section):
     load_power_W: Quantity | None = None
     output: Quantity | None = None
     counter: Quantity | None = None
-    fault: Quantity | None = None
+    fault: FaultQuantity | None = None
     faults: list[FaultQuantity] = key([])
     bridge: SwitchQuantity | None = None
     other: dict[str, Quantity] = key({})

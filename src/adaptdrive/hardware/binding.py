@@ -19,6 +19,7 @@ from adaptdrive.config.bus import (
     WORDS,
     CommandSignals,
     CommandSwitch,
+    FaultSource,
     Signals,
     SignalSource,
     SwitchSource,
@@ -70,16 +71,27 @@ def fault_words(sources: Iterable[Source[Any]], signals: Signals) -> dict[str, F
     """Return the fault words among sources, by quantity."""
     found = {}
     for source in sources:
-        if source.quantity == FAULT:
-            found[FAULT] = FaultWord("", -1, source.field.names)
-        elif source.quantity.startswith(f"{FAULT}."):
-            given = signals.faults[int(source.quantity.partition(".")[2])]
-            names = {1 << int(bit): name for bit, name in given.names.items()}
-            mask = -1 if given.mask is None else given.mask
-            numbered = given.signal[:2].lower() == "0x"
-            label = given.signal if numbered else given.signal.rpartition(".")[2]
-            found[source.quantity] = FaultWord(label, mask, {**source.field.names, **names})
+        kind, _, number = source.quantity.partition(".")
+        given = signals.faults[int(number)] if number and kind == FAULT else signals.fault
+        if kind != FAULT or given is None:
+            continue
+        names = {1 << int(bit): name for bit, name in given.names.items()}
+        mask = -1 if given.mask is None else given.mask
+        numbered = given.signal[:2].lower() == "0x"
+        label = given.signal if numbered else given.signal.rpartition(".")[2]
+        found[source.quantity] = FaultWord(
+            label if number else "",
+            mask,
+            {**source.field.names, **names},
+            _healthy(given, source.field),
+        )
     return found
+
+
+def _healthy(given: FaultSource, field: Field) -> frozenset[int]:
+    """Return the values that are no faults."""
+    named = {name: raw for raw, name in field.names.items()}
+    return frozenset(named.get(one, 0) if isinstance(one, str) else one for one in given.healthy)
 
 
 def sensor_entries(bus: SensorBusSection, place: str) -> Iterator[Given]:
@@ -269,6 +281,8 @@ class Catalogue(ABC, Generic[Item]):
         else:
             self._check_unit(entry, field, demands.unit_of(quantity), place)
             self._check_trip(given, field, demands)
+        if isinstance(entry, FaultSource):
+            self._check_healthy(entry, field, f"{place}.healthy")
         if isinstance(entry, SwitchSource):
             on = self._on(entry, field, f"{place}.on")
         return Source(quantity, item, field, entry.scale, entry.offset, on, place)
@@ -298,6 +312,12 @@ class Catalogue(ABC, Generic[Item]):
         if not field.is_word:
             problem = problem or f"{field.name!r} must be an integer with factor 1 and offset 0"
         self.note(place, problem)
+
+    def _check_healthy(self, entry: FaultSource, field: Field, place: str) -> None:
+        """Refuse a healthy value without a name, and a state 0 that would have to be a fault."""
+        values = [self.resolve(field, one, place) for one in entry.healthy]
+        if entry.healthy and 0 in field.names and 0 not in values:
+            self.note(place, f"leaves out 0 ({field.names[0]}), which is never a fault")
 
     def _on(self, entry: SwitchSource, field: Field, place: str) -> float | None:
         """Return the value that means on; one that no good report has is a flaw."""

@@ -17,16 +17,18 @@ class FaultWord:
         label: Name of its signal for the trip; empty where the names alone are enough.
         mask: Bits that are faults, -1 for all.
         names: What the drive's description calls its faults, by word or bit.
+        healthy: Words besides 0 that are no faults; all others then are codes.
     """
 
     label: str
     mask: int
     names: Mapping[int, str]
+    healthy: frozenset[int] = frozenset()
 
     @property
     def lists_codes(self) -> bool:
-        """True where the names are those of codes, not of bits."""
-        return any(word & (word - 1) for word in self.names)
+        """True where a word is a code, not a set of bits."""
+        return bool(self.healthy) or any(word & (word - 1) for word in self.names)
 
     def name(self, word: int) -> str:
         """Return the word's name, or the names of its bits; empty where there is none."""
@@ -76,8 +78,10 @@ class FaultLatch:
             word: The word.
             quantity: Which of the drive's fault words it is.
         """
-        if word and not (quantity in self._codes and self._seen[quantity]):
-            self._seen[quantity] |= int(word) & self._words[quantity].mask
+        known = self._words[quantity]
+        found = int(word or 0) & known.mask
+        if found not in known.healthy and not (quantity in self._codes and self._seen[quantity]):
+            self._seen[quantity] |= found
 
     def clear(self, carried: int) -> None:
         """Forget what a reading has carried; a fault seen after it was composed stays.
