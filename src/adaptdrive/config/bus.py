@@ -248,6 +248,7 @@ class CommandSwitch(Section):
     signal: str = Field(min_length=1)
     on: int | str | None = None
     off: int | str | None = None
+    off_signal: str | None = None
 
 
 Commanded = Annotated[

@@ -132,6 +132,7 @@ class Sink(Generic[Item]):
         field: How that is coded.
         base: Value of the field of the device where that of the command is 0 or False.
         factor: Units of the field per unit of that of the command.
+        only: Bridge of the commands that it is written with, None for all.
     """
 
     name: str
@@ -139,6 +140,7 @@ class Sink(Generic[Item]):
     field: Field
     base: float
     factor: float
+    only: bool | None = None
 
     def value(self, command: Command) -> float:
         """The value in the unit of the field."""
@@ -343,6 +345,7 @@ class Catalogue(ABC, Generic[Item]):
         item = None if switch is None else self.find(switch.signal, place)
         if switch is None or item is None:
             return
+        self.note(f"{place}.off_signal", "is for coils" if switch.off_signal else None)
         self.note(place, self.refusal(item, "command"))
         field, known = self.field(item, "command"), self.switch(item)
         on = self.resolve(field, known[0] if switch.on is None else switch.on, place)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.bus import Signals
+from adaptdrive.config.bus import CommandSwitch, Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -76,6 +76,20 @@ class RegisterCatalogue(Catalogue[Named]):
     def count_problem(self, item: Named) -> str | None:  # noqa: ARG002 - polls are counted by none
         """Return None: no tick is counted by a register."""
         return None
+
+    def _switches(self, switch: CommandSwitch | None) -> Iterator[Sink[Named]]:
+        if switch is None or switch.off_signal is None:
+            yield from super()._switches(switch)
+            return
+        place = "signals.command.bridge"
+        if switch.on is not None or switch.off is not None:
+            self.note(place, "with off_signal both coils are set to 1: leave on and off out")
+        for name, on in ((switch.signal, True), (switch.off_signal, False)):
+            item = Named(name, self._registers[name])
+            if item.register.table != "coil":
+                self.note(place, f"{name!r} is no coil, which off_signal needs")
+            field = self.field(item, "command")
+            yield Sink(BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
 
     def switch(self, item: Named) -> tuple[float, float]:
         """Return the counts that switch on and off."""
