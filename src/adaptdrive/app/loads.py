@@ -98,7 +98,10 @@ def alike(
         but: Names that need another value.
     """
     names = [field.name for field in fields(kind) if field.name not in but]
-    return {name: getattr(one, name) for one in sections for name in names if hasattr(one, name)}
+    found = [(n, getattr(one, n)) for one in sections for n in names if hasattr(one, n)]
+    values = dict(found)
+    assert len(values) == len(found), f"two values of {kind.__name__}"  # noqa: S101 - of our own
+    return values
 
 
 def pole_range(
