@@ -24,13 +24,7 @@ import pyarrow as pa
 from adaptdrive.errors import AdaptdriveError, RecordingError
 from adaptdrive.recording import reserve
 from adaptdrive.recording.frames import ROW_KINDS, Kind
-from adaptdrive.recording.log_files import (
-    LogFile,
-    is_live,
-    last_of,
-    log_files,
-    newest_sound,
-)
+from adaptdrive.recording.log_files import LogFile, is_live, last_of, log_files, newest_sound
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.retention import prune

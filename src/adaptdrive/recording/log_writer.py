@@ -161,14 +161,10 @@ class LogWriter:
         while _fill(self._taken_rows, self.rows):
             # the last space of a disk is for events and for the record of a trip
             reserve.set_aside(self._folder)
-            self._append(
-                [
-                    replace(item, payload=zlib.compress(item.payload, _FAST))
-                    for item in self._taken_rows
-                ]
-            )
-            self.rows_written += sum(len(item.payload) for item in self._taken_rows)
-            self._taken_rows.clear()
+            taken = self._taken_rows
+            self._append([replace(one, payload=zlib.compress(one.payload, _FAST)) for one in taken])
+            self.rows_written += sum(len(item.payload) for item in taken)
+            taken.clear()
 
     def _append(self, items: list[Record]) -> None:
         self._require_file()
