@@ -80,14 +80,14 @@ def ticks_batch(timed: Sequence[tuple[Ticks, float]], schema: pa.Schema) -> pa.R
         schema: Schema of the ticks.
     """
     rows = sum(ticks.rows for ticks, _ in timed)
-
-    def column(field: pa.Field) -> pa.Array:
-        if field.name != _UTC_FIELD.name:
-            return _array(field.type, [ticks.columns[field.name] for ticks, _ in timed], rows)
-        offsets = (offset_s for ticks, offset_s in timed for _ in range(ticks.rows))
-        return pa.array(map(_utc, column(_MONOTONIC_FIELD).to_pylist(), offsets), UTC)
-
-    return pa.RecordBatch.from_arrays(list(map(column, schema)), schema=schema)
+    arrays = {
+        field.name: _array(field.type, [ticks.columns[field.name] for ticks, _ in timed], rows)
+        for field in (_MONOTONIC_FIELD, *schema)
+        if field.name != _UTC_FIELD.name
+    }
+    offsets = (offset_s for ticks, offset_s in timed for _ in range(ticks.rows))
+    arrays[_UTC_FIELD.name] = pa.array(map(_utc, arrays[MONOTONIC].to_pylist(), offsets), UTC)
+    return pa.RecordBatch.from_arrays([arrays[name] for name in schema.names], schema=schema)
 
 
 def rows_batch(
