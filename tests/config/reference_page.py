@@ -116,7 +116,7 @@ def _type(key: Schema) -> str:
         return "table"
     choices = key.get("enum", [key["const"]] if "const" in key else [])
     if choices:
-        return " or ".join(f"`{json.dumps(choice)}`" for choice in choices)
+        return ", ".join(f"`{json.dumps(choice)}`" for choice in choices)
     return ", ".join([_kind(key), *_limits(key)])
 
 

@@ -89,7 +89,7 @@ def _reach(configuration: Configuration) -> Iterator[str]:
     load, reach = configuration.load, daemon_settings(configuration).machine.reach
     held = "set-points held by V_c"
     if not reach.is_known:
-        yield _fact(held, "found while running", "the EMF is not configured")
+        yield _fact(held, "found while running", "the battery's EMF, which no key states")
         return
     low, high = max(reach.low, load.reference_min), min(reach.high, load.reference_max)
     yield _fact(held, f"{low:g}…{high:g} {load.output_unit}".rstrip(), "load.model")

@@ -55,6 +55,22 @@ def test_an_eds_that_keeps_a_controlword_from_being_sent_is_refused(
     assert f"0x6040 has {has}" in found["bus.eds"]
 
 
+def test_a_drive_without_a_reaction_to_a_missing_daemon_is_warned_of(tmp_path: Path) -> None:
+    eds = other_eds(tmp_path, without("6007"))
+    (caution,) = plan({"bus/eds": str(eds)}).cautions
+    assert caution.place == "bus.eds"
+    assert "has no 0x6007: the daemon cannot make the drive disable its voltage" in caution.message
+    assert plan().cautions == ()
+
+
+def test_an_error_code_that_travels_in_no_pdo_is_left_to_the_emergencies(tmp_path: Path) -> None:
+    entry = "ParameterName=Error code\nObjectType=0x7\nDataType=0x0006\nAccessType=ro\n"
+    mapped = f"{entry}DefaultValue=0\nPDOMapping="
+    eds = other_eds(tmp_path, (f"{mapped}1", f"{mapped}0"))
+    found = flaws({"bus/eds": str(eds), "signals/faults": ["0x603F"]})["signals.faults.0"]
+    assert "does not send 'Error code' in a PDO: leave it out, its emergencies" in found
+
+
 def test_one_object_may_be_two_quantities() -> None:
     mapping = plan({"signals/output": {"signal": "0x6079", "scale": 1e-3}})
     labels = [entry.label for status in mapping.statuses for entry in status.pdo.entries]

@@ -34,6 +34,7 @@ _WORDS = (0x6040, 0x6041)
 
 VENDOR = (0x1018, 1)
 PRODUCT = (0x1018, 2)
+_ERROR_CODE = 0x603F
 
 logging.getLogger("canopen.objectdictionary").setLevel(logging.CRITICAL)  # `check` states it
 
@@ -126,7 +127,9 @@ class ObjectCatalogue(Catalogue[Entry]):
         sent = use not in {"command", "constant"}
         if variable.pdo_mappable and (variable.readable if sent else variable.writable):
             return None
-        return f"the drive does not {'send' if sent else 'take'} {name!r} in a PDO"
+        emergency = item.address[0] == _ERROR_CODE
+        also = ": leave it out, its emergencies report errors" if sent and emergency else ""
+        return f"the drive does not {'send' if sent else 'take'} {name!r} in a PDO{also}"
 
     @property
     def identity(self) -> tuple[tuple[Address, int], ...]:

@@ -146,6 +146,12 @@ def map_drive(
     taken = [catalogue.at(CONTROLWORD), *(one.item for one in sinks)]
     transmits, unsent = _plan(catalogue, bus.node_id, "TPDO", sent, transmit_channel)
     receives, untaken = _plan(catalogue, bus.node_id, "RPDO", taken, receive_channel)
+    if catalogue.at(ABORT_OPTION) is None:
+        lacks = (
+            f"has no {label(ABORT_OPTION)}: the daemon cannot make the drive disable its voltage"
+        )
+        advice = "when the heartbeat stops; see in its manual that it does, and try it"
+        catalogue.cautions.append(Flaw("bus.eds", f"{lacks} {advice}"))
     setup = tuple(_setup(catalogue, bus, {CONTROLWORD, *(one.item.address for one in sinks)}))
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
