@@ -63,7 +63,7 @@ def test_the_ideal_loop_reaches_every_set_point_with_the_designed_poles() -> Non
     stand = Stand(draw(read_campaign(STANDARD), 12))
     stand.references = np.concatenate([np.full(5, 3.0), np.full(75, 3.2)])
     stand.sizes = np.full(80, stand.scenario.inertias[0])
-    ideal = stand.ideal()
+    ideal = stand.ideal
     assert ideal[:6] == pytest.approx(3.0)
     assert ideal[-1] == pytest.approx(3.2, abs=1e-6)
     late = (3.2 - ideal)[50:]

@@ -15,7 +15,7 @@ from adaptdrive.control.fast_feedback import (
     unit_circle,
 )
 from adaptdrive.control.noise_limit import noise_gain
-from adaptdrive.control.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.pole_placement import desired_polynomial, equation, place_poles
 from adaptdrive.control.vectors import multiply
 from tests.closed_loop.bench import EXACT, MOTOR
 from tests.control.systems import motor_system
@@ -38,7 +38,7 @@ def faster(
 ) -> list[float]:
     (a, b), order = model, len(model[0]) - 1
     quiet, circle = asked_loop(b, order, pole), unit_circle(len(a) + len(b) - 1)
-    return fast_loop(a, b, order, pole, quiet, noise, limit, circle)
+    return fast_loop(equation(a, b), a, b, order, pole, quiet, noise, limit, circle)
 
 
 def values(polynomial: list[float], angles: np.ndarray) -> np.ndarray:
@@ -104,7 +104,7 @@ def test_margins_are_those_of_the_open_loop() -> None:
 @pytest.mark.parametrize("noise", [1.5e-4, 2e-4, 3e-4])
 def test_noise_is_spent_up_to_a_share_of_its_limit(noise: float) -> None:
     a, b = model(1)
-    found = noise * noise_gain(a, b, made(1, noise))
+    found = noise * noise_gain(equation(a, b), a, b, made(1, noise))
     assert 0.85 * SPENT * 8.0 < found <= SPENT * 8.0
 
 
@@ -128,7 +128,7 @@ def test_a_disturbance_moves_the_output_half_as_far_and_is_gone_sooner(disks: in
 
 def response_to_a_disturbance(a: list[float], b: list[float], loop: list[float]) -> np.ndarray:
     """Output after a step of the input's offset, by the difference equations of load and law."""
-    gains, taps = loop_gains(a, b, loop), len(b) - 1
+    gains, taps = loop_gains(equation(a, b), a, b, loop), len(b) - 1
     u, y = np.zeros(100), np.zeros(100)
     for k in range(10, 100):
         y[k] = np.dot(b[1:], u[k - 1 : k - taps - 1 : -1] + 1.0) - np.dot(

@@ -13,6 +13,7 @@ from adaptdrive.control import assurance, redesign
 from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.noise_limit import noise_gain
+from adaptdrive.control.pole_placement import equation
 from adaptdrive.control.regression import theta_of
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_state import SlowState, new_slow_state
@@ -79,9 +80,11 @@ def test_the_noise_of_the_input_in_force_is_known(
     assert adapted(state, settings) == Verdict.TRUSTED
     a, b = model(2.0)
     asked = [*asked_loop(b, 2, POLE), *[0.0] * (len(state.new_loop) - 5)]
-    least = 1e-4 * settings.learning.output_scale * noise_gain(a, b, asked)
+    least = 1e-4 * settings.learning.output_scale * noise_gain(equation(a, b), a, b, asked)
     assert state.input_noise == pytest.approx(least if found is None else found, rel=1e-6)
-    fast = noise * settings.learning.output_scale * noise_gain(a, b, state.fast_loop)
+    fast = (
+        noise * settings.learning.output_scale * noise_gain(equation(a, b), a, b, state.fast_loop)
+    )
     assert state.fast_noise == pytest.approx(fast if found is None else found, rel=1e-6)
 
 
@@ -197,12 +200,17 @@ def test_a_load_that_grows_is_refused() -> None:
 def test_noise_of_the_output_makes_the_poles_slower(noise: float, rounding: float) -> None:
     """σ_u is that of the larger of noise and rounding, in the unit of the output."""
     a, b = model(2.0)
-    limit = 0.5 * 4e-3 * LEARNING.output_scale * noise_gain(a, b, asked_loop(b, 2, POLE))
+    limit = (
+        0.5
+        * 4e-3
+        * LEARNING.output_scale
+        * noise_gain(equation(a, b), a, b, asked_loop(b, 2, POLE))
+    )
     settings = replace(CAREFUL, jacket=replace(JACKET, noise_max=limit))
     state = known(2.0, settings)
     state.estimator.surprise.noise, state.estimator.sample.rounding = noise * noise, rounding
     assert adapted(state, settings) == Verdict.TRUSTED
-    noise_V = 4e-3 * LEARNING.output_scale * noise_gain(a, b, state.new_loop)
+    noise_V = 4e-3 * LEARNING.output_scale * noise_gain(equation(a, b), a, b, state.new_loop)
     assert 0.9 * limit < noise_V <= limit
     r = [1.0, *state.adaptive_gains[: len(b) - 1]]
     s = state.adaptive_gains[len(b) - 1 :]

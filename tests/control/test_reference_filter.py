@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from adaptdrive.control.compensator import control_law
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.noise_limit import slowed_loop
+from adaptdrive.control.pole_placement import equation
 from adaptdrive.control.reference_filter import (
     ReferenceFilter,
     condition_reference,
@@ -45,7 +46,7 @@ def response(
     slowness: float, target: float, limit_V: float = math.inf, *, conditioned: bool = True
 ) -> Array:
     """Output after a step of the reference, on the discrete model."""
-    state, gains = designed(slowness), loop_gains(A, B, slow_loop(slowness))
+    state, gains = designed(slowness), loop_gains(equation(A, B), A, B, slow_loop(slowness))
     inputs, outputs, trace = [REST_V] * TAPS, [REST] * (MOTOR.order + 1), []
     for _ in range(200):
         y = np.dot(B[1:], inputs) - np.dot(A[1:], outputs[: MOTOR.order])

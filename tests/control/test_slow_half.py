@@ -9,6 +9,7 @@ import pytest
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.noise_limit import noise_gain, slowed_loop
+from adaptdrive.control.pole_placement import equation
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
@@ -147,7 +148,7 @@ def in_force(a: list[float], b: list[float], slowness: float) -> SlowState:
     """A loop that is slower than what is asked for, under gains that are not learnt."""
     state, taps = at_rest(), len(b) - 1
     loop = slowed_loop([1.0], MOTOR.order, taps - MOTOR.order, 0.7, slowness)
-    copy_into(state.adaptive_gains, loop_gains(a, b, loop))
+    copy_into(state.adaptive_gains, loop_gains(equation(a, b), a, b, loop))
     copy_into(state.reference_filter.asked, asked_loop(b, MOTOR.order, 0.7))
     copy_into(state.reference_filter.loop, loop)
     copy_into(state.reference_filter.course, [3.0] * len(loop))
@@ -187,7 +188,9 @@ def mean_error_at_the_lower_limit(confidence: float) -> float:
     )
     settings, state = replace(EXACT, jacket=jacket), in_force(a, b, slowness)
     state.input_noise = state.fast_noise = 8.0
-    noise = 8.0 / noise_gain(a, b, slowed_loop([1.0], MOTOR.order, len(b) - 3, 0.7, slowness))
+    noise = 8.0 / noise_gain(
+        equation(a, b), a, b, slowed_loop([1.0], MOTOR.order, len(b) - 3, 0.7, slowness)
+    )
     random, errors = np.random.default_rng(5), []
     inputs, outputs = [REST_V] * (len(b) - 1), [3.0] * 2
     for _ in range(3000):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -344,12 +344,12 @@ class DrawnRun(Trial):
     def described(self, run: Run) -> Run:
         """Return a run with what it was to follow, and the loop as designed."""
         given = {"time_s": self.times_s, "reference": self.references, "size": self.sizes}
-        return run.beside(**given, ideal=self.ideal())
+        return run.beside(**given, ideal=self.ideal)
 
     def errors(self, run: Run) -> Array:
         """Return the differences to the designed loop while the drive runs."""
         shown = run["output"] + self.offset
-        found: Array = ((shown - self.ideal()) / self.step)[self.running()]
+        found: Array = ((shown - self.ideal) / self.step)[self.running()]
         return found
 
     def seen(self, run: Run) -> Row:
@@ -378,6 +378,7 @@ class DrawnRun(Trial):
             found[stop.start : stop.stop + 1] = False
         return found
 
+    @cached_property
     def ideal(self) -> Array:
         """Output of the loop as designed, at each slow instant."""
         loads, own = self.true_loads(), self.own

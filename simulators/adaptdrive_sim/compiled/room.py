@@ -19,67 +19,57 @@ from numba.extending import intrinsic
 
 from adaptdrive_sim.compiled.lists import ListType, make_list
 
-_NAME = "adaptdrive_room"
 _PLACES = 65536
-_VECTOR = ListType(types.float64)
 
 
 @numba.njit(cache=True, forceinline=True)
 def new_vector(count: int) -> Any:
     """Return a vector of so many numbers, whatever they are."""
-    if not 0 <= count <= _PLACES - _taken():
+    taken: Any = _taken()
+    first = taken[0]
+    if not 0 <= count <= _PLACES - first:
         raise MemoryError("no room for a vector")
-    return _take(count)
+    taken[0] = first + count
+    return _vector(first, count)
 
 
 @numba.njit(cache=True, forceinline=True)
 def forget_vectors() -> None:
     """Every vector that was made so far may be overwritten from now on."""
-    _forget()
+    _taken()[0] = 0
 
 
 @intrinsic
 def _taken(_: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001
-        return builder.load(_counter(builder))
+    """Return a list of one number: how many places are taken."""
+    kind = ListType(types.intp)
 
-    return types.intp(), generate
+    def generate(context: Any, builder: Any, _: Any, __: Any) -> Any:
+        counter = _variable(builder, "adaptdrive_taken", ir.IntType(64))
+        return make_list(context, builder, kind, counter, context.get_constant(types.intp, 1))
 
-
-@intrinsic
-def _forget(_: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001
-        builder.store(ir.Constant(ir.IntType(64), 0), _counter(builder))
-        return context.get_dummy_value()
-
-    return types.void(), generate
+    return kind(), generate
 
 
 @intrinsic
-def _take(_: Any, count: Any) -> Any:  # noqa: ARG001  # shows how it is called
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001
-        counter, (count,) = _counter(builder), args
-        first = builder.load(counter)
-        builder.store(builder.add(first, count), counter)
-        place = cgutils.gep_inbounds(builder, _memory(builder), 0, 1, first)
-        return make_list(context, builder, _VECTOR, place, count)
+def _vector(_: Any, first: Any, count: Any) -> Any:
+    """Return the list of so many places from one on."""
+    kind = ListType(types.float64)
 
-    return _VECTOR(types.intp), generate
+    def generate(context: Any, builder: Any, _: Any, args: Any) -> Any:
+        places = _variable(builder, "adaptdrive_room", ir.ArrayType(ir.DoubleType(), _PLACES))
+        place = cgutils.gep_inbounds(builder, places, 0, args[0])
+        return make_list(context, builder, kind, place, args[1])
 
-
-def _counter(builder: Any) -> Any:
-    """Return the address of the count of used places."""
-    return cgutils.gep_inbounds(builder, _memory(builder), 0, 0)
+    return kind(first, count), generate
 
 
-def _memory(builder: Any) -> Any:
-    """The counter and the places: one variable for all functions that are compiled together."""
+def _variable(builder: Any, name: str, kind: Any) -> Any:
+    """Return the address of what all functions that are compiled together share."""
     module = builder.module
-    if _NAME in module.globals:
-        return module.globals[_NAME]
-    places = ir.ArrayType(ir.DoubleType(), _PLACES)
-    kind = ir.LiteralStructType([ir.IntType(64), places])
-    variable = ir.GlobalVariable(module, kind, _NAME)
+    if name in module.globals:
+        return module.globals[name]
+    variable = ir.GlobalVariable(module, kind, name)
     variable.linkage = "linkonce_odr"
     variable.initializer = ir.Constant(kind, None)
     return variable

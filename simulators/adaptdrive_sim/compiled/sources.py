@@ -30,6 +30,7 @@ _INLINED = {
         "fast_half",
         "lambda_filter",
         "lambda_transform",
+        "pole_placement",
         "rounding",
         "screen",
         "signals",
@@ -37,7 +38,7 @@ _INLINED = {
         "voltage_loop",
     )
 }
-"""Modules of the controller that run in each tick, or for each of many models."""
+"""Modules of the controller that run in each tick, or for each of the models of a slow period."""
 
 _OUTSIDE = {
     f"adaptdrive.control.{name}"

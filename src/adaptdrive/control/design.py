@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from adaptdrive.control.discretise import held_model, input_taps
 from adaptdrive.control.load import Load
-from adaptdrive.control.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.pole_placement import desired_polynomial, place, place_poles
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.vectors import Vector, multiply
 
@@ -82,12 +82,13 @@ def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
     Returns:
         r_1 ... r_n, s_0 ... s_m; NaNs where the model cannot be controlled.
     """
-    return loop_gains(a, b, asked_loop(b, order, pole))
+    r, s = place_poles(a, b, asked_loop(b, order, pole))
+    return [*r[1:], *s]
 
 
-def loop_gains(a: Vector, b: Vector, desired: Vector) -> Vector:
+def loop_gains(solved: Vector, a: Vector, b: Vector, desired: Vector) -> Vector:
     """The gains that give a model the closed loop `desired`, in the order of the compensator."""
-    r, s = place_poles(a, b, desired)
+    r, s = place(solved, a, b, desired)
     return [*r[1:], *s]
 
 

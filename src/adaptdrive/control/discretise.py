@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.control.vectors import Vector, copy_into, unit
+from adaptdrive.control.vectors import Vector, copy_into, identity
 
 _TAYLOR_TERMS = 30
 """Terms of the exponential: 2^30/30! is below the rounding of a double."""
@@ -89,7 +89,7 @@ def _companion(numerator: Vector, denominator: Vector) -> Vector:
     return system
 
 
-def propagate(system: Vector, state: Vector, duration_s: float) -> None:
+def propagate(system: Vector, states: Vector, duration_s: float) -> None:
     """z <- exp(M t) z by a Taylor series over steps short enough for full precision.
 
     A system too fast for the duration by four orders of magnitude gives NaNs: as a load model it
@@ -97,45 +97,53 @@ def propagate(system: Vector, state: Vector, duration_s: float) -> None:
 
     Args:
         system: -a_m ... -a_1, c_m ... c_1, b_0.
-        state: z: x_1 ... x_m, u, ∫y; overwritten.
+        states: z: x_1 ... x_m, u, ∫y, or several z, one behind the other; overwritten.
         duration_s: t.
     """
-    reach = _norm(system, len(state) - 2) * duration_s
-    term = [math.nan] * len(state)
+    reach = _norm(system, len(system) // 2) * duration_s
+    terms = [math.nan] * len(states)
     if not reach < _LONGEST_REACH:
-        copy_into(state, term)
+        copy_into(states, terms)
         return
     steps = max(1, math.ceil(reach / _LONGEST_STEP))
     for _ in range(steps):
-        copy_into(term, state)
-        _taylor_step(system, state, term, duration_s / steps)
+        copy_into(terms, states)
+        _taylor_step(system, states, terms, duration_s / steps)
 
 
-def _taylor_step(system: Vector, state: Vector, term: Vector, step_s: float) -> None:
-    """Add t^n/n! M^n z for n = 1, 2, ... to z until it makes no difference; `term` begins as z."""
-    order = len(state) - 2
+def _taylor_step(system: Vector, states: Vector, terms: Vector, step_s: float) -> None:
+    """Add t^n/n! M^n z for n = 1, 2, ... to z until it makes no difference; terms begin as z."""
+    size = len(system) // 2 + 2
     for n in range(1, _TAYLOR_TERMS + 1):
-        share = step_s / n
-        rise, slope = term[order], system[2 * order] * term[order]
-        for i in range(order):
-            rise += system[i] * term[i]
-            slope += system[order + i] * term[i]
-        for i in range(order - 1):
-            term[i] = share * term[i + 1]
-        if order > 0:
-            term[order - 1] = share * rise
-        term[order], term[order + 1] = 0.0, share * slope
-        if not _add(state, term):
+        for first in range(0, len(terms), size):
+            _next_term(system, terms, first, step_s / n)
+        if not _add(states, terms):
             break
 
 
-def _add(state: Vector, term: Vector) -> bool:
-    """Add a term of a series; return whether the sum has changed."""
+def _next_term(system: Vector, terms: Vector, first: int, share: float) -> None:
+    """Make t^n/n! M^n z, which begins at an entry, of the term before."""
+    order = len(system) // 2
+    u = terms[first + order]
+    rise, slope = u, system[2 * order] * u
+    for i in range(order):
+        x = terms[first + i]
+        rise += system[i] * x
+        slope += system[order + i] * x
+    for i in range(order - 1):
+        terms[first + i] = share * terms[first + i + 1]
+    if order > 0:
+        terms[first + order - 1] = share * rise
+    terms[first + order], terms[first + order + 1] = 0.0, share * slope
+
+
+def _add(states: Vector, terms: Vector) -> bool:
+    """Add terms of a series; return whether a sum has changed."""
     counts = False
-    for i in range(len(state)):
-        grown = state[i] + term[i]
-        if grown != state[i]:
-            state[i] = grown
+    for i in range(len(states)):
+        grown = states[i] + terms[i]
+        if grown != states[i]:
+            states[i] = grown
             counts = True
     return counts
 
@@ -151,12 +159,11 @@ def _norm(system: Vector, order: int) -> float:
 
 def _transition(system: Vector, size: int, duration_s: float) -> Vector:
     """exp(M t), flat."""
-    transition = [0.0] * (size * size)
+    columns, transition = identity(size), [0.0] * (size * size)
+    propagate(system, columns, duration_s)
     for j in range(size):
-        column = unit(size, j)
-        propagate(system, column, duration_s)
         for i in range(size):
-            transition[i * size + j] = column[i]
+            transition[i * size + j] = columns[j * size + i]
     return transition
 
 

@@ -24,7 +24,7 @@ import math
 
 from adaptdrive.control.design import kept_factor
 from adaptdrive.control.noise_limit import impulse_norm
-from adaptdrive.control.pole_placement import desired_polynomial, equation, place
+from adaptdrive.control.pole_placement import desired_polynomial, place
 from adaptdrive.control.vectors import Vector, multiply
 
 MODULUS_MARGIN = 0.43
@@ -47,6 +47,7 @@ _HALVINGS = 6
 
 
 def fast_loop(
+    solved: Vector,
     a: Vector,
     b: Vector,
     order: int,
@@ -59,6 +60,7 @@ def fast_loop(
     """Return A_f; A_q where no loop faster than asked keeps within the limits.
 
     Args:
+        solved: The `equation` of A and B.
         a: A of the model.
         b: B of the model.
         order: m.
@@ -68,7 +70,7 @@ def fast_loop(
         limit: Largest σ_u of the quiet law, in the unit of the input; 0 for A_q at any noise.
         circle: That of `unit_circle` for as many entries as A_c has.
     """
-    kept, solved = kept_factor(b, pole), equation(a, b)
+    kept = kept_factor(b, pole)
     free = len(a) + len(b) - 2 - 2 * order
     low, high = 0.0, 1.0 if limit > 0.0 else 0.0
     for _ in range(_HALVINGS):

@@ -156,6 +156,7 @@ def take_in(
         True when a slow period ends with this tick.
     """
     rates, tick = settings.rates, measurement.tick
+    into_period = tick % rates.ticks_per_period
     load_input = to_input(measurement.boost_voltage_V, load.input_gain, load.input_exponent)
     elapsed = tick - state.tick
     counted = min(max(elapsed, 1), rates.ticks_per_period)
@@ -166,12 +167,10 @@ def take_in(
             output = pass_sample(bank.screen, output, rates.clip, elapsed)
         filter_sample(bank, output, load_input, counted)
     count_tick(state, measurement.boost_voltage_V, measurement.fresh, counted)
-    into_period = tick % rates.ticks_per_period
     if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:
         accumulate(bank)
-    ends = tick // rates.ticks_per_period != state.tick // rates.ticks_per_period
     state.tick = tick
-    return ends
+    return not 0 <= into_period - elapsed < rates.ticks_per_period  # the tick before lies outside
 
 
 def filter_sample(bank: FilterBank, output: float, load_input: float, ticks: int) -> None:

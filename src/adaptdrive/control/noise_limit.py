@@ -27,7 +27,7 @@ import math
 
 from adaptdrive.control.design import kept_factor
 from adaptdrive.control.evidence import FEWEST
-from adaptdrive.control.pole_placement import desired_polynomial, equation, place
+from adaptdrive.control.pole_placement import desired_polynomial, place
 from adaptdrive.control.vectors import Vector, copy_into, multiply
 
 OBSERVER_POLE = 1.0 - 1.0 / FEWEST
@@ -43,10 +43,13 @@ _HALVINGS = 6
 """Halvings of the way to the slowest poles, until the observer pole is found within 0.03."""
 
 
-def quiet_loop(a: Vector, b: Vector, order: int, pole: float, noise: float, limit: float) -> Vector:
+def quiet_loop(
+    solved: Vector, a: Vector, b: Vector, order: int, pole: float, noise: float, limit: float
+) -> Vector:
     """Return A_c with the fastest poles that keep the noise of the input within its limit.
 
     Args:
+        solved: The `equation` of A and B.
         a: A of the model.
         b: B of the model.
         order: m.
@@ -54,16 +57,16 @@ def quiet_loop(a: Vector, b: Vector, order: int, pole: float, noise: float, limi
         noise: σ_y of a slow sample, in the unit of the output.
         limit: Largest σ_u, in the unit of the input; 0 for none.
     """
-    kept, solved = kept_factor(b, pole), equation(a, b)
+    kept = kept_factor(b, pole)
     free = len(a) + len(b) - 2 - 2 * order
     found = slowed_loop(kept, order, free, pole, 0.0)
-    least = _noise_gain(solved, a, b, found)
+    least = noise_gain(solved, a, b, found)
     if noise * least <= limit or not limit > 0.0:
         return found
     low, high, slowness = 0.0, _BOTH, _BOTH
     for _ in range(1 + _HALVINGS):
         loop = slowed_loop(kept, order, free, pole, slowness)
-        gain = _noise_gain(solved, a, b, loop)
+        gain = noise_gain(solved, a, b, loop)
         if noise * gain <= limit:
             found, least, high = loop, 0.0, slowness
         else:
@@ -89,19 +92,17 @@ def slowed_loop(kept: Vector, order: int, free: int, pole: float, slowness: floa
     return multiply(multiply(kept, slowed), desired_polynomial(observer, free))
 
 
-def noise_gain(a: Vector, b: Vector, loop: Vector) -> float:
+def noise_gain(solved: Vector, a: Vector, b: Vector, loop: Vector) -> float:
     """Return ‖S A / A_c‖₂ of the controller that gives a model this loop.
 
     Args:
+        solved: The `equation` of A and B.
         a: A of the model.
         b: B of the model.
         loop: A_c, stable.
     """
-    return _noise_gain(equation(a, b), a, b, loop)
-
-
-def _noise_gain(solved: Vector, a: Vector, b: Vector, loop: Vector) -> float:
-    return impulse_norm(multiply(place(solved, a, b, loop)[1], a), loop)
+    _, s = place(solved, a, b, loop)
+    return impulse_norm(multiply(s, a), loop)
 
 
 def impulse_norm(numerator: Vector, denominator: Vector) -> float:

@@ -16,6 +16,7 @@ from adaptdrive.control.fast_feedback import fast_loop
 from adaptdrive.control.integrated import restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.noise_limit import noise_gain, quiet_loop
+from adaptdrive.control.pole_placement import equation
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, copy_into, total
@@ -96,13 +97,13 @@ def _take_fast_law(
     settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
 ) -> None:
     """Take over the fast law, or the quiet one where the covariance leaves the fast one unsure."""
-    a, b, quiet = state.model_a, state.model_b, state.new_loop
+    a, b, quiet, solved = state.model_a, state.model_b, state.new_loop, state.equation
     noise, limit = _output_noise(settings, state, 0.0), settings.jacket.noise_max
-    loop = fast_loop(a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
-    gains = loop_gains(a, b, loop)
+    loop = fast_loop(solved, a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
+    gains = loop_gains(solved, a, b, loop)
     most = settings.jacket.spread_max
     if most > 0.0 and not _spread(settings, load, state, gains, loop, sample.pole) <= most:
-        loop, gains = quiet, loop_gains(a, b, quiet)
+        loop, gains = quiet, loop_gains(solved, a, b, quiet)
     copy_into(state.fast_loop, loop)
     copy_into(state.fast_gains, gains)
 
@@ -133,7 +134,7 @@ def _input_noise(
     limit = settings.jacket.noise_max
     if not limit > 0.0:
         return 0.0
-    gain = noise_gain(state.model_a, state.model_b, loop)
+    gain = noise_gain(state.equation, state.model_a, state.model_b, loop)
     return min(limit, gain * _output_noise(settings, state, least))
 
 
@@ -148,13 +149,13 @@ def _redesign(
     if verdict != sup.Verdict.TRUSTED:
         return verdict
     limit = settings.jacket.noise_max
-    noise = _output_noise(settings, state)
-    copy_into(state.new_loop, quiet_loop(a, b, load.order, sample.pole, noise, limit))
-    copy_into(gains, loop_gains(a, b, state.new_loop))
+    noise, solved = _output_noise(settings, state), equation(a, b)
+    copy_into(state.new_loop, quiet_loop(solved, a, b, load.order, sample.pole, noise, limit))
+    copy_into(gains, loop_gains(solved, a, b, state.new_loop))
     verdict = sup.judge_loop(closed_loop(gains, a, b, load.order))
     if verdict != sup.Verdict.TRUSTED:
         return verdict
-    state.model_a, state.model_b = a, b
+    state.model_a, state.model_b, state.equation = a, b, solved
     return _judge_response(settings, load, state, gains, sample)
 
 

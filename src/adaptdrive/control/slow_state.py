@@ -79,6 +79,7 @@ class SlowState:
         spread: How far the response may be off within the covariance, as a share of a step.
         model_a: A of this period's estimate.
         model_b: B of it.
+        equation: That of A and B (`pole_placement`), NaNs before the first.
         trusted_a: A of the last trusted estimate.
         trusted_b: B of it.
         reference_filter: Reference filter of the adaptive law.
@@ -125,6 +126,7 @@ class SlowState:
     preview: PreviewState
     model_a: Vector
     model_b: Vector
+    equation: Vector
     trusted_a: Vector
     trusted_b: Vector
     reference_filter: ReferenceFilter
@@ -225,6 +227,7 @@ def new_slow_state(
         preview=PreviewState([math.nan] * (load.order + taps + 1)),
         model_a=[1.0] + [0.0] * load.order,
         model_b=[0.0] * (taps + 1),
+        equation=[math.nan] * ((load.order + taps) * (load.order + taps + 1)),
         trusted_a=[1.0] + [0.0] * load.order,
         trusted_b=[0.0] * (taps + 1),
         reference_filter=new_reference_filter(load.order, taps),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -361,6 +361,7 @@ class ChargingStand(DrawnRun):
         own = self.own.load
         return replace(own, numerator=tuple(numerator), denominator=tuple(denominator))
 
+    @cached_property
     def ideal(self) -> Array:
         """Return what is asked for."""
         return ideal_current(self.references, self.own.pole)

@@ -112,7 +112,7 @@ def figures(case: Case, seed: int, controller: str) -> Figures:
     trace, references = trace_of(stand, controller), stand.references
     judged = (stand.times_s >= case.begin_s) & (stand.times_s < case.end_s)
     output = trace[:, bench.OUTPUT] + stand.offset
-    errors = 100.0 * (output - stand.ideal())[judged] / case.unit
+    errors = 100.0 * (output - stand.ideal)[judged] / case.unit
     beyond = np.maximum(output - references.max(), references.min() - output)[judged]
     adaptive = controller == "adaptive"
     in_force = trace[stand.times_s >= 60.0, bench.ADAPTIVE] if adaptive else np.zeros(1)
