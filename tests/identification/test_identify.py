@@ -20,6 +20,7 @@ from tests.identification.plants import (
     open_loop,
     random_voltage,
 )
+from tests.support import sample
 
 PERIOD_s = 0.5
 COUNT = 800
@@ -41,9 +42,10 @@ def recorded(plant: Plant, seed: int, noise: float, delay: int = 0) -> Excerpt:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_intervals_hold_what_they_claim(kind: str) -> None:
+@pytest.mark.parametrize("seeds", sample([range(20), range(60)], 1), ids=len)
+def test_intervals_hold_what_they_claim(kind: str, seeds: range) -> None:
     errors = []
-    for seed in range(60):
+    for seed in seeds:
         plant = KINDS[kind](np.random.default_rng(seed))
         excerpt = recorded(plant, seed + 1000, noise=0.05, delay=seed % 4)
         errors += scores(identify([excerpt], plant.structure), plant)
@@ -63,14 +65,15 @@ def looped(plant: Plant, seed: int, colour: float) -> Excerpt:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("colour", [0.0, 0.8])
-def test_feedback_of_the_noise_leaves_no_bias(colour: float) -> None:
+@pytest.mark.parametrize("seeds", sample([range(20), range(80)], 1), ids=len)
+def test_feedback_of_the_noise_leaves_no_bias(colour: float, seeds: range) -> None:
     errors = []
-    for seed in range(80):
+    for seed in seeds:
         plant = KINDS["motor"](np.random.default_rng(seed))
         excerpt = looped(plant, seed + 2000, colour)
         errors.append(scores(identify([excerpt], plant.structure, longest_delay=0), plant))
     assert 0.90 <= np.mean(np.abs(errors) < 1.96) <= 0.99
-    assert np.abs(np.mean(errors, axis=0)).max() < 3.0 / np.sqrt(80)
+    assert np.abs(np.mean(errors, axis=0)).max() < 3.0 / np.sqrt(len(seeds))
 
 
 def test_a_direct_difference_of_samples_would_be_biased_in_that_loop() -> None:
