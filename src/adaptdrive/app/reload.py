@@ -128,19 +128,17 @@ class RunCourse:
             raise RefusedError(
                 f"{self.path} is not the file whose model was measured, nothing has changed"
             )
-        configuration = examine_text(text, self.path)
-        before, after = self._given.configuration, configuration
-        changed = [
-            name
-            for name in type(configuration).model_fields
-            if getattr(before, name) != getattr(after, name)
-        ]
+        before, after = self._given.configuration, examine_text(text, self.path)
+        names = type(after).model_fields
+        changed = [one for one in names if getattr(before, one) != getattr(after, one)]
         if fixed := [name for name in changed if name not in CHANGEABLE]:
-            names = ", ".join(f"[{name}]" for name in fixed)
-            raise RefusedError(f"a change of {names} needs a restart of the daemon; nothing is new")
-        if descriptions(configuration) != self._descriptions:
+            sections = ", ".join(f"[{name}]" for name in fixed)
+            raise RefusedError(
+                f"a change of {sections} needs a restart of the daemon; nothing is new"
+            )
+        if descriptions(after) != self._descriptions:
             raise RefusedError("a changed DBC or EDS file needs a restart of the daemon")
-        return Given(configuration, text, measured, tuple(changed))
+        return Given(after, text, measured, tuple(changed))
 
     async def feed_between(self, manager: ServiceManager) -> None:
         """Feed the watchdog between two runs, in which no tick does."""
