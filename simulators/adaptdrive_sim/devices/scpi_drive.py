@@ -21,6 +21,7 @@ from adaptdrive_sim.devices.frames import quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
 
 NO_NUMBER = "9.91E37"
+_LISTED = 10
 UNDEFINED, OUT_OF_RANGE = '-113,"Undefined header"', '-222,"Data out of range"'
 
 
@@ -93,11 +94,11 @@ class ScpiDrive:
     def obey(self, line: str) -> list[str]:
         """Return the lines that answer a question; obey a command, which has none."""
         self.counts["requests"] += 1
-        if line == "*OPC?":
+        if line in {"*OPC?", self._config.done}:
             return ["1"]
         for name, value in self._config.values.items():
             if value.query == line:
-                return [self._answer(name)]
+                return [_worded(value, self._answer(name))]
             head = (value.write or "").partition("{")[0]
             if value.write is not None and line.startswith(head):
                 self._take(name, value, line.removeprefix(head))
@@ -128,7 +129,8 @@ class ScpiDrive:
 
     def _take(self, name: str, value: ScpiValue, argument: str) -> None:
         """Keep a number that is in range, and obey the command that results."""
-        number, limits = value.number(argument), value.range
+        plain = value.model_copy(update={"reply": "(.*)"})
+        number, limits = plain.number(argument), value.range
         if limits is not None and not limits.low <= number <= limits.high:
             self._refuse(OUT_OF_RANGE)
             return
@@ -148,3 +150,10 @@ class ScpiDrive:
         self.counts[error] += 1
         if self.counts[error] == 1:
             self._report("command refused", reason=error)
+
+
+def _worded(value: ScpiValue, number: str) -> str:
+    """Return a reply that the configuration finds a number in: with its words, or in a list."""
+    if "(.*)" in value.reply:
+        return value.reply.replace("(.*)", number)
+    return ",".join([number] * _LISTED)
