@@ -30,7 +30,6 @@ _INLINED = {
         "fast_half",
         "lambda_filter",
         "lambda_transform",
-        "pole_placement",
         "rounding",
         "screen",
         "signals",
