@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.hardware.doubts import Obedience
+from adaptdrive.hardware.doubts import LEAPT, LOST, Obedience, Relink
 
 
 class Watched:
@@ -48,3 +48,13 @@ def test_its_time_begins_anew_after_another_command() -> None:
     assert watched.obedience.heard_s == math.inf
     watched.obedience.hear()
     assert watched.overdue_s(1.5) == -0.5
+
+
+def test_a_counter_that_leaps_after_a_lost_bus_leaves_the_loss_as_the_cause() -> None:
+    relink = Relink()
+    relink.note(bridge=True, safe=False)
+    relink.hear(bridge=True)
+    relink.open(bridge=True)
+    relink.open(bridge=True, how=LEAPT)
+    relink.hear(bridge=False)
+    assert LOST in str(relink.complaint)

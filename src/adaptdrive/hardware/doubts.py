@@ -60,7 +60,7 @@ class Relink:
             bridge: Whether the last command that reached the drive had the bridge on.
             how: Why nothing is heard of the drive.
         """
-        if not (self._was_on and how == UNREAD):  # what keeps the readings away says more
+        if not (self._was_on and how in {UNREAD, LEAPT}):  # what was there before says more
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
 
