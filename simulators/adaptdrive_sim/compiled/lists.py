@@ -130,8 +130,8 @@ def _place(context: Any, builder: Any, kind: Any, values: Any, index_type: Any, 
     if kind.words is not None:
         beyond = builder.icmp_unsigned(">=", index, values.count)
         with builder.if_then(beyond, likely=False):
-            told = ("list index out of range",)
-            context.call_conv.return_user_exc(builder, IndexError, told)
+            words = ("list index out of range",)
+            context.call_conv.return_user_exc(builder, IndexError, words)
     return _address(context, builder, kind, values.first, index)
 
 

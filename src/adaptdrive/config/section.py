@@ -95,7 +95,7 @@ class Section(BaseModel):
             field.description = meanings.get(name)
 
     def flaws(self) -> Iterator[Flaw]:
-        """Yield what is wrong with keys that are valid each by itself; places are within this."""
+        """Yield contradictions of keys that are valid one by one; places are relative."""
         return iter(())
 
     @model_validator(mode="after")

@@ -87,7 +87,14 @@ def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
 
 
 def loop_gains(solved: Vector, a: Vector, b: Vector, desired: Vector) -> Vector:
-    """The gains that give a model the closed loop `desired`, in the order of the compensator."""
+    """Return the gains of the loop `desired`, ordered as those of `compensator_gains`.
+
+    Args:
+        solved: The `equation` of A and B.
+        a: A of the model.
+        b: B of the model.
+        desired: A_c.
+    """
     r, s = place(solved, a, b, desired)
     return [*r[1:], *s]
 

@@ -96,7 +96,7 @@ def tcp_locks(kind: str, host: str, port: int, rest: str = "") -> Iterator[str]:
         kind: Kind of bus.
         host: Name or address.
         port: TCP port.
-        rest: What else tells the device from others.
+        rest: The rest of its address, such as the id of the device.
     """
     with contextlib.suppress(OSError, ValueError, TimeoutError):
         found = look_up(host, port).result(_LOOK_UP_S)

@@ -182,8 +182,8 @@ class Log:
 
     def _tell(self, news: LogNews) -> None:
         """Pass what is new of a thread to the event loop, which may have ended."""
-        told = self.problems.items()
-        problems = {what: why for what, why in news.problems.items() if (what, why) not in told}
+        known = self.problems.items()
+        problems = {what: why for what, why in news.problems.items() if (what, why) not in known}
         self.problems |= problems
         news = msgspec.structs.replace(news, problems=problems)
         if self._loop is not None and news != LogNews():
