@@ -16,7 +16,6 @@ from adaptdrive.config.file import Findings, find_flaws, read_text
 from adaptdrive.config.load import AnyLoad, BatterySection
 from adaptdrive.config.modbus import ModbusBus, ModbusLink
 from adaptdrive.config.scpi import ScpiBus
-from adaptdrive.config.sensors import sensor_flaws
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.reach import nominal_reach
@@ -61,23 +60,17 @@ def examine_text(text: str, path: Path) -> Configuration:
 
 def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
     """Yield the errors in the files and maps that describe drive and sensors."""
-    configuration = findings.configuration
-    if findings.mended >= _OF_PORT and _leads_somewhere(findings):
+    configuration, whole = findings.configuration, findings.valid >= _OF_PORT
+    if whole and _leads_somewhere(findings):
         yield from _flaws_of(lambda: build_port(configuration, now_s, path))
-    if "sensor_bus" not in findings.sound:
+    if "sensor_bus" not in findings.valid:
         return
     flawed = [flaw.place for flaw in findings.flaws]
-    sound = findings.mended >= _OF_PORT
-    demands = demands_of(configuration) if sound else NO_DEMANDS
+    demands = demands_of(configuration) if whole else NO_DEMANDS
     for number, bus in enumerate(configuration.sensor_bus):
         place = f"sensor_bus.{number}"
-        if isinstance(bus, ModbusLink):
-            # other flaws may hide those of signals, for which the slow period does not matter
-            flaws = sensor_flaws(bus, place, math.inf)
-            unknown = [one for one in flaws if one.place.startswith(f"{place}.signals.")]
-            yield from unknown
-            if unknown or any(one.startswith(f"{place}.") for one in flawed):
-                continue
+        if isinstance(bus, ModbusLink) and any(one.startswith(f"{place}.") for one in flawed):
+            continue
         build = functools.partial(build_sensor_port, bus, place, now_s, path, demands)
         yield from _flaws_of(build)
 
@@ -86,8 +79,7 @@ def _leads_somewhere(findings: Findings) -> bool:
     """Return whether names in `[signals]` can be looked up, which needs a valid register map."""
     if not isinstance(findings.configuration.bus, ModbusBus | ScpiBus):
         return True
-    flawed = any(flaw.place.startswith(("bus", "signals")) for flaw in findings.flaws)
-    return findings.sound >= _OF_PORT and not flawed
+    return not any(flaw.place.startswith(("bus", "signals")) for flaw in findings.flaws)
 
 
 def _flaws_of(build: Callable[[], object]) -> tuple[Flaw, ...]:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import select
 import stat
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from adaptdrive.config.load import LOAD_TYPES
 from adaptdrive.config.proposals import key_proposal
 from adaptdrive.config.root import BUS_TYPES, Configuration, consistency_flaws
-from adaptdrive.config.tables import shortened, valid_sections, value_flaws, without
+from adaptdrive.config.tables import Keys, shortened, take_out, value_flaws
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES, "sensor_bus": BUS_TYPES}
@@ -35,15 +36,14 @@ class Findings:
     """Contents of a file, as far as they are valid.
 
     Attributes:
-        configuration: Its sections; those that are not in `sound` or `mended` are missing.
-        sound: Sections that are valid as they stand.
-        mended: Sections that are valid without their flawed keys.
+        configuration: Its sections.
+        valid: Names of those that are valid, if need be without their flawed keys; the others are
+            missing.
         flaws: Everything that is wrong so far.
     """
 
     configuration: Configuration
-    sound: frozenset[str]
-    mended: frozenset[str]
+    valid: frozenset[str]
     flaws: tuple[Flaw, ...]
 
 
@@ -122,6 +122,8 @@ def parse_configuration(text: str, source: Path) -> Configuration:
 def validate_configuration(tables: dict[str, Any], source: Path) -> Configuration:
     """Validate the tables of a configuration that came from (or belongs beside) `source`.
 
+    Flawed values are taken out of them.
+
     Raises:
         ConfigurationError: As for `load_configuration`.
     """
@@ -139,36 +141,35 @@ def _tables(text: str, source: Path) -> dict[str, Any]:
 
 
 def _examine(tables: dict[str, Any], folder: Path) -> Findings:
-    absurd = list(value_flaws(tables))
-    if not absurd:
-        return _examine_values(tables, folder)
-    found = _examine_values(without(tables, [flaw.keys for flaw in absurd]), folder)
-    values = {".".join(map(str, one.keys)): one.message for one in absurd}
-    flaws = [Flaw(place, message) for place, message in values.items()]
-    flaws += [flaw for flaw in found.flaws if flaw.place not in values]
-    touched = {str(one.keys[0]) for one in absurd}
-    return replace(found, sound=found.sound - touched, flaws=tuple(flaws))
-
-
-def _examine_values(tables: dict[str, Any], folder: Path) -> Findings:
+    """Validate tables; what is wrong is taken out of them, and the rest is examined further."""
+    wrong = dict(value_flaws(tables))
+    for place in wrong:
+        take_out(tables, place)
+    flaws = [Flaw(".".join(map(str, place)), message) for place, message in wrong.items()]
     try:
-        configuration = Configuration.model_validate(tables, context=folder)
+        whole, valid = Configuration.model_validate(tables, context=folder), _ALL
     except ValidationError as problem:
-        return _examine_sections(tables, problem, folder)
-    return Findings(configuration, _ALL, _ALL, ())
+        errors: list[dict[str, Any]] = [{**error} for error in problem.errors(include_url=False)]
+        known = {flaw.place for flaw in flaws}
+        flaws += [flaw for flaw in map(_flaw, errors) if flaw.place not in known]
+        for error in errors:
+            take_out(tables, _location(error["loc"]))
+        sections = _valid_sections(tables, folder)
+        whole, valid = Configuration.model_construct(None, **sections), frozenset(sections)
+    return Findings(whole, valid, (*flaws, *consistency_flaws(whole, valid)))
 
 
-def _examine_sections(tables: dict[str, Any], problem: ValidationError, folder: Path) -> Findings:
-    """Each section by itself, and what those that are sound have to do with each other."""
-    errors: list[dict[str, Any]] = [{**error} for error in problem.errors(include_url=False)]
-    flaws = [_flaw(error) for error in errors]
-    unknown = [_location(error["loc"]) for error in errors if error["type"] == _UNKNOWN]
-    flawed = [_location(error["loc"]) for error in errors]
-    sound = valid_sections(without(tables, unknown), folder)
-    mended = {**valid_sections(without(tables, flawed), folder), **sound}
-    whole = Configuration.model_construct(None, **mended)
-    flaws += [one for one in consistency_flaws(whole, sound.keys()) if one not in flaws]
-    return Findings(whole, frozenset(sound), frozenset(mended), tuple(flaws))
+def _valid_sections(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the sections that are valid each by itself, defaults included."""
+    found = {}
+    for name, field in Configuration.model_fields.items():
+        if name in tables:
+            section: Any = Annotated[field.annotation, field]
+            with contextlib.suppress(ValidationError):
+                found[name] = TypeAdapter(section).validate_python(tables[name], context=folder)
+        elif not field.is_required():
+            found[name] = field.get_default(call_default_factory=True)
+    return found
 
 
 def _flaw(error: dict[str, Any]) -> Flaw:
@@ -191,7 +192,7 @@ def _schema() -> dict[str, Any]:
     return Configuration.model_json_schema()
 
 
-def _location(location: tuple[int | str, ...]) -> tuple[int | str, ...]:
+def _location(location: Keys) -> Keys:
     """The keys; pydantic counts a type of load or bus as a separate table."""
     at = 2 if location[1:2] and isinstance(location[1], int) else 1  # of a list, or not
     if location[at : at + 1] and location[at] in _TYPES.get(str(location[0]), ()):

@@ -22,7 +22,7 @@ from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.config.references import canopen_flaws, modbus_flaws, scpi_flaws
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.section import Section
-from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.config.sensors import AnySensorBus, sensor_flaws
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import Derived, line_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
@@ -39,7 +39,7 @@ SensorBus = Annotated[AnySensorBus, Field(discriminator="type")]
 
 
 class Configuration(Section):
-    """One TOML file, one drive."""
+    """One TOML file, one drive; `consistency_flaws` compares the sections with each other."""
 
     drive: DriveSection
     bus: AnyBus = Field(discriminator="type")
@@ -75,10 +75,6 @@ class Configuration(Section):
             command_timeout_s=self.bus.command_timeout_s,
             voltage_parts=frozenset(needed_names(self.derived, voltage)),
         )
-
-    def flaws(self) -> Iterator[Flaw]:
-        """Yield what contradicts each other between sections."""
-        return consistency_flaws(self, type(self).model_fields.keys())
 
 
 def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -206,6 +202,7 @@ _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     _rate_flaws: "drive load",
     _bus_flaws: "bus signals",
     line_flaws: "bus sensor_bus",
+    sensor_flaws: "sensor_bus",
     _converted_flaws: "derived load",
     _pace_flaws: "drive bus signals load interlocks voltage_loop",
     supply_flaws: "bus signals sensor_bus derived load voltage_loop",
@@ -219,13 +216,13 @@ _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
 """Checks between sections, and the sections that each one reads."""
 
 
-def consistency_flaws(configuration: Configuration, sound: Collection[str]) -> Iterator[Flaw]:
+def consistency_flaws(configuration: Configuration, valid: Collection[str]) -> Iterator[Flaw]:
     """Find what contradicts each other between sections.
 
     Args:
         configuration: The sections.
-        sound: Names of those that are valid in themselves; the others are not looked at.
+        valid: Names of those that are there; checks of others are left out.
     """
     for check, needed in _CHECKS.items():
-        if set(needed.split()).issubset(sound):
+        if set(needed.split()).issubset(valid):
             yield from check(configuration)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -12,6 +12,9 @@ from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.references import map_flaws, register_flaws, unknown_flaws
 from adaptdrive.config.section import PositiveFloat, Section, key
 from adaptdrive.errors import Flaw
+
+if TYPE_CHECKING:
+    from adaptdrive.config.root import Configuration
 
 STALE_CYCLES = 1.5
 """Cycles that a value must be allowed to age: it is one old when the next one comes."""
@@ -74,14 +77,24 @@ class CanSensorSection(SensorBusSection, CanDescription):
 AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors
 
 
-def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Flaw]:
-    """Yield the errors in a single sensor bus.
+def sensor_flaws(whole: Configuration) -> Iterator[Flaw]:
+    """Yield the errors in each sensor bus by itself, and names that two of them have.
 
     Args:
-        bus: The bus.
-        place: Where it stands in the configuration.
-        period_s: The load's slow period.
+        whole: The configuration.
     """
+    names: dict[str, str] = {}
+    for number, bus in enumerate(whole.sensor_bus):
+        place = f"sensor_bus.{number}"
+        yield from _age_flaws(bus, place)
+        if not isinstance(bus, CanSensorSection):
+            yield from _modbus_flaws(bus, place)
+        if names.setdefault(bus.name, place) != place:
+            problem = f"{bus.name!r} is the name of {names[bus.name]} already"
+            yield Flaw(f"{place}.name", problem)
+
+
+def _age_flaws(bus: AnySensorBus, place: str) -> Iterator[Flaw]:
     if bus.oldest_s < STALE_CYCLES * bus.cycle_s:
         lowest = f"{STALE_CYCLES * bus.cycle_s:.4g} s, {STALE_CYCLES} times cycle_s"
         yield Flaw(f"{place}.stale_s", f"{bus.stale_s} must be at least {lowest}")
@@ -94,10 +107,6 @@ def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Fla
             f"{bus.stale_s} must not exceed {highest_s:.4g} s: {MOST_STALE_CYCLES:g} times "
             f"cycle_s, and {LONGEST_STALE_S:g} s or {DEFAULT_STALE_CYCLES:g} times cycle_s",
         )
-    if bus.cycle_s > period_s:
-        yield Flaw(f"{place}.cycle_s", f"{bus.cycle_s} must not exceed load.period_s = {period_s}")
-    if not isinstance(bus, CanSensorSection):
-        yield from _modbus_flaws(bus, place)
 
 
 def _modbus_flaws(bus: ModbusSensorSection, place: str) -> Iterator[Flaw]:

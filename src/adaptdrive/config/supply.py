@@ -15,7 +15,6 @@ from pydantic import Field
 
 from adaptdrive.config.bus import MEASURED, WORDS
 from adaptdrive.config.modbus import RtuLink
-from adaptdrive.config.sensors import sensor_flaws
 from adaptdrive.config.units import Converted
 from adaptdrive.errors import Flaw
 
@@ -112,13 +111,10 @@ def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
                 "Field required: neither [signals], nor a [[sensor_bus]], nor [derived] gives it",
             )
     yield from _derived_flaws(whole.derived, givers)
-    names: dict[str, str] = {}
     for number, bus in enumerate(whole.sensor_bus):
-        place = f"sensor_bus.{number}"
-        yield from sensor_flaws(bus, place, whole.load.period_s)
-        if names.setdefault(bus.name, place) != place:
-            problem = f"{bus.name!r} is the name of {names[bus.name]} already"
-            yield Flaw(f"{place}.name", problem)
+        if bus.cycle_s > (period_s := whole.load.period_s):
+            problem = f"{bus.cycle_s} must not exceed load.period_s = {period_s}"
+            yield Flaw(f"sensor_bus.{number}.cycle_s", problem)
 
 
 def _optional(whole: Configuration) -> tuple[str, ...]:

@@ -5,13 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import unicodedata
-from collections.abc import Iterable, Iterator
-from pathlib import Path
-from typing import Annotated, Any, NamedTuple
-
-from pydantic import TypeAdapter, ValidationError
-
-from adaptdrive.config.root import Configuration
+from collections.abc import Iterator
+from typing import Any
 
 _LARGEST = 1e12
 """No quantity in SI units, factor or bound is larger, or smaller than its inverse."""
@@ -26,15 +21,11 @@ _CONTROLS = frozenset({"Cc", "Zl", "Zp"})
 
 Keys = tuple[int | str, ...]
 
-
-class Absurd(NamedTuple):
-    """An implausible value: its message, and the keys that lead to it."""
-
-    keys: Keys
-    message: str
+Problem = tuple[Keys, str]
+"""An implausible value: the keys that lead to it, and what is said of it."""
 
 
-def value_flaws(value: object, keys: Keys = ()) -> Iterator[Absurd]:
+def value_flaws(value: object, keys: Keys = ()) -> Iterator[Problem]:
     """Find numbers that nothing has, and texts and keys that no screen, log or topic can show.
 
     Args:
@@ -42,7 +33,7 @@ def value_flaws(value: object, keys: Keys = ()) -> Iterator[Absurd]:
         keys: Where it stands.
     """
     if len(keys) > _DEEPEST:
-        yield Absurd(keys, f"more than {_DEEPEST} tables lie in each other")
+        yield keys, f"more than {_DEEPEST} tables lie in each other"
     elif isinstance(value, dict):
         for key, one in value.items():
             yield from _text_flaws(key, "the key", (*keys, key)) or value_flaws(one, (*keys, key))
@@ -55,68 +46,38 @@ def value_flaws(value: object, keys: Keys = ()) -> Iterator[Absurd]:
         yield from _number_flaws(value, keys)
 
 
-def _text_flaws(text: str, what: str, keys: Keys) -> list[Absurd]:
+def _text_flaws(text: str, what: str, keys: Keys) -> list[Problem]:
     if len(text) > _LONGEST_TEXT:
         rule = f"have at most {_LONGEST_TEXT} characters"
     elif any(unicodedata.category(one) in _CONTROLS for one in text):
         rule = "be one line without control characters"
     else:
         return []
-    return [Absurd(keys, f"{what} must {rule} (it is {shortened(repr(text))})")]
+    return [(keys, f"{what} must {rule} (it is {shortened(repr(text))})")]
 
 
-def _number_flaws(value: object, keys: Keys) -> Iterator[Absurd]:
+def _number_flaws(value: object, keys: Keys) -> Iterator[Problem]:
     if isinstance(value, float) and not math.isfinite(value):
-        yield Absurd(keys, f"must be a finite number (it is {value})")
+        yield keys, f"must be a finite number (it is {value})"
     elif isinstance(value, float) and value and not 1.0 / _LARGEST <= abs(value) <= _LARGEST:
         problem = f"its size must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, in SI units"
-        yield Absurd(keys, f"{problem} (it is {value})")
+        yield keys, f"{problem} (it is {value})"
     elif isinstance(value, int) and value.bit_length() >= _INTEGER_BITS:
-        yield Absurd(keys, f"has more than {_INTEGER_BITS} bits")
+        yield keys, f"has more than {_INTEGER_BITS} bits"
 
 
-def without(tables: dict[str, Any], places: Iterable[Keys]) -> dict[str, Any]:
-    """Return a copy of tables that lacks some keys.
-
-    Args:
-        tables: The tables.
-        places: Where the keys stand; one that is not there is missing already, and one within a
-            list of values stands for the list.
-    """
-    marked = frozenset(place[:-1] if isinstance(place[-1], int) else place for place in places)
-    copy = _copied(tables, (), marked)
-    assert isinstance(copy, dict)  # noqa: S101 - of a dict
-    return copy
-
-
-def _copied(value: object, keys: Keys, marked: frozenset[Keys]) -> object:
-    if isinstance(value, dict):
-        return {
-            key: _copied(one, (*keys, key), marked)
-            for key, one in value.items()
-            if (*keys, key) not in marked
-        }
-    if isinstance(value, list):
-        return [_copied(one, (*keys, number), marked) for number, one in enumerate(value)]
-    return value
-
-
-def valid_sections(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the sections of a configuration that are valid each by itself, defaults included.
+def take_out(tables: Any, place: Keys) -> None:  # noqa: ANN401 - or a list of them
+    """Take a value out of tables; one within a list of values stands for the list.
 
     Args:
-        tables: By name.
-        folder: That from which relative paths are taken.
+        tables: The tables, which are changed.
+        place: The keys that lead to it; where they lead nowhere, nothing is done.
     """
-    found = {}
-    for name, field in Configuration.model_fields.items():
-        if name in tables:
-            section: Any = Annotated[field.annotation, field]
-            with contextlib.suppress(ValidationError):
-                found[name] = TypeAdapter(section).validate_python(tables[name], context=folder)
-        elif not field.is_required():
-            found[name] = field.get_default(call_default_factory=True)
-    return found
+    *above, last = place[:-1] if isinstance(place[-1], int) else place
+    with contextlib.suppress(LookupError, TypeError, AttributeError):
+        for key in above:
+            tables = tables[key]
+        tables.pop(last, None)
 
 
 def shortened(text: str) -> str:
