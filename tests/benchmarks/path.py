@@ -5,6 +5,7 @@ CPU time of this thread, the least of many rounds: what other processes do hardl
 
 from __future__ import annotations
 
+import asyncio
 import os
 import socket
 import time
@@ -25,7 +26,7 @@ from adaptdrive.operation.messages import Output, drive_message, encode
 from adaptdrive.recording.records import packed_ticks
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
+from adaptdrive.runtime.latency import LatencyDetector
 from adaptdrive.runtime.reports import TickReport
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.tick_support import IdleCollector
@@ -87,7 +88,7 @@ def _bus() -> Iterator[tuple[str, float]]:
 
 def _wake_up() -> Iterator[tuple[str, float]]:
     """The event loop, which wakes up for each of two frames."""
-    loop = WatchedLoop()
+    loop = asyncio.new_event_loop()
     here, there = socket.socketpair()
     left = 0
 

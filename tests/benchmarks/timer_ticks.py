@@ -17,7 +17,6 @@ from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.config.services import Realtime
 from adaptdrive.control.controller import Controller
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.realtime import real_time
 from tests.benchmarks.compute import Kept
@@ -68,7 +67,7 @@ async def main(duration_s: float, priority: int, spin_us: float, *, awake: bool)
 
 
 if __name__ == "__main__":
-    with asyncio.Runner(loop_factory=WatchedLoop) as runner:
+    with asyncio.Runner() as runner:
         duration_s, priority, spin_us, awake = map(float, sys.argv[1:])
         found = runner.run(main(duration_s, int(priority), spin_us, awake=bool(awake)))
     sys.stdout.write(json.dumps({"lateness_us": found}))

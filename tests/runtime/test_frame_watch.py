@@ -5,13 +5,39 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
-from adaptdrive.runtime.tick_support import DressRehearsal, FrameWatch
-from tests.runtime.bench import until
+from adaptdrive.runtime.tick_support import TickSupport
+from tests.runtime.bench import SETTINGS, until
 
 SPIN_S, LOOK_S = 0.01, 0.001
+
+
+def nothing() -> None:
+    """Look at a bus that has no frame."""
+
+
+def spinning(
+    look: Callable[[], None], spin_s: float, clock: Callable[[], float] = time.monotonic
+) -> TickSupport:
+    """A busy wait in the running loop."""
+    realtime = SETTINGS.realtime.model_copy(update={"spin_us": spin_s * 1e6})
+    settings = replace(SETTINGS, realtime=realtime)
+    return TickSupport(settings, look, nothing, lambda _, text: pytest.fail(text), clock)
+
+
+def rehearsing(
+    rehearse: Callable[[], None],
+    lead_s: float,
+    look: Callable[[], None] = nothing,
+    report_end: Callable[[str], None] = pytest.fail,
+) -> TickSupport:
+    """A rehearsal in the running loop."""
+    realtime = SETTINGS.realtime.model_copy(update={"rehearse_us": lead_s * 1e6})
+    settings = replace(SETTINGS, realtime=realtime)
+    return TickSupport(settings, look, rehearse, lambda _, text: report_end(text), time.monotonic)
 
 
 class Bus:
@@ -22,8 +48,7 @@ class Bus:
         self.now_s = self.due_s - SPIN_S + 0.5 * LOOK_S
         self.looks = 0
         self._looks_to_frame = looks_to_frame
-        loop = asyncio.get_running_loop()
-        self.watch = FrameWatch(loop, self._look, SPIN_S, lambda: self.now_s)
+        self.watch = spinning(self._look, SPIN_S, lambda: self.now_s)
         self.watch.expect(self.due_s)
 
     def _look(self) -> None:
@@ -46,32 +71,18 @@ async def test_it_looks_until_the_frame_has_come_or_is_late(
 
 async def test_it_begins_shortly_before_the_frame_is_due() -> None:
     looks_s: list[float] = []
-    loop, spin_s = asyncio.get_running_loop(), 5.0  # more than a busy machine oversleeps
+    spin_s = 5.0  # more than a busy machine oversleeps
 
     def look() -> None:
         looks_s.append(time.monotonic())
         watch.expect(due_s + 3600.0)
 
-    watch = FrameWatch(loop, look, spin_s, time.monotonic)
+    watch = spinning(look, spin_s)
     due_s = time.monotonic() + spin_s + 0.05
     watch.expect(due_s)
     await until(lambda: bool(looks_s))
     watch.close()
     assert due_s - spin_s <= looks_s[0] < due_s
-
-
-def nothing() -> None:
-    """Look at a bus that has no frame."""
-
-
-def rehearsing(
-    rehearse: Callable[[], None],
-    lead_s: float,
-    look: Callable[[], None] = nothing,
-    report_end: Callable[[str], None] = pytest.fail,
-) -> DressRehearsal:
-    """A rehearsal in the running loop."""
-    return DressRehearsal(asyncio.get_running_loop(), rehearse, look, report_end, lead_s)
 
 
 async def test_each_frame_is_rehearsed_once_and_before_it_is_due() -> None:
@@ -112,7 +123,11 @@ async def test_a_rehearsal_that_fails_is_told_and_is_the_last_one() -> None:
     rehearsal.expect(time.monotonic())
     await asyncio.sleep(0.01)
     rehearsal.close()
-    assert calls == ["rehearsed", "ZeroDivisionError('of a load')", "looked"]
+    assert calls == [
+        "rehearsed",
+        "rehearse_us has no effect any more: ZeroDivisionError('of a load')",
+        "looked",
+    ]
     assert not uncaught
 
 

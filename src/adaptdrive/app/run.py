@@ -50,7 +50,6 @@ from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.realtime import helper_thread
 from adaptdrive.runtime.reports import Event
 from adaptdrive.runtime.watchdog import ServiceManager
@@ -100,7 +99,7 @@ def run(path: Path) -> int:
         with (
             unblocked_output(start_thread),
             locked(lock_names(configuration), os.environ) as locks,
-            asyncio.Runner(loop_factory=WatchedLoop) as runner,
+            asyncio.Runner() as runner,
         ):
             complete = runner.run(_serve(Given(configuration, text), path, locks, start_thread))
     except* AdaptdriveError as group:

@@ -103,7 +103,7 @@ class Daemon:
         self._failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline, self._settings.realtime.spin_us * 1e-6)
         self._support = TickSupport(
-            self._settings, self._port, self._announcer, self._rehearse, self._clock
+            self._settings, self._port.catch_up, self._rehearse, self._warn, self._clock
         )
         self._hub.publish(self._announcer.published)
         try:
@@ -246,7 +246,7 @@ class Daemon:
         if self._announcer.outdated:
             self._announcer.publish_state()
         if self._support is not None:
-            self._support.ticked(report)
+            self._support.ticked(report, idle=not self._announcer.published.enabled)
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         """Queue a snapshot for the slow loop."""
@@ -279,6 +279,9 @@ class Daemon:
         self._machine.forget_reach()
         self._slow.forget()
 
+    def _warn(self, kind: str, detail: str) -> None:
+        self._announcer.publish_event(kind, Severity.WARNING, detail)
+
     def _opened(self) -> None:
         self.opened.set()
         self._fast.begin()
@@ -297,7 +300,7 @@ class Daemon:
     def _watch_refusals(self, books: DriveReport) -> None:
         """Report a large share of refused frames, and trip where that is configured."""
         for detail in self._refused.add(books):
-            self._announcer.publish_event("refused", Severity.WARNING, detail)
+            self._warn("refused", detail)
         if self._refused.cause is not None and self._machine.energised:
             self.trip(self._refused.cause)
 
