@@ -125,7 +125,7 @@ def test_a_form_that_does_not_fit_is_a_flaw(
 ) -> None:
     given: dict[str, object] = {"counter": "Alive", "checksum": "Sum", "algorithm": "crc"}
     given["crc"] = PROFILE_2 if signals is CRC_8 else CCITT_FALSE
-    catalogue = SignalCatalogue(Description(odd_database(signals), (), {}), fd=False)
+    catalogue = SignalCatalogue(Description(odd_database(signals), ()), fd=False)
     catalogue.check_integrity("Odd", FrameIntegrity.model_validate({**given, **changes}))
     found = {flaw.place: flaw.message for flaw in catalogue.flaws}
     assert words in found[f"bus.integrity.Odd.{place}"]

@@ -22,7 +22,7 @@ from adaptdrive.config.proposals import nearest
 from adaptdrive.config.tables import shortened
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
-from adaptdrive.hardware.dbc.mending import mended, refuse_endless
+from adaptdrive.hardware.dbc.mending import mended
 from adaptdrive.hardware.description import read_description
 from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.link.codec import (
@@ -33,7 +33,7 @@ from adaptdrive.hardware.link.codec import (
     needs_fd,
 )
 from adaptdrive.hardware.link.crc import CHECK_INPUT, crc_function
-from adaptdrive.hardware.link.layout import compile_field, is_multiplexed
+from adaptdrive.hardware.link.layout import compile_field, is_multiplexed, signal_bits
 
 _NIBBLE_BITS = 4
 
@@ -51,12 +51,10 @@ class Description:
     Attributes:
         database: Its messages and signals.
         remarks: What is wrong in the file, each with its line.
-        unfit: What is wrong with a signal that must not be used, by message and signal.
     """
 
     database: Database
     remarks: Sequence[str]
-    unfit: Mapping[tuple[str, str], str]
 
 
 def read_dbc(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Description:
@@ -97,7 +95,6 @@ def describe(
     return Description(
         Database(messages, strict=False),
         [remark for one in files for remark in one.remarks],
-        {named: remark for one in files for named, remark in one.unfit.items()},
     )
 
 
@@ -132,7 +129,6 @@ def _ranged(
 
 def _described(text: str) -> Description:
     """Return what the parser finds; a line that it cannot read is left out."""
-    refuse_endless(text)
     whole = mended(text)
     for _ in range(_MOST_LEFT_OUT):
         try:
@@ -146,7 +142,7 @@ def _described(text: str) -> Description:
             whole.leave_out(int(line[1]) - 1, "it cannot be read")
         else:
             assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
-            return Description(database, whole.remarks, whole.unfit)
+            return Description(database, whole.remarks)
     raise ValueError(f"more than {_MOST_LEFT_OUT} lines cannot be read; {whole.remarks[-1]}")
 
 
@@ -242,24 +238,16 @@ class SignalCatalogue(Catalogue[Located]):
 
     def signal_of(self, message: Message, name: str, place: str) -> Signal | None:
         """The signal called `name` of `message`, or None and a flaw at `place`."""
-        known = {signal.name: signal for signal in message.signals}
-        found = known.get(name) or known.get(f"_{name}")
-        if found is None:
+        known = [signal.name for signal in message.signals]
+        held = name if name in known else f"_{name}"
+        found = [signal for signal in message.signals if signal.name == held]
+        if not found:
             hint = f"{nearest(name, known)}{self.remark(name)}"
             self.note(place, f"message {message.name!r} has no signal {name!r}{hint}")
-        self.note(place, self._description.unfit.get((message.name, name)))
-        if found is None:
             return None
-        low, high = found.minimum, found.maximum
-        if not found.scale or not math.isfinite(found.scale) or not math.isfinite(found.offset):
-            problem = f"has factor {found.scale:g} and offset {found.offset:g}"
-            self.note(place, f"signal {name!r} {problem}")
-            return None
-        if low is not None and high is not None and low > high:
-            problem = f"the range [{low:g}|{high:g}] of signal {name!r} ends below its start"
-            self.note(place, f"{problem}: state bus.ranges")
-            return None
-        return found
+        problem = _signal_problem(message, found)
+        self.note(place, problem and f"signal {name!r} {problem}")
+        return None if problem else found[0]
 
     def check_ids(self, measuring: Iterable[str], commanding: Iterable[str], place: str) -> None:
         """Gather a flaw for each used message whose id is that of one with measurements."""
@@ -338,6 +326,21 @@ def _form_flaws(message: Message, integrity: FrameIntegrity) -> Iterator[tuple[s
     if crc.check is not None and crc.check != found:
         problem = f"{crc.check:#x} is not what these parameters give, {found:#x}"
         yield ".crc.check", f"{problem}: one of them is copied wrongly"
+
+
+def _signal_problem(message: Message, found: Sequence[Signal]) -> str | None:
+    """Return why the signals of one name cannot be used, None where it is one that can."""
+    signal = found[0]
+    low, high, scale, offset = signal.minimum, signal.maximum, signal.scale, signal.offset
+    if len(found) > 1:
+        return f"is there {len(found)} times in message {message.name!r}: rename one"
+    if signal.start < 0 or signal_bits(signal) >> 8 * message.length:
+        return f"does not fit into the {message.length} bytes of message {message.name!r}"
+    if not (scale and math.isfinite(scale) and math.isfinite(offset)):
+        return f"has factor {scale:g} and offset {offset:g}"
+    if low is not None and high is not None and low > high:
+        return f"has the range [{low:g}|{high:g}], which ends below its start: state bus.ranges"
+    return None
 
 
 def cycle_time_s(message: Message) -> float:
