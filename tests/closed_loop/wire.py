@@ -196,7 +196,7 @@ def _forget_real_time(port: Any) -> None:
     ends = [port, getattr(port, "_drive", None), *(bus.port for bus in getattr(port, "_buses", ()))]
     for end in ends:
         if hasattr(end, "_arrivals"):
-            end._arrivals._wall_clock = lambda: 0.0
+            end._arrivals._wall_clock = end._arrivals._clock
 
 
 async def _begin(

@@ -211,7 +211,7 @@ def build_port(
     mapping = map_drive(config, motor_signals(**signals), timing)
     if clock is None:
         return CanPort(config, mapping, time.monotonic)
-    return CanPort(config, mapping, clock, lambda: 0.0)
+    return CanPort(config, mapping, clock, clock)
 
 
 @contextlib.asynccontextmanager

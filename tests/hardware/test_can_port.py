@@ -959,18 +959,19 @@ async def _until_stamped(drive: Drive, ear: Ear) -> None:
 
 
 @pytest.mark.parametrize("step_s", [0.2, 3600.0, -0.2, -3600.0])
-async def test_setting_the_wall_clock_ages_no_waiting_frame(
+async def test_setting_the_wall_clock_makes_no_waiting_frame_younger(
     config: CanBus, drive: Drive, ear: Ear, step_s: float
 ) -> None:
     """The clock is set while a frame waits, after that frame was stamped."""
     wall = WallClock()
     port = CanPort(config, map_drive(config, motor_signals(), TIMING), time.monotonic, wall)
+    begun_s = time.monotonic()
     async with running(port, ear):
-        sent_s = time.monotonic()
         drive.send_both()
+        sent_s = time.monotonic()
         wall.step_s = step_s
         await ear.hears(1)
-    assert sent_s - 0.002 <= ear.readings[0].arrival_s <= time.monotonic()
+    assert begun_s <= ear.readings[0].arrival_s <= sent_s
 
 
 async def test_a_stamp_that_fits_no_clock_cannot_age_a_frame(
