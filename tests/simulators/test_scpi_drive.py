@@ -32,3 +32,16 @@ def test_a_reply_has_the_words_of_the_supply_and_a_command_has_not(reply: str, a
     (line,) = supply.obey("VOLT?")
     assert line.startswith(answer.format("2.87654000E+02"))
     assert supply.obey("*IDN?") == ["1"]
+
+
+def test_a_setting_in_whole_numbers_is_read_back_as_one() -> None:
+    tables = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
+    protection = {"query": "OCP?", "write": "OCP {}", "names": {"OFF": 0, "ON": 1}}
+    tables["bus"]["values"]["protection"] = protection
+    configuration = validate_configuration(tables, EXAMPLE)
+    assert isinstance(configuration.bus, ScpiBus)
+    drive = build_drive(configuration, DeviceSettings(), lambda _, **__: None)
+    supply = ScpiDrive(drive, configuration.bus, configuration.signals, lambda _, **__: None)
+    assert supply.obey("OCP?") == ["0"]
+    assert supply.obey("OCP ON") == []
+    assert supply.obey("OCP?") == ["1"]

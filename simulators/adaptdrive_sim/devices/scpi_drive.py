@@ -119,7 +119,8 @@ class ScpiDrive:
                 return NO_NUMBER
             number = (self._shown[quantity] - source.offset) / source.scale
             return f"{number:.0f}" if quantity == "bridge" else f"{number:.8E}"
-        return f"{self._held.get(name, 0.0):.8E}"
+        held = self._held.get(name, 0.0)
+        return f"{held:.0f}" if self._config.values[name].whole else f"{held:.8E}"
 
     def _next_error(self) -> str:
         if self._errors:
