@@ -54,8 +54,8 @@ class ModbusConnection(PolledLink):
         config: TcpLink | RtuLink,
         counts: Counter[str],
         clock: Callable[[], float],
+        sharers: int = 1,
         *,
-        shared: bool = False,
         serial: SerialPort | None = None,
     ) -> None:
         """Prepare a link; nothing is opened yet.
@@ -64,14 +64,14 @@ class ModbusConnection(PolledLink):
             config: Which link.
             counts: What is counted on it.
             clock: Monotonic clock in seconds.
-            shared: Whether the link is kept while one device is silent; its owner then calls
-                `note_silence` when none answers.
+            sharers: Requests in turn of which another one may be answered: a link to several
+                devices is kept while one of them answers.
             serial: Port of a serial link, kept by whoever opens the link again.
         """
         super().__init__(describe_bus(config), config.timeout_s, counts, clock)
         self._config = config
         self._serial_port = serial
-        self._shared = shared
+        self._patience = max(_PATIENCE, sharers)
         self._numbered = config.numbered
         self._frames = TcpFrames() if config.numbered else SerialFrames()
         self._stream.heard = self._hear
@@ -144,17 +144,10 @@ class ModbusConnection(PolledLink):
         if not self._numbered and heard:
             short = heard < exchange.reply_bytes + RTU_FRAME
             self._counts["wrong_length" if short else "wrong_checksum"] += 1
-        elif not self._shared:
-            self.note_silence()
-
-    def note_silence(self) -> None:
-        """Take a TCP connection on which no device answers for half open, after some replies."""
-        serial = isinstance(self._config, RtuLink)
-        if self.lost is not None or serial or self._missed < _PATIENCE:
-            return
-        stuck = self._stream.undelivered_bytes > 0
-        if stuck or self._clock() - self._replied_s >= self._patience_s:
-            self.lost = f"no reply to {self._missed} requests in a row"
+        elif isinstance(self._config, TcpLink) and self._missed >= self._patience:
+            stuck = self._stream.undelivered_bytes > 0
+            if stuck or self._clock() - self._replied_s >= self._patience_s:
+                self.lost = f"no reply to {self._missed} requests in a row"
 
     def _checked(self, reply: bytes, asked: bytes, exchange: Exchange) -> list[int]:
         """Return the registers of a reply.

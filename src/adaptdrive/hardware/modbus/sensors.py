@@ -4,9 +4,10 @@ Each block that comes is handed out as old as its request. A value that must not
 out, a module that does not answer leaves out its own: what is held then grows old at whoever holds
 it. Nothing is ever written.
 
-A missing reply keeps the link busy for a whole time-out, on a serial line for three. So a block
-whose last reply is missing comes after those that answer, and waits where the cycle is used up. A
-block that stays silent until its values are too old to be used is asked for seldom.
+A missing reply keeps the link busy for a whole time-out, on a serial line for three. So a
+block whose last reply is missing comes after those that answer, and waits where the cycle is used
+up. Of the blocks that stay silent until their values are too old to be used, the one that was asked
+least is asked for once in ten cycles, or as soon as there is time for a missing reply.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from adaptdrive.hardware.port import SensorListener
 SELDOM_CYCLES = 10
 """Cycles between two requests to silent blocks that do not fit: one in ten may be late."""
 
-_GATEWAY_CODES = frozenset({10, 11})
-"""Exception codes with which a gateway says that the device behind it does not answer."""
+_UNANSWERED = frozenset({None, 10, 11})
+"""No exception reply, or the codes of a gateway for a device behind it that does not answer."""
 
 
 @dataclass(slots=True, eq=False)
@@ -46,13 +47,11 @@ class SensorBlock:
         exchange: The request.
         sources: Values in the registers.
         misses: Replies that are missing in a row.
-        asked: Number of the cycle in which it was asked for last.
     """
 
     exchange: Exchange
     sources: tuple[Source[Named], ...]
     misses: int = 0
-    asked: int = 0
 
     @property
     def device_id(self) -> int | None:
@@ -61,7 +60,7 @@ class SensorBlock:
 
 
 class Turns:
-    """The blocks of one open link."""
+    """The blocks of one open link, those with the fewest missing replies first."""
 
     def __init__(self, blocks: tuple[SensorBlock, ...], patience: int) -> None:
         """Ask for every block in the first cycle.
@@ -70,16 +69,10 @@ class Turns:
             blocks: The blocks in the order in which they are asked for while all answer.
             patience: Replies missing in a row after which a block is silent.
         """
-        self._turns = [replace(block) for block in blocks]
+        self._blocks = [replace(block) for block in blocks]
         self._patience = patience
-        self._cycle = 0
-        self._tried = 0
+        self._cycle = self._retry = 0
         self._missing: set[int | None] = set()
-
-    @property
-    def all_missed(self) -> bool:
-        """True if no block gave a reply when it was asked for last."""
-        return all(turn.misses for turn in self._turns)
 
     def due(self, left_s: Callable[[], float], miss_s: float) -> Iterator[SensorBlock]:
         """Yield what is asked for in a cycle; each must be noted before the next one is taken.
@@ -90,39 +83,28 @@ class Turns:
         """
         self._cycle += 1
         self._missing.clear()
-        awake = [turn for turn in self._turns if turn.misses < self._patience]
-        for turn in sorted(awake, key=lambda one: one.misses):
-            if not self._is_doubtful(turn) or left_s() > 0.0:
-                yield turn
-        due = not awake or self._cycle - self._tried >= SELDOM_CYCLES
-        silent = self._next_silent()
-        if silent is not None and ((due and not self._missing) or left_s() >= miss_s):
-            self._tried = self._cycle
-            yield silent
+        order = sorted(self._blocks, key=lambda one: one.misses)
+        for block in order:
+            silent = block.misses >= self._patience
+            wanted = block is order[0] if silent else not self._is_doubtful(block)
+            needed_s = miss_s if silent and self._cycle < self._retry else 0.0
+            if wanted or left_s() >= needed_s:
+                self._retry = self._cycle + SELDOM_CYCLES if silent else self._retry
+                yield block
 
-    def note(self, turn: SensorBlock, *, answered: bool) -> None:
+    def note(self, block: SensorBlock, *, answered: bool) -> None:
         """Note what became of a request; a silent device that answers is awake as a whole."""
-        turn.asked = self._cycle
+        found = answered and block.misses >= self._patience
+        block.misses = 0 if answered else block.misses + 1
         if not answered:
-            turn.misses += 1
-            self._missing.add(turn.device_id)
-            return
-        found = turn.misses >= self._patience
-        for one in self._turns:
-            if one is turn or (found and one.device_id == turn.device_id):
+            self._missing.add(block.device_id)
+        for one in self._blocks:
+            if found and one.device_id == block.device_id:
                 one.misses = 0
 
-    def _is_doubtful(self, turn: SensorBlock) -> bool:
+    def _is_doubtful(self, block: SensorBlock) -> bool:
         """Return whether a reply is missing in this cycle and may be missing here, too."""
-        return bool(self._missing) and (turn.misses > 0 or turn.device_id in self._missing)
-
-    def _next_silent(self) -> SensorBlock | None:
-        """Return the block that has waited longest of the silent device that has waited longest."""
-        silent = [turn for turn in self._turns if turn.misses >= self._patience]
-        asked: dict[int | None, int] = {}
-        for turn in silent:
-            asked[turn.device_id] = max(turn.asked, asked.get(turn.device_id, 0))
-        return min(silent, key=lambda one: (asked[one.device_id], one.asked), default=None)
+        return bool(self._missing) and (block.misses > 0 or block.device_id in self._missing)
 
 
 def build_modbus_sensors(
@@ -154,7 +136,7 @@ def build_modbus_sensors(
     return ModbusSensorPort(bus, blocks, clock)
 
 
-class ModbusSensorPort(Polling[ModbusConnection]):
+class ModbusSensorPort(Polling[ModbusConnection, SensorListener]):
     """One connection to the modules on one link."""
 
     def __init__(
@@ -163,11 +145,10 @@ class ModbusSensorPort(Polling[ModbusConnection]):
         blocks: tuple[SensorBlock, ...],
         clock: Callable[[], float],
     ) -> None:
-        super().__init__(describe_bus(config), clock)
+        super().__init__(describe_bus(config), config.cycle_s, clock)
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self._config = config
         self._blocks = blocks
-        self._listener: SensorListener | None = None
         pairs = combinations([block.exchange for block in blocks], 2)
         self._alike = any(are_alike(config, pair) for pair in pairs)  # their order may change
         self._patience = math.ceil(config.oldest_s / config.cycle_s - 1e-6)
@@ -178,12 +159,12 @@ class ModbusSensorPort(Polling[ModbusConnection]):
         Args:
             listener: Receiver of values and of the state of the bus.
         """
-        self._listener = self._hears = listener
+        self._listener = listener
         await self._run(*await self._try())
 
     def _new_link(self) -> ModbusConnection:
         return ModbusConnection(
-            self._config, self._counts, self._clock, shared=True, serial=self._serial
+            self._config, self._counts, self._clock, len(self._blocks), serial=self._serial
         )
 
     async def _serve(self, link: ModbusConnection) -> str:
@@ -192,53 +173,37 @@ class ModbusSensorPort(Polling[ModbusConnection]):
         try:
             while link.lost is None and not self._closing:
                 await self._poll(link, turns)
-                late_s = max(0.0, self._clock() - next_s)
-                next_s += (1 + int(late_s / self._config.cycle_s)) * self._config.cycle_s
+                next_s = self._next(next_s)
                 await self._sleep(next_s - self._clock())
         finally:
             link.close()
         return link.lost or "closed"
 
     async def _poll(self, link: ModbusConnection, turns: Turns) -> None:
-        """Ask for the blocks that are due; one that does not come leaves the others alone."""
+        """Ask for the blocks that are due; one that does not come leaves the others wanted."""
         end_s = self._clock() + self._config.cycle_s
         heard, problem = False, ""
         self._begin_cycle()
-        for turn in turns.due(lambda: end_s - self._clock() - link.unsettled_s(), link.miss_s):
+        for block in turns.due(lambda: end_s - self._clock() - link.unsettled_s(), link.miss_s):
             if link.lost is not None or self._closing:
                 return
             try:
-                words = await self._ask(link, turns, turn)
+                words = await link.exchange(block.exchange, [], lambda: self._closing)
             except ExchangeError as failure:
+                turns.note(block, answered=failure.code not in _UNANSWERED)
                 problem = failure.problem
                 continue
+            turns.note(block, answered=True)
             heard = True
             self._note_bus(up=True)
             if self._listener is not None and not self._is_mixed_up:
-                self._listener.on_values(self._values(turn, words), link.asked_s)
+                self._listener.on_values(self._values(block, words), link.asked_s)
         if self._is_mixed_up:
             link.suspect()  # the replies that are left would answer the next cycle
         if heard:
             self._silent = 0
         else:
             self._note_silence(problem)
-
-    async def _ask(self, link: ModbusConnection, turns: Turns, turn: SensorBlock) -> list[int]:
-        """Return the registers of a block, and note whether its device answers.
-
-        Raises:
-            ExchangeError: They did not come.
-        """
-        try:
-            words = await link.exchange(turn.exchange, [], lambda: self._closing)
-        except ExchangeError as failure:
-            silent = failure.code is None or failure.code in _GATEWAY_CODES
-            turns.note(turn, answered=not silent)
-            if turns.all_missed:
-                link.note_silence()
-            raise
-        turns.note(turn, answered=True)
-        return words
 
     def _values(self, block: SensorBlock, words: list[int]) -> dict[str, float]:
         """The values of a block that may be used, by name."""

@@ -14,18 +14,20 @@ from adaptdrive.hardware.polled.link import PolledLink
 from adaptdrive.hardware.port import Listener, SensorListener
 
 Link = TypeVar("Link", bound=PolledLink)
+Hearer = TypeVar("Hearer", Listener, SensorListener)
 
 _SILENT_CYCLES = 3
 """Cycles without a reading, or any reply, after which the bus is reported lost."""
 
 
-class Polling(SensingPort, ABC, Generic[Link]):
+class Polling(SensingPort, ABC, Generic[Link, Hearer]):
     """Parts that the port of a drive and that of sensors have in common."""
 
-    def __init__(self, description: str, clock: Callable[[], float]) -> None:
+    def __init__(self, description: str, cycle_s: float, clock: Callable[[], float]) -> None:
         super().__init__(description)
+        self._cycle_s = cycle_s
         self._clock = clock
-        self._hears: Listener | SensorListener | None = None
+        self._listener: Hearer | None = None
         self._wake = asyncio.Event()
         self._closing = self._alike = False
         self._silent = 0
@@ -81,6 +83,11 @@ class Polling(SensingPort, ABC, Generic[Link]):
     async def _serve(self, link: Link) -> str:
         """Poll over an open link until it is lost or the port is closed, and close it; why."""
 
+    def _next(self, last_s: float) -> float:
+        """The next point of the grid, or the last one that was missed: that poll begins at once."""
+        late = max(0.0, self._clock() - last_s)
+        return last_s + max(1, int(late / self._cycle_s)) * self._cycle_s
+
     async def _sleep(self, seconds: float) -> None:
         """Sleep, unless the port is closed or something is urgent."""
         with contextlib.suppress(TimeoutError):
@@ -109,5 +116,5 @@ class Polling(SensingPort, ABC, Generic[Link]):
 
     def _note_bus(self, *, up: bool, problem: str = "") -> None:
         """Report whether the bus answers, unless the port is being closed."""
-        if self._hears is not None and not self._closing:
-            self._report(self._hears, up=up, problem=problem)
+        if self._listener is not None and not self._closing:
+            self._report(self._listener, up=up, problem=problem)

@@ -32,7 +32,7 @@ _MIXED_UP = (
 )
 
 
-class PolledPort(Polling[PolledLink], CountingPort):
+class PolledPort(Polling[PolledLink, Listener], CountingPort):
     """One connection to one drive that is polled."""
 
     must_open = False
@@ -46,15 +46,13 @@ class PolledPort(Polling[PolledLink], CountingPort):
         timing: Timing,
         clock: Callable[[], float],
     ) -> None:
-        super().__init__(description, clock)
+        super().__init__(description, timing.reading_s, clock)
         self._timeout_s = bus.timeout_s
         self._poll = poll
         self.stop_slack_s = 0.0 if poll.bridge_block else None
-        self._poll_s = timing.reading_s
         look_s = look_limit_s(bus.timeout_s, len(poll.writes))
         self._witness = PollWitness(poll.bridge_block is not None, timing, look_s, clock)
         self._commander = Commander(poll, self._witness, self._counts, clock, timing)
-        self._listener: Listener | None = None
         self._link: PolledLink | None = None
         self._assembly = PollAssembly(poll)
         self._heartbeat = DriveHeartbeat(bus.heartbeat)
@@ -82,7 +80,7 @@ class PolledPort(Polling[PolledLink], CountingPort):
         Raises:
             BusError: The serial port cannot be opened at the first attempt.
         """
-        self._listener = self._hears = listener
+        self._listener = listener
         link, problem = await self._try()
         if link is None and self.must_open:
             raise BusError(self.description, problem)
@@ -177,11 +175,6 @@ class PolledPort(Polling[PolledLink], CountingPort):
             await self._commander.write(link)
         self._witness.note_step()
         return await link.exchange(exchange, words)
-
-    def _next(self, last_s: float) -> float:
-        """The next point of the grid, or the last one that was missed: that poll begins at once."""
-        late = max(0.0, self._clock() - last_s)
-        return last_s + max(1, int(late / self._poll_s)) * self._poll_s
 
     async def _idle(self, link: PolledLink, until_s: float) -> None:
         """Wait for the next poll; a safe command goes out at once."""
