@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,8 @@ BROKER_USERS = frozenset({"operator", "viewer"})
 class DriveLimits(Section):
     """`[drive.limits]`: what the drive may be asked for."""
 
+    rising: ClassVar = ("boost_reference_min_V", "boost_reference_max_V")
+
     boost_reference_min_V: FiniteFloat = 200.0
     boost_reference_max_V: PositiveFloat = 400.0
     current_scale_max_S: PositiveFloat = 0.15
@@ -25,13 +27,6 @@ class DriveLimits(Section):
 
     manual_slew_V_per_s: PositiveFloat = 100.0
     load_power_max_W: PositiveFloat = 1500.0
-
-    def flaws(self) -> Iterator[Flaw]:
-        """Yield limits in the wrong order."""
-        low, high = self.boost_reference_min_V, self.boost_reference_max_V
-        if low >= high:
-            problem = f"boost_reference_min_V = {low} must be below boost_reference_max_V = {high}"
-            yield Flaw("", problem)
 
 
 class Manipulated(Section):

@@ -66,6 +66,7 @@ class LoadSection(Section):
     """Keys of `[load]` for every type of load."""
 
     traits: ClassVar[LoadTraits] = LoadTraits()
+    rising: ClassVar = ("reference_min", "reference_max")
 
     period_s: Period = 1.0
     pole: Fraction = 0.70
@@ -87,9 +88,7 @@ class LoadSection(Section):
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield limits in the wrong order, and a pole outside of its limits."""
-        low, high = self.reference_min, self.reference_max
-        if low >= high:
-            yield Flaw("", f"reference_min = {low} must be below reference_max = {high}")
+        yield from super().flaws()
         if not self.pole_min <= self.pole <= self.pole_max:
             span = f"pole_min…pole_max = {self.pole_min}…{self.pole_max}"
             yield Flaw("", f"pole = {self.pole} must lie in {span}")

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from adaptdrive.config.bus import Answering, PolledBus, TcpHost
-from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
+from adaptdrive.config.section import FilePath, PositiveFloat, Range, Scale, Section, key
 from adaptdrive.errors import Flaw
 
 
@@ -26,7 +26,7 @@ class Register(Section):
     )
     word_order: Literal["big", "little"] = "big"
     byte_order: Literal["big", "little"] = "big"
-    scale: FiniteFloat = 1.0
+    scale: Scale = 1.0
     unit: str = ""
     range: RegisterRange | None = None
     not_available: int | None = None
@@ -36,6 +36,24 @@ class Register(Section):
     write_limit: int | None = key(None, ge=24)
     on: int = 1
     off: int = 0
+
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield what no register has."""
+        given, bits, size = self.not_available, self.bits, 16 * self.words
+        if self.end > 0x10000:
+            yield Flaw("address", f"{self.address} leaves no room for its registers")
+        lowest = 0 if self.type.startswith("uint") else -1 << (size - 1)
+        if given is not None and not lowest <= given < 1 << size:
+            yield Flaw("not_available", f"{self.type} has no count {given}")
+        if bits is not None and (self.real or bits >> size):
+            name, wrong = "bit", f"bit {self.bit}"
+            if self.mask is not None:
+                name, wrong = "mask", f"bits {self.mask:#x}"
+            yield Flaw(name, f"{self.type} has no {wrong}")
+        if self.bit is not None and self.mask is not None:
+            yield Flaw("mask", "is for several bits, and `bit` for one")
+        if self.switches and (self.type != "uint16" or bits is not None):
+            yield Flaw("type", f"a {self.table} is one bit: leave type, bit and mask out")
 
     @property
     def words(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Iterable, Iterator, Mapping
 
 from adaptdrive.config.bus import COMMANDED, CanOpenBus, Signals
@@ -11,8 +12,8 @@ from adaptdrive.config.proposals import nearest
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.errors import Flaw
 
-_LATE_HEARTBEATS = 2.0
-"""Heartbeats that must fit into a time-out: one may go missing."""
+_HEARD = "bus.heartbeat.drive"
+_CODING = operator.attrgetter("address", "type", "word_order", "byte_order", "scale")
 
 
 def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
@@ -24,11 +25,6 @@ def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
     """
     if bus.own_node_id == bus.node_id:
         yield Flaw("bus.own_node_id", f"{bus.own_node_id} is the drive's own node id")
-    if bus.heartbeat_timeout_s < _LATE_HEARTBEATS * bus.heartbeat_s:
-        lowest = f"{_LATE_HEARTBEATS:g} times bus.heartbeat_s = {bus.heartbeat_s}"
-        yield Flaw(
-            "bus.heartbeat_timeout_s", f"{bus.heartbeat_timeout_s} must be at least {lowest}"
-        )
     if signals.bridge is not None:
         yield Flaw("signals.bridge", "the statusword 0x6041 contains it: leave it out")
     if signals.command.bridge is not None:
@@ -48,8 +44,6 @@ def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
     """
     if not bus.done and signals.bridge is None:
         yield Flaw("bus.done", "is empty: signals.bridge must be asked for, to confirm a stop")
-    for name, register in bus.as_registers().registers.items():
-        yield from register_flaws(f"bus.values.{name}", register)
     written = [*commanded_names(signals), *((f"bus.setup.{name}", name) for name in bus.setup)]
     for line, references in (("query", measured_names(signals)), ("write", written)):
         yield from unknown_flaws(references, bus.values, "[bus.values] has no value")
@@ -60,19 +54,42 @@ def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
 
 def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     """Yield the errors in a register map, and in references to it."""
-    for name, register in bus.registers.items():
-        yield from register_flaws(f"bus.registers.{name}", register)
-    yield from map_flaws("bus.registers", bus.registers, zero_based=bus.zero_based)
-    written, read = _written(bus, signals), [*measured_names(signals), *_heartbeat(bus, "drive")]
-    yield from unknown_flaws([*read, *written], bus.registers, "[bus.registers] has no register")
+    registers, beats = bus.registers, bus.heartbeat
+    yield from map_flaws("bus.registers", registers, zero_based=bus.zero_based)
+    seen = [(_HEARD, beats.drive)] if beats.drive else []
+    beaten = [("bus.heartbeat.daemon", beats.daemon)] if beats.daemon else []
+    setup = [(f"bus.setup.{name}", name) for name in bus.setup]
+    written = [*commanded_names(signals), *beaten, *setup]
+    references = [*measured_names(signals), *seen, *written]
+    yield from unknown_flaws(references, registers, "[bus.registers] has no register")
     for place, name in written:
-        target = bus.registers.get(name)
-        whole = target is None or target.bits is None or not place.startswith("bus.")
-        if target is not None and (target.table in {"input", "discrete"} or not whole):
-            kind = "whole holding register" if target.bits else "holding register"
-            yield Flaw(place, f"{name!r} cannot be written: it must be a {kind} or a coil")
-    yield from _beat_flaws(bus)
-    yield from _overlap_flaws(bus, signals)
+        target = registers.get(name)
+        if target is None:
+            continue
+        if target.table in {"input", "discrete"} or (target.bits and place.startswith("bus.")):
+            wanted = "a holding register, whole for [bus], or a coil"
+            yield Flaw(place, f"{name!r} cannot be written: it must be {wanted}")
+    for place, name in (*seen, *beaten):
+        if name in registers and (registers[name].real or registers[name].scale != 1.0):
+            yield Flaw(place, f"register {name!r} must be an integer with scale 1")
+    yield from _overlap_flaws([one for one in (*written, *seen) if one[1] in registers], registers)
+
+
+def _overlap_flaws(
+    written: Iterable[tuple[str, str]], registers: Mapping[str, Register]
+) -> Iterator[Flaw]:
+    """Yield the parts of a command that share bits; the drive's heartbeat is no part of one."""
+    for (_, first), (place, name) in itertools.combinations(written, 2):
+        one, other = registers[first], registers[name]
+        alike = (one.address, one.type) == (other.address, other.type)
+        apart = alike and one.bits and other.bits and not one.bits & other.bits
+        if apart or not _meet(one, other):
+            continue
+        if place == _HEARD:
+            problem = "which the daemon writes: it does not show that the drive is alive"
+            yield Flaw(place, f"{name!r} lies in the register of {first!r}, {problem}")
+        else:
+            yield Flaw(place, f"{name!r} lies in the same register as {first!r}")
 
 
 def measured_names(signals: Signals) -> list[tuple[str, str]]:
@@ -90,16 +107,6 @@ def commanded_names(signals: Signals) -> list[tuple[str, str]]:
     return [*values, *((f"{place}.constants.{one}", one) for one in given.constants)]
 
 
-def _heartbeat(bus: ModbusBus, side: str) -> list[tuple[str, str]]:
-    name = getattr(bus.heartbeat, side)
-    return [] if name is None else [(f"bus.heartbeat.{side}", name)]
-
-
-def _written(bus: ModbusBus, signals: Signals) -> list[tuple[str, str]]:
-    setup = [(f"bus.setup.{name}", name) for name in bus.setup]
-    return [*commanded_names(signals), *_heartbeat(bus, "daemon"), *setup]
-
-
 def unknown_flaws(
     references: Iterable[tuple[str, str]], known: Mapping[str, object], problem: str
 ) -> Iterator[Flaw]:
@@ -115,31 +122,6 @@ def unknown_flaws(
             yield Flaw(place, f"{problem} {name!r}{nearest(name, known)}")
 
 
-def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
-    """Yield the errors in a single register."""
-    if register.end > 0x10000:
-        yield Flaw(f"{place}.address", f"{register.address} leaves no room for its registers")
-    if register.scale == 0.0:
-        yield Flaw(f"{place}.scale", "must not be 0")
-    if register.range is not None and register.range.low >= register.range.high:
-        low, high = register.range.low, register.range.high
-        yield Flaw(f"{place}.range", f"low = {low} must be below high = {high}")
-    given, bits = register.not_available, 16 * register.words
-    lowest = 0 if register.type.startswith("uint") else -1 << (bits - 1)
-    if given is not None and not lowest <= given < 1 << bits:
-        yield Flaw(f"{place}.not_available", f"{register.type} has no count {given}")
-    if register.bits is not None and (register.real or register.bits >> bits):
-        wrong = f"bit {register.bit}" if register.mask is None else f"bits {register.mask:#x}"
-        yield Flaw(
-            f"{place}.{'bit' if register.mask is None else 'mask'}",
-            f"{register.type} has no {wrong}",
-        )
-    if register.bit is not None and register.mask is not None:
-        yield Flaw(f"{place}.mask", "is for several bits, and `bit` for one")
-    if register.switches and (register.type != "uint16" or register.bits is not None):
-        yield Flaw(f"{place}.type", f"a {register.table} is one bit: leave type, bit and mask out")
-
-
 def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool) -> Iterator[Flaw]:
     """Yield the errors in the combination of the registers of one device.
 
@@ -151,39 +133,22 @@ def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool
     if not zero_based:
         for name, register in registers.items():
             yield from _label_flaws(f"{place}.{name}.address", register)
-    last: tuple[str, Register] | None = None
-    for name, register in sorted(registers.items(), key=lambda item: _position(item[1])):
-        if last is not None and _collide(last[1], register):
-            problem = f"{_span(register)} and {last[0]!r} {_span(last[1])} share a register"
+    whole = [(name, register) for name, register in registers.items() if register.bits is None]
+    whole.sort(key=lambda item: (item[1].table, item[1].address))
+    for (first, one), (name, other) in itertools.pairwise(whole):
+        if _meet(one, other) and _CODING(one) != _CODING(other):
+            problem = f"{_span(other)} and {first!r} {_span(one)} share a register"
             yield Flaw(f"{place}.{name}", f"{problem}: one is read or written wrongly")
-        if (
-            last is None
-            or _position(register)[:1] != _position(last[1])[:1]
-            or (register.end >= last[1].end)
-        ):
-            last = name, register
 
 
-def _position(register: Register) -> tuple[str, int, int]:
-    return register.table, register.address, register.end
+def _meet(one: Register, other: Register) -> bool:
+    """Return whether two values share a register."""
+    return one.table == other.table and one.address < other.end and other.address < one.end
 
 
 def _span(register: Register) -> str:
     last = f"…{register.end - 1}" if register.words > 1 else ""
     return f"({register.type}, {register.address}{last})"
-
-
-def _collide(first: Register, second: Register) -> bool:
-    """Return whether two values share a register and are neither equal nor bits of one word."""
-    if first.table != second.table or first.end <= second.address:
-        return False
-    if first.bits is not None or second.bits is not None:
-        return False
-    coded = [
-        (one.address, one.type, one.word_order, one.byte_order, one.scale)
-        for one in (first, second)
-    ]
-    return coded[0] != coded[1]
 
 
 _LABELS = {"input": 30001, "holding": 40001}
@@ -199,34 +164,3 @@ def _label_flaws(place: str, register: Register) -> Iterator[Flaw]:
         meant = f"address = {register.address - first}, table = {table!r}"
         advice = "or zero_based = true with the bus where the address is meant as it stands"
         yield Flaw(place, f"{label}; zero-based that is {meant}; {advice}")
-
-
-def _beat_flaws(bus: ModbusBus) -> Iterator[Flaw]:
-    """Heartbeats are counts as they stand."""
-    for place, name in (*_heartbeat(bus, "drive"), *_heartbeat(bus, "daemon")):
-        register = bus.registers.get(name)
-        if register is not None and (register.real or register.scale != 1.0):
-            yield Flaw(place, f"register {name!r} must be an integer with scale 1")
-
-
-def _overlap_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
-    written = [
-        (place, name, bus.registers[name])
-        for place, name in _written(bus, signals)
-        if name in bus.registers
-    ]
-    for (_, first, one), (place, second, other) in itertools.combinations(written, 2):
-        if _overlap(one, other):
-            yield Flaw(place, f"{second!r} lies in the same register as {first!r}")
-    for place, name in _heartbeat(bus, "drive"):
-        for _, first, one in written:
-            if name in bus.registers and _overlap(one, bus.registers[name]):
-                problem = "which the daemon writes: it does not show that the drive is alive"
-                yield Flaw(place, f"{name!r} lies in the register of {first!r}, {problem}")
-
-
-def _overlap(one: Register, other: Register) -> bool:
-    if one.table != other.table or one.end <= other.address or other.end <= one.address:
-        return False
-    fields = one.bits is not None and other.bits is not None and one.address == other.address
-    return not (fields and one.type == other.type and not (one.bits or 0) & (other.bits or 0))

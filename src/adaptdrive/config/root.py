@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator
+from operator import attrgetter
 from typing import Annotated, get_args
 
 from pydantic import Field
 
 from adaptdrive.config.bus import CanBus, CanOpenBus, Signals
-from adaptdrive.config.cadence import clock_flaws, poll_flaws, sync_flaws
+from adaptdrive.config.cadence import pace_flaws
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.load import (
     AnyLoad,
@@ -21,7 +22,7 @@ from adaptdrive.config.load import (
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.config.references import canopen_flaws, modbus_flaws, scpi_flaws
 from adaptdrive.config.scpi import ScpiBus
-from adaptdrive.config.section import Section
+from adaptdrive.config.section import Section, misfit
 from adaptdrive.config.sensors import AnySensorBus, sensor_flaws
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import Derived, line_flaws, needed_names, supply_flaws, voltage_flaws
@@ -85,13 +86,10 @@ def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
             "load.period_s",
             f"{load.period_s} must be a whole number of half cycles of {half_cycle_s:.6g} s",
         )
+    period = f"the {ticks} ticks of one period"
     if load.samples > ticks:
-        yield Flaw("load.samples", f"{load.samples} exceeds the {ticks} ticks of one period")
-    if load.latency_ticks >= ticks:
-        yield Flaw(
-            "load.latency_ticks",
-            f"{load.latency_ticks} must be below the {ticks} ticks of one period",
-        )
+        yield Flaw("load.samples", f"{load.samples} exceeds {period}")
+    yield from misfit("load.latency_ticks", load.latency_ticks, "below", ticks, period)
 
 
 def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -103,18 +101,6 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield from scpi_flaws(bus, signals)
     elif not isinstance(bus, CanBus):
         yield from modbus_flaws(bus, signals)
-
-
-def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    """Does the pace of the drive fit what surrounds it?"""
-    bus = configuration.bus
-    if isinstance(bus, CanBus):
-        yield from clock_flaws(bus, configuration)
-    elif isinstance(bus, CanOpenBus):
-        yield from sync_flaws(bus, configuration)
-    else:
-        registers = bus.as_registers() if isinstance(bus, ScpiBus) else bus
-        yield from poll_flaws(registers, configuration)
 
 
 def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -166,9 +152,9 @@ def _lag_flaws(configuration: Configuration) -> Iterator[Flaw]:
     if configuration.voltage_loop.where == "daemon":
         problem = "is for where = 'drive': the delay of the daemon's own loop is known"
         yield Flaw("voltage_loop.lag_s", problem)
-    elif lag_s > period_s:
-        problem = f"{lag_s} s must not exceed load.period_s = {period_s} s: choose a longer period"
-        yield Flaw("voltage_loop.lag_s", problem)
+    else:
+        longest = f"load.period_s = {period_s} s: choose a longer period"
+        yield from misfit("voltage_loop.lag_s", lag_s, "at most", period_s, longest)
 
 
 def _course_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -183,19 +169,14 @@ def _course_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    interlocks, load = configuration.interlocks, configuration.load
-    trip_V, limits = interlocks.boost_voltage_max_V, configuration.drive.limits
-    highest_V = limits.boost_reference_max_V
-    for name, trip, limit, highest in (
-        ("boost_voltage_max_V", trip_V, "drive.limits.boost_reference_max_V", highest_V),
-        ("output_max", interlocks.output_max, "load.reference_max", load.reference_max),
+    for place, relation, limit in (
+        ("interlocks.boost_voltage_max_V", "above", "drive.limits.boost_reference_max_V"),
+        ("interlocks.output_max", "above", "load.reference_max"),
+        ("interlocks.output_min", "below", "load.reference_min"),
     ):
-        if trip <= highest:
-            yield Flaw(f"interlocks.{name}", f"{trip} must be above {limit} = {highest}")
-    lowest = load.reference_min
-    if interlocks.output_min is not None and interlocks.output_min >= lowest:
-        problem = f"{interlocks.output_min} must be below load.reference_min = {lowest}"
-        yield Flaw("interlocks.output_min", problem)
+        trip, highest = attrgetter(place)(configuration), attrgetter(limit)(configuration)
+        if trip is not None:
+            yield from misfit(place, trip, relation, highest, f"{limit} = {highest}")
 
 
 _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
@@ -204,7 +185,7 @@ _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     line_flaws: "bus sensor_bus",
     sensor_flaws: "sensor_bus",
     _converted_flaws: "derived load",
-    _pace_flaws: "drive bus signals load interlocks voltage_loop",
+    pace_flaws: "drive bus signals load interlocks voltage_loop",
     supply_flaws: "bus signals sensor_bus derived load voltage_loop",
     _lowest_flaws: "drive voltage_loop load",
     voltage_flaws: "drive voltage_loop interlocks sensor_bus derived",

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+import operator
 import tomllib
 from collections import ChainMap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
     AfterValidator,
@@ -29,6 +32,16 @@ NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Duration = Annotated[float, Field(ge=0, le=86_400.0, allow_inf_nan=False)]
 """A time of supervision: what lasts longer than a day would be as good as never, which is 0."""
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+
+
+def _scaling(factor: float) -> float:
+    if factor == 0.0:
+        raise ValueError("must not be 0")
+    return factor
+
+
+Scale = Annotated[FiniteFloat, AfterValidator(_scaling)]
+"""A factor; 0 would make all values equal."""
 
 
 def _named(path: object) -> object:
@@ -76,12 +89,38 @@ def key(default: Any, **rules: Any) -> Any:  # noqa: ANN401 - as pydantic's own
     return Field(default=default, **rules)
 
 
+_RELATIONS: dict[str, Callable[[float, float], bool]] = {
+    "above": operator.gt,
+    "below": operator.lt,
+    "at least": operator.ge,
+    "at most": operator.le,
+}
+
+
+def misfit(place: str, given: float, relation: str, limit: float, told: str) -> Iterator[Flaw]:
+    """Yield that a value is on the wrong side of its limit, by more than rounding.
+
+    Args:
+        place: Its place.
+        given: The value.
+        relation: What it must be: above, below, at least or at most.
+        limit: The limit.
+        told: What the limit is.
+    """
+    equal = relation.startswith("at") and math.isclose(given, limit)
+    if not equal and not _RELATIONS[relation](given, limit):
+        yield Flaw(place, f"{given} must be {relation} {told}")
+
+
 class Section(BaseModel):
     """One table of the configuration file: immutable, and unknown keys are errors.
 
     Types are those of TOML: neither `"1883"` nor `true` is a number. `keys.toml` describes the
     keys.
     """
+
+    rising: ClassVar[tuple[str, ...]] = ()
+    """Keys whose values rise in this order."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
@@ -96,7 +135,10 @@ class Section(BaseModel):
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield contradictions of keys that are valid one by one; places are relative."""
-        return iter(())
+        for low, high in itertools.pairwise(self.rising):
+            below, above = getattr(self, low), getattr(self, high)
+            if below >= above:
+                yield Flaw("", f"{low} = {below} must be below {high} = {above}")
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
@@ -115,6 +157,8 @@ class Section(BaseModel):
 
 class Range(Section):
     """A closed interval."""
+
+    rising: ClassVar = ("low", "high")
 
     low: FiniteFloat = Field(description="lower end")
     high: FiniteFloat = Field(description="upper end")

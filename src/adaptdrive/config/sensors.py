@@ -9,8 +9,8 @@ from pydantic import Field
 
 from adaptdrive.config.bus import CanDescription, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
-from adaptdrive.config.references import map_flaws, register_flaws, unknown_flaws
-from adaptdrive.config.section import PositiveFloat, Section, key
+from adaptdrive.config.references import map_flaws, unknown_flaws
+from adaptdrive.config.section import PositiveFloat, Section, key, misfit
 from adaptdrive.errors import Flaw
 
 if TYPE_CHECKING:
@@ -95,9 +95,9 @@ def sensor_flaws(whole: Configuration) -> Iterator[Flaw]:
 
 
 def _age_flaws(bus: AnySensorBus, place: str) -> Iterator[Flaw]:
-    if bus.oldest_s < STALE_CYCLES * bus.cycle_s:
-        lowest = f"{STALE_CYCLES * bus.cycle_s:.4g} s, {STALE_CYCLES} times cycle_s"
-        yield Flaw(f"{place}.stale_s", f"{bus.stale_s} must be at least {lowest}")
+    lowest_s = STALE_CYCLES * bus.cycle_s
+    lowest = f"{lowest_s:.4g} s, {STALE_CYCLES} times cycle_s"
+    yield from misfit(f"{place}.stale_s", bus.oldest_s, "at least", lowest_s, lowest)
     highest_s = min(
         MOST_STALE_CYCLES * bus.cycle_s, max(LONGEST_STALE_S, DEFAULT_STALE_CYCLES * bus.cycle_s)
     )
@@ -110,12 +110,10 @@ def _age_flaws(bus: AnySensorBus, place: str) -> Iterator[Flaw]:
 
 
 def _modbus_flaws(bus: ModbusSensorSection, place: str) -> Iterator[Flaw]:
-    for name, register in bus.registers.items():
-        yield from register_flaws(f"{place}.registers.{name}", register)
     for device in {register.device_id for register in bus.registers.values()}:
         registers = {name: one for name, one in bus.registers.items() if one.device_id == device}
         yield from map_flaws(f"{place}.registers", registers, zero_based=bus.zero_based)
     named = [(f"{place}.signals.{name}.signal", one.signal) for name, one in bus.signals.items()]
     yield from unknown_flaws(named, bus.registers, "[sensor_bus.registers] has no register")
-    if bus.timeout_s >= bus.cycle_s:
-        yield Flaw(f"{place}.timeout_s", f"{bus.timeout_s} must be below cycle_s = {bus.cycle_s}")
+    cycle = f"cycle_s = {bus.cycle_s}"
+    yield from misfit(f"{place}.timeout_s", bus.timeout_s, "below", bus.cycle_s, cycle)

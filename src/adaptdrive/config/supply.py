@@ -15,6 +15,7 @@ from pydantic import Field
 
 from adaptdrive.config.bus import MEASURED, WORDS
 from adaptdrive.config.modbus import RtuLink
+from adaptdrive.config.section import misfit
 from adaptdrive.config.units import Converted
 from adaptdrive.errors import Flaw
 
@@ -111,10 +112,10 @@ def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
                 "Field required: neither [signals], nor a [[sensor_bus]], nor [derived] gives it",
             )
     yield from _derived_flaws(whole.derived, givers)
+    period_s = whole.load.period_s
     for number, bus in enumerate(whole.sensor_bus):
-        if bus.cycle_s > (period_s := whole.load.period_s):
-            problem = f"{bus.cycle_s} must not exceed load.period_s = {period_s}"
-            yield Flaw(f"sensor_bus.{number}.cycle_s", problem)
+        place, period = f"sensor_bus.{number}.cycle_s", f"load.period_s = {period_s}"
+        yield from misfit(place, bus.cycle_s, "at most", period_s, period)
 
 
 def _optional(whole: Configuration) -> tuple[str, ...]:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Iterator
 from typing import Literal
 
 from pydantic import model_validator
 
-from adaptdrive.config.section import FiniteFloat, Section, read_table
-from adaptdrive.errors import Flaw
+from adaptdrive.config.section import FiniteFloat, Scale, Section, read_table
 
 Unit = Literal[
     "V", "A", "W", "K", "rad/s", "mV", "kV", "mA", "kA", "kW", "degC", "degF", "rpm", "Hz"
@@ -76,7 +74,7 @@ def multiple_of(written: str) -> tuple[float, str]:
 class Converted(Section):
     """Conversion of a value to a quantity; scale and offset lead to `unit`, which leads to SI."""
 
-    scale: FiniteFloat = 1.0
+    scale: Scale = 1.0
     offset: FiniteFloat = 0.0
     unit: Unit | None = None
 
@@ -84,11 +82,6 @@ class Converted(Section):
     @classmethod
     def _in_si(cls, table: object) -> object:
         return in_si(table) if isinstance(table, dict) else table
-
-    def flaws(self) -> Iterator[Flaw]:
-        """Yield a scale that makes all values equal."""
-        if self.scale == 0.0:
-            yield Flaw("scale", "must not be 0")
 
 
 def si_unit(unit: str) -> str | None:
