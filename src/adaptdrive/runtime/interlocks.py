@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from adaptdrive.config.drive import Manipulated
+from adaptdrive.control.load import to_input
 from adaptdrive.hardware.fault_latch import describe_fault
 from adaptdrive.hardware.port import Reading
 
@@ -39,6 +40,55 @@ class Limits:
     output_min: float = -math.inf
     absent: frozenset[str] = frozenset()
     manipulated: Manipulated = field(default_factory=Manipulated)
+
+
+@dataclass(frozen=True, slots=True)
+class OutputModel:
+    """Model of the load by which a watch judges its output.
+
+    Attributes:
+        output_unit: Unit of the output, for the text of the trip.
+        gain: Change of the output at rest per unit of the input.
+        input_gain: u = gain · v_bst^exponent.
+        input_exponent: 1 or 2.
+        lags_s: Time constants between input and output.
+        output_name: Name of the output, as above.
+        factor: Multiple of a lag with which a stage may rise, and part of it with which it may
+            fall.
+        by_power: Whether the input is the power over the boost voltage, and stores nothing.
+    """
+
+    output_unit: str
+    gain: float
+    input_gain: float
+    input_exponent: int
+    lags_s: tuple[float, ...]
+    output_name: str = field(default="output", kw_only=True)
+    factor: float = field(default=1.0, kw_only=True)
+    by_power: bool = field(default=False, kw_only=True)
+
+    def input(self, reading: Reading) -> float:
+        """Return the input u at a reading."""
+        if self.by_power:
+            return reading.load_power_W / max(reading.boost_voltage_V, 1.0)
+        return to_input(reading.boost_voltage_V, self.input_gain, self.input_exponent)
+
+    def pass_on(self, stages: list[float], level: float, period_s: float) -> float:
+        """Pass a level through the chain of lags; return the lowest that may come out of it.
+
+        Args:
+            stages: Output of each lag; overwritten.
+            level: Input of the first one.
+            period_s: Time for which it has been there.
+        """
+        falls = 0.0 if self.by_power else 1.0 / self.factor
+        for number, lag_s in enumerate(self.lags_s):
+            stage = stages[number]
+            slow_s = lag_s * (self.factor if level > stage else falls)
+            if slow_s > 0.0:
+                level = stage - (level - stage) * math.expm1(-period_s / slow_s)
+            stages[number] = level
+        return level
 
 
 class Watch(Protocol):

@@ -23,6 +23,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.hardware.port import Reading
+from adaptdrive.runtime.interlocks import OutputModel
 
 _LOAD_SHARE = 0.1
 """Torque or loss not in the model, as a share of the largest input: 40 V of 400 V for a motor."""
@@ -43,32 +44,16 @@ cold water, faster than it cools."""
 
 
 @dataclass(frozen=True, slots=True)
-class ResponseLimits:
+class ResponseLimits(OutputModel):
     """The load with the lowest plausible output.
 
     Attributes:
-        output_name: Name of the output, for the text of the trip.
-        output_unit: Its unit, as above.
-        gain: Change of the output at rest per unit of the input.
-        input_gain: u = gain · v_bst^exponent.
-        input_exponent: 1 or 2.
         input_max: Largest input.
-        lags_s: Time constants between input and output.
-        factor: f.
         reference_range: Highest less lowest set-point.
-        by_power: Whether the input is the power over the boost voltage, and stores nothing.
     """
 
-    output_name: str
-    output_unit: str
-    gain: float
-    input_gain: float
-    input_exponent: int
     input_max: float
-    lags_s: tuple[float, ...]
-    factor: float
     reference_range: float
-    by_power: bool = False
 
     @property
     def margin(self) -> float:
@@ -114,7 +99,9 @@ class Response:
         if period_s <= 0.0:
             return None
         self._output += (reading.output - self._output) * -math.expm1(-period_s / _SMOOTHING_S)
-        return self._low(self._lowest(reading, period_s)) or self._fallen(period_s)
+        level = self._limits.at_rest(self._limits.input(reading))
+        lowest = self._limits.pass_on(self._stages, level, period_s)
+        return self._low(lowest) or self._fallen(period_s)
 
     def _begin(self, reading: Reading) -> None:
         """Take the present output as it is: a bath may be colder than its inflow."""
@@ -145,24 +132,6 @@ class Response:
             f"cannot have fallen below {self._value(self._highest)} yet: is the sensor's wire "
             "broken?"
         )
-
-    def _lowest(self, reading: Reading, period_s: float) -> float:
-        """Return the lowest output of a load that has been fed with this input."""
-        limits = self._limits
-        level = limits.at_rest(self._input(reading))
-        for number, lag_s in enumerate(limits.lags_s):
-            stage = self._stages[number]
-            if level > stage or not limits.by_power:
-                slow_s = lag_s * limits.factor if level > stage else lag_s / limits.factor
-                level = stage - (level - stage) * math.expm1(-period_s / slow_s)
-            self._stages[number] = level
-        return level
-
-    def _input(self, reading: Reading) -> float:
-        limits, voltage_V = self._limits, reading.boost_voltage_V
-        if limits.by_power:
-            return reading.load_power_W / max(voltage_V, 1.0)
-        return limits.input_gain * voltage_V**limits.input_exponent
 
     def _value(self, output: float) -> str:
         return f"{output:.3g} {self._limits.output_unit}".rstrip()

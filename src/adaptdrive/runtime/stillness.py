@@ -21,6 +21,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.hardware.port import Reading
+from adaptdrive.runtime.interlocks import OutputModel
 
 _DIGITS = 20.0
 """Digits of a coarse value that it must have been moved by. Where a movement turns round, it stands
@@ -32,30 +33,18 @@ the smallest change that was seen may be larger than a digit."""
 
 
 @dataclass(frozen=True, slots=True)
-class StillnessLimits:
+class StillnessLimits(OutputModel):
     """Limits of the time that the output may stand still.
 
     Attributes:
-        output_unit: Unit of the output, for the text of the trip.
-        gain: Change of the output at rest per unit of the input.
-        input_gain: u = gain · v_bst^exponent.
-        input_exponent: 1 or 2.
-        lags_s: Time constants between input and output.
         distance: Predicted movement that must show; infinite for no limit.
         longest_s: Longest time without any change, infinite for no limit.
-        output_name: Name of the output, for the text of the trip.
         inputs: Names of the measured values that the output is derived from and the load moves.
         resolution: Last digit of the output where it is known, 0 where it is not.
     """
 
-    output_unit: str
-    gain: float
-    input_gain: float
-    input_exponent: int
-    lags_s: tuple[float, ...]
     distance: float
     longest_s: float
-    output_name: str = "output"
     inputs: tuple[str, ...] = ()
     resolution: float = 0.0
 
@@ -64,6 +53,7 @@ class StillnessWatch:
     """Watches the output of a running drive, and what it is derived from."""
 
     def __init__(self, limits: StillnessLimits) -> None:
+        self._limits = limits
         self._output = Stillness(limits, f"{limits.output_name} stands", limits.output_unit)
         self._inputs = {
             name: Stillness(limits, f"{name}, from which {limits.output_name} is derived, stands")
@@ -82,11 +72,11 @@ class StillnessWatch:
         Args:
             reading: The newest, again where there is no newer one.
         """
-        voltage_V, arrival_s = reading.boost_voltage_V, reading.arrival_s
-        cause = self._output.advance(reading.output, voltage_V, arrival_s)
+        given, arrival_s = self._limits.input(reading), reading.arrival_s
+        cause = self._output.advance(reading.output, given, arrival_s)
         for name, one in self._inputs.items():
             value = reading.other.get(name, math.nan)
-            cause = one.advance(value, voltage_V, arrival_s) or cause
+            cause = one.advance(value, given, arrival_s) or cause
         return cause
 
 
@@ -116,26 +106,26 @@ class Stillness:
         """Begin anew: the drive is not running."""
         self._output = math.nan
 
-    def advance(self, output: float, boost_voltage_V: float, arrival_s: float) -> str | None:
+    def advance(self, output: float, input_value: float, arrival_s: float) -> str | None:
         """Take the newest measurement, again where there is no newer one.
 
         Args:
             output: The watched value.
-            boost_voltage_V: Boost voltage.
+            input_value: Input of the load.
             arrival_s: When they were measured.
 
         Returns:
             Reason to reject the value, None for no reason.
         """
         limits = self._limits
-        input_value = limits.input_gain * boost_voltage_V**limits.input_exponent
         if output != self._output:
             self._digit = min(self._digit, abs(output - self._output))
             self._output, self._input = output, input_value
             self._since_s = self._last_s = arrival_s
             self._stages = [0.0] * len(self._stages)
             return None
-        moved = self._predict(input_value - self._input, arrival_s - self._last_s)
+        level, period_s = limits.gain * (input_value - self._input), arrival_s - self._last_s
+        moved = limits.pass_on(self._stages, level, period_s)
         self._last_s = arrival_s
         still_s = arrival_s - self._since_s
         if abs(moved) > self._distance:
@@ -155,11 +145,3 @@ class Stillness:
 
     def _text(self, still_s: float) -> str:
         return f"{self._stands} {self._output:.6g}{self._unit} for {still_s:.3g} s"
-
-    def _predict(self, change: float, period_s: float) -> float:
-        """Return the movement of the output since it came to stand, by the model."""
-        level = self._limits.gain * change
-        for number, lag_s in enumerate(self._limits.lags_s):
-            self._stages[number] += (level - self._stages[number]) * -math.expm1(-period_s / lag_s)
-            level = self._stages[number]
-        return level
