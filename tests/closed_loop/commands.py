@@ -23,7 +23,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.requests import Moment, Request, SetSetpoint, SetWaveform
+from adaptdrive.runtime.requests import Request, SetSetpoint, SetWaveform
 from adaptdrive_sim.course import Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
@@ -108,7 +108,7 @@ def accept(machine: Machine, request: Request, tick: int) -> bool:
     if isinstance(request, SetSetpoint) and request.value <= 0.0:
         return False
     try:
-        request.apply(machine, Moment(tick, 0.0, None, 0.0))
+        machine.carry_out(request, tick, 0.0, None, 0.0)
     except RefusedError:
         return False
     return True

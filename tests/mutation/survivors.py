@@ -59,7 +59,7 @@ RUNTIME: dict[str, str] = {
     f"{_MACHINE}self._precharging = False -> self._precharging = True": _SET_BEFORE_USE,
     f"{_MACHINE}self._waveform_tick = 0 -> pass": _SET_BEFORE_USE,
     f"{_MACHINE}self._waveform_tick = 0 -> self._waveform_tick = 1": _SET_BEFORE_USE,
-    "runtime.machine:Machine.set_voltage: self.manual = replace(self.manual, "
+    "runtime.machine:Machine._set_voltage: self.manual = replace(self.manual, "
     f"{_VOLTAGE}0{_HOLD} -> self.manual = replace(self.manual, {_VOLTAGE}1{_HOLD}": _UNLIMITED,
     f"{_LOOP}__init__: self._wanted = SAFE_COMMAND -> pass": _SET_BEFORE_USE,
     f"{_LOOP}__init__: self._deadline_s = math.inf -> pass": _SET_BEFORE_USE,

@@ -18,9 +18,9 @@ from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
+from adaptdrive.runtime import requests
 from adaptdrive.runtime.machine_limits import MachineLimits
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Moment, Request
 
 # compiled code finds a constant of its module at once, and a member of an enumeration in 0.1 us
 _STARTING: Final[State] = State.STARTING
@@ -64,6 +64,7 @@ class Machine:
         self._waveform_tick = 0
         self._told = ""
         self._order: Order | None = None
+        self._parts: tuple[Stage, float, Mode, float, float, bool, str] | None = None
 
     @property
     def energised(self) -> bool:
@@ -119,13 +120,10 @@ class Machine:
 
     def reference(self, tick: int) -> float:
         """The set-point at a tick; governed to the edge of what V_c can hold where that is set."""
-        asked = self._asked(tick)
+        asked = self.setpoint
+        if self.waveform is not None:
+            asked = self.waveform.value((tick - self._waveform_tick) * self._limits.tick_s)
         return self.reach.nearest(asked) if self._limits.govern else asked
-
-    def _asked(self, tick: int) -> float:
-        if self.waveform is None:
-            return self.setpoint
-        return self.waveform.value((tick - self._waveform_tick) * self._limits.tick_s)
 
     def manual_V(self, tick: int) -> float:
         """V_c asked for at a tick in mode manual, 0 in every other."""
@@ -133,26 +131,16 @@ class Machine:
 
     def order(self, tick: int) -> Order:
         """The order to the controller at a tick; a new object only when something changed."""
-        last, stage, reference = self._order, self.stage, self.reference(tick)
-        manual_V, steady = self.manual_V(tick), self.steady
         told = "" if self.waveform is None else self._told
-        if (
-            last is None
-            or last.stage is not stage
-            or last.reference != reference
-            or last.mode is not self.mode
-            or last.pole != self.pole
-            or last.manual_V != manual_V
-            or last.steady is not steady
-            or last.waveform != told
-        ):
-            last = Order(stage, reference, self.mode, self.pole, manual_V, steady, told)
-            self._order = last
-        return last
+        reference, manual_V = self.reference(tick), self.manual_V(tick)
+        parts = (self.stage, reference, self.mode, self.pole, manual_V, self.steady, told)
+        if self._order is None or parts != self._parts:
+            self._parts, self._order = parts, Order(*parts)
+        return self._order
 
     def carry_out(
         self,
-        request: Request,
+        request: requests.Request,
         tick: int,
         output: float,
         cause: str | None,
@@ -170,18 +158,31 @@ class Machine:
         Raises:
             RefusedError: It cannot be done; nothing was changed.
         """
-        request.apply(self, Moment(tick, output, cause, voltage_V))
+        match request:
+            case requests.SetSetpoint(value):
+                self._set_setpoint(value)
+            case requests.SetWaveform(waveform, preview):
+                self._set_waveform(waveform, tick, preview=preview)
+            case requests.SetMode(mode):
+                self._set_mode(mode, tick, output, voltage_V)
+            case requests.SetVoltage(value, hold_s):
+                self._set_voltage(value, hold_s, tick)
+            case requests.SetPole(value):
+                self._limits.require_pole(value)
+                self.pole = value
+            case requests.Enable():
+                self.enable(output, cause, tick)
+            case requests.Disable():
+                self.disable()
+            case requests.Reset():
+                self.reset(cause)
+            case requests.Reload() if self.state is not State.STANDBY:
+                raise RefusedError(f"reload needs standby; state is {self.state}")
 
-    def set_mode(self, mode: Mode, tick: int, output: float, voltage_V: float) -> None:
+    def _set_mode(self, mode: Mode, tick: int, output: float, voltage_V: float) -> None:
         """Change the mode without a bump: V_c stays into manual, the output stays out of it.
 
         An output that is still on its way into reach goes to its edge.
-
-        Args:
-            mode: Controller asked for, or manual.
-            tick: Present tick.
-            output: Present output, NaN while unknown.
-            voltage_V: V_c in force, NaN while unknown.
         """
         if mode is self.mode:
             return
@@ -194,17 +195,8 @@ class Machine:
             self.setpoint = held if self._coasts else self.reach.nearest(held)
         self.mode = mode
 
-    def set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
-        """Set V_c in mode manual.
-
-        Args:
-            value: V_c in V.
-            hold_s: Longest time until the next one in s, None without a limit.
-            tick: Present tick.
-
-        Raises:
-            RefusedError: The drive does not run in mode manual, or a value is out of range.
-        """
+    def _set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
+        """Set V_c in mode manual, until the next one or for so long at most."""
         limits = self._limits
         if self.mode is not Mode.MANUAL:
             raise RefusedError(f"voltage needs mode manual; mode is {self.mode}")
@@ -222,12 +214,8 @@ class Machine:
         if self.coasting:
             self._start()
 
-    def set_setpoint(self, value: float) -> None:
-        """Hold a constant set-point; stop a waveform.
-
-        Raises:
-            RefusedError: No controller runs, or the value is out of range.
-        """
+    def _set_setpoint(self, value: float) -> None:
+        """Hold a constant set-point; stop a waveform."""
         self._require_loop("setpoint")
         self._limits.require_reference("setpoint", value)
         coasts = value <= 0.0 and not value >= self.reach.low  # which may not be known
@@ -240,12 +228,8 @@ class Machine:
         elif self.coasting:
             self._start()
 
-    def set_waveform(self, waveform: Waveform | None, tick: int, *, preview: bool = False) -> None:
-        """Follow a waveform from a tick on; None holds the present set-point.
-
-        Raises:
-            RefusedError: No controller runs, or a level or the period is out of range.
-        """
+    def _set_waveform(self, waveform: Waveform | None, tick: int, *, preview: bool) -> None:
+        """Follow a waveform from a tick on; None holds the present set-point."""
         self._require_loop("waveform")
         if waveform is None:
             self.setpoint = self.reference(tick)
@@ -258,15 +242,6 @@ class Machine:
             if self.coasting:
                 self._start()
         self.waveform = waveform
-
-    def set_pole(self, value: float) -> None:
-        """Choose the closed-loop pole.
-
-        Raises:
-            RefusedError: The value is out of range.
-        """
-        self._limits.require_pole(value)
-        self.pole = value
 
     def enable(self, output: float, cause: str | None, tick: int) -> None:
         """Start the drive, with the present output as set-point; no effect while it is energised.
@@ -292,15 +267,13 @@ class Machine:
             raise RefusedError(f"the drive has not confirmed its stop{why}; enable it in standby")
         if cause is not None:
             raise RefusedError(cause)
-        limits = self._limits
+        limits, known = self._limits, self.reach.is_known
         self.waveform = None
-        self.manual = self._limits.held(limits.rest_V, tick)
-        if self.reach.is_known and output < max(limits.reference_min, self.reach.low):
-            self.setpoint = max(output, min(limits.reference_min, 0.0))
-            self._coast()
-            return
-        self.setpoint = self._limits.nearest_reference(output)
-        if self.mode is Mode.MANUAL or not self.reach.is_known:
+        self.manual = limits.held(limits.rest_V, tick)
+        below = known and output < max(limits.reference_min, self.reach.low)
+        at_rest = max(output, min(limits.reference_min, 0.0))
+        self.setpoint = at_rest if below else limits.nearest_reference(output)
+        if below or self.mode is Mode.MANUAL or not known:
             self._coast()
         else:
             self._start()

@@ -17,10 +17,12 @@ FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
 
 
-def _outside(  # noqa: PLR0913, PLR0917 - the parts of one sentence
+def _require(  # noqa: PLR0913, PLR0917 - the parts of one sentence
     what: str, value: float, low: float, high: float, unit: str = "", why: str = ""
-) -> RefusedError:
-    return RefusedError(f"{what} = {value:.12g}{unit} is outside {low:g}…{high:g}{unit}{why}")
+) -> None:
+    """Refuse a value that is not finite, or outside of a range; an end that is NaN is none."""
+    if not math.isfinite(value) or value < low or value > high:
+        raise RefusedError(f"{what} = {value:.12g}{unit} is outside {low:g}…{high:g}{unit}{why}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,18 +80,16 @@ class MachineLimits:
         Raises:
             RefusedError: The value is out of range or not finite.
         """
-        if not (math.isfinite(value) and self.reference_min <= value <= self.reference_max):
-            unit = f" {self.output_unit}"
-            raise _outside(what, value, self.reference_min, self.reference_max, unit)
+        _require(what, value, self.reference_min, self.reference_max, f" {self.output_unit}")
 
     def require_reach(self, what: str, value: float, reach: Reach) -> None:
         """Refuse a set-point that V_c cannot hold, unless it is governed.
 
         Arguments as of `require_reference`.
         """
-        if not (self.govern or reach.holds(value)):
-            unit = f" {self.output_unit}"
-            raise _outside(what, value, reach.low, reach.high, unit, ", which V_c can hold")
+        if not self.govern:
+            unit, why = f" {self.output_unit}", ", which V_c can hold"
+            _require(what, value, reach.low, reach.high, unit, why)
 
     def require_period(self, what: str, value: float) -> None:
         """Refuse a period of a waveform, in s, that is too short."""
@@ -98,14 +98,11 @@ class MachineLimits:
 
     def require_pole(self, value: float) -> None:
         """Refuse a closed-loop pole that is too fast or too slow."""
-        if not self.pole_min <= value <= self.pole_max:
-            raise _outside("pole", value, self.pole_min, self.pole_max)
+        _require("pole", value, self.pole_min, self.pole_max)
 
     def require_voltage(self, value: float, hold_s: float | None) -> None:
         """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
-        if not self.floor_V <= value <= self.ceiling_V:
-            unit = f" {self.manipulated.unit}"
-            raise _outside("voltage", value, self.floor_V, self.ceiling_V, unit)
+        _require("voltage", value, self.floor_V, self.ceiling_V, f" {self.manipulated.unit}")
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
             raise RefusedError(
                 f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"

@@ -1,38 +1,17 @@
 """Requests of an operator to a running drive: the registry of all commands.
 
-A request is one class: its verb in the topic, its fields as they stand in the payload, and what it
-does to the state machine. `REQUESTS` lists them; messages and command line are made from that list.
+A request is one class: its verb in the topic, and its fields as they stand in the payload. The
+state machine carries it out. `REQUESTS` lists them; messages and command line are made of it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Waveform
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
-
-if TYPE_CHECKING:
-    from adaptdrive.runtime.machine import Machine
-
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """Present values that a request may depend on.
-
-    Attributes:
-        tick: Number of the present tick.
-        output: Present output, NaN while unknown.
-        cause: Interlock that is active now, None for none.
-        voltage_V: V_c in force, NaN while unknown.
-    """
-
-    tick: int
-    output: float
-    cause: str | None
-    voltage_V: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,18 +24,6 @@ class Request:
 
     verb: ClassVar[str]
 
-    def apply(self, machine: Machine, now: Moment) -> None:
-        """Carry the request out.
-
-        Args:
-            machine: Overwritten.
-            now: Present values.
-
-        Raises:
-            RefusedError: It cannot be carried out; nothing was changed.
-        """
-        raise NotImplementedError
-
 
 @dataclass(frozen=True, slots=True)
 class SetSetpoint(Request):
@@ -64,10 +31,6 @@ class SetSetpoint(Request):
 
     verb = "setpoint"
     value: float
-
-    def apply(self, machine: Machine, _: Moment) -> None:
-        """Set the set-point."""
-        machine.set_setpoint(self.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +46,6 @@ class SetWaveform(Request):
     value: Waveform | None
     preview: bool = False
 
-    def apply(self, machine: Machine, now: Moment) -> None:
-        """Start or stop the waveform."""
-        machine.set_waveform(self.value, now.tick, preview=self.preview)
-
 
 @dataclass(frozen=True, slots=True)
 class SetMode(Request):
@@ -94,10 +53,6 @@ class SetMode(Request):
 
     verb = "mode"
     value: Mode
-
-    def apply(self, machine: Machine, now: Moment) -> None:
-        """Set the mode."""
-        machine.set_mode(self.value, now.tick, now.output, now.voltage_V)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +68,6 @@ class SetVoltage(Request):
     value: float
     hold_s: float | None = None
 
-    def apply(self, machine: Machine, now: Moment) -> None:
-        """Set V_c."""
-        machine.set_voltage(self.value, self.hold_s, now.tick)
-
 
 @dataclass(frozen=True, slots=True)
 class SetPole(Request):
@@ -125,20 +76,12 @@ class SetPole(Request):
     verb = "pole"
     value: float
 
-    def apply(self, machine: Machine, _: Moment) -> None:
-        """Set the pole."""
-        machine.set_pole(self.value)
-
 
 @dataclass(frozen=True, slots=True)
 class Enable(Request):
     """Energise a drive and hold the present output."""
 
     verb = "enable"
-
-    def apply(self, machine: Machine, now: Moment) -> None:
-        """Start the drive."""
-        machine.enable(now.output, now.cause, now.tick)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,20 +90,12 @@ class Disable(Request):
 
     verb = "disable"
 
-    def apply(self, machine: Machine, _: Moment) -> None:
-        """Stop the drive."""
-        machine.disable()
-
 
 @dataclass(frozen=True, slots=True)
 class Reset(Request):
     """Leave a trip whose cause is gone."""
 
     verb = "reset"
-
-    def apply(self, machine: Machine, now: Moment) -> None:
-        """Reset the trip."""
-        machine.reset(now.cause)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,11 +109,6 @@ class Reload(Request):
 
     verb = "reload"
     measured: str | None = None
-
-    def apply(self, machine: Machine, _: Moment) -> None:
-        """Refuse it unless the drive is off, as confirmed."""
-        if machine.state is not State.STANDBY:
-            raise RefusedError(f"reload needs standby; state is {machine.state}")
 
 
 REQUESTS: dict[str, type[Request]] = {
