@@ -20,10 +20,9 @@ from adaptdrive.hardware.dbc.database import SignalCatalogue, cycle_time_s, desc
 from adaptdrive.hardware.dbc.orders import (
     CommandFrame,
     build_orders,
-    carried_signals,
+    choices,
     find_orders,
-    page_of,
-    sent_pages,
+    is_carried,
 )
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
@@ -165,7 +164,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
         tuple(
             StatusMessage(
                 MessageCodec(catalogue.known(name), bus.integrity.get(name)),
-                tuple(_pages(catalogue, catalogue.known(name), sinks[name])),
+                tuple(_pages(catalogue.known(name), sinks[name])),
                 _every_ticks(catalogue.known(name), bus, half_cycle_ms),
             )
             for name in names
@@ -192,16 +191,11 @@ def _find_sinks(
     return sinks
 
 
-def _pages(
-    catalogue: SignalCatalogue, message: Message, sinks: list[tuple[Signal, SignalSink]]
-) -> Iterator[Page]:
+def _pages(message: Message, sinks: list[tuple[Signal, SignalSink]]) -> Iterator[Page]:
     """Every page, whether or not it carries something; what several carry is in each of them."""
-    place = f"bus.database.{message.name}"
-    pages = dict.fromkeys(page_of(catalogue, message, one, place) for one in message.signals)
-    for page in sent_pages(pages):
-        carried = carried_signals(message, dict(page))
-        own = tuple(sink for signal, sink in sinks if signal.name in carried)
-        yield Page(dict(page), own)
+    for choice in choices(message, message.signals):
+        own = tuple(sink for signal, sink in sinks if is_carried(message, signal, choice))
+        yield Page(choice, own)
 
 
 def _every_ticks(message: Message, bus: CanBus, half_cycle_ms: float) -> int:

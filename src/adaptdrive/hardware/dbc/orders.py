@@ -1,14 +1,14 @@
 """The command on its way out: which parts of it travel in which frames.
 
-A multiplexed message is sent once for each page that carries something; what several of its pages
-carry travels in each of them. A page is a choice of values of the multiplexers. A DBC may give a
-signal several of them (`SG_MUL_VAL_`), and a page may have its own multiplexer, whose pages carry
-what it carries.
+A frame is a choice of values of the multiplexers of its message; which signals it carries follows.
+A multiplexed message is sent once for each choice that a signal of the command needs, unless the
+choice of another signal includes that. A DBC may give a signal several values (`SG_MUL_VAL_`), and
+a multiplexer may be one of the signals that another one selects.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -22,11 +22,8 @@ from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, is_word
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.layout import initial_value, signal_bits
 
-Page = tuple[tuple[str, float], ...]
-"""The multiplexers of a frame, outermost first, and their values."""
-
-_Pages = dict[Page, list[Sink[Located]]]
-"""Commanded values of each page of a message."""
+Choice = dict[str, float]
+"""Values of multiplexers by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,93 +61,72 @@ def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
 
 def find_orders(
     catalogue: SignalCatalogue, sinks: Iterable[Sink[Located]], section: str = "signals.command"
-) -> dict[str, _Pages]:
-    """Return the content of each page of each message; errors go to the catalogue."""
-    drafts: dict[str, _Pages] = {}
+) -> dict[str, list[Sink[Located]]]:
+    """Return the values that each message carries; errors go to the catalogue."""
+    drafts: dict[str, list[Sink[Located]]] = {}
     for sink in sinks:
-        (message, signal), place = sink.item, f"{section}.{sink.name}"
-        page = page_of(catalogue, message, signal, place)
-        draft = drafts.setdefault(message.name, {}).setdefault(page, [])
-        if sink.factor and signal.name in _fixed(draft):
-            catalogue.note(place, f"signal {signal.name!r} is a constant too")
-        draft.append(sink)
-    for name, pages in drafts.items():
+        drafts.setdefault(sink.item.message.name, []).append(sink)
+    for name, draft in drafts.items():
+        fixed = _fixed(draft)
+        for sink in draft:
+            if sink.factor and sink.item.signal.name in fixed:
+                problem = f"signal {sink.item.signal.name!r} is a constant too"
+                catalogue.note(f"{section}.{sink.name}", problem)
         message = catalogue.known(name)
-        _check_initial(catalogue, message, pages)
-        _check_overlap(catalogue, message, pages)
-        _check_pages(catalogue, message, pages)
+        for problem in dict.fromkeys(_problems(message, draft)):
+            catalogue.note(section, f"message {name!r}: {problem}")
     return drafts
 
 
 def build_orders(
     catalogue: SignalCatalogue,
     integrity: Mapping[str, FrameIntegrity],
-    drafts: Mapping[str, _Pages],
+    drafts: Mapping[str, Sequence[Sink[Located]]],
 ) -> Iterator[CommandFrame]:
     """The frames of a command, from drafts without a flaw."""
-    for name, pages in drafts.items():
+    for name, draft in drafts.items():
         message = catalogue.known(name)
         codec = MessageCodec(message, integrity.get(name))
-        parts = [part for draft in pages.values() for part in draft if part.factor]
-        for chosen in _frames(pages):
-            carried = carried_signals(message, chosen)
-            yield CommandFrame(
-                codec,
-                {one.item.signal.name: one for one in parts if one.item.signal.name in carried},
-                {key: value for key, value in chosen.items() if key in carried},
-            )
+        for fixed, carried in _frames(message, draft):
+            parts = {one.item.signal.name: one for one in carried if one.factor}
+            yield CommandFrame(codec, parts, fixed)
 
 
-def page_of(catalogue: SignalCatalogue, message: Message, signal: Signal, place: str) -> Page:
-    """Return the first page with a signal, empty if all frames have it.
+def choices(message: Message, signals: Iterable[Signal]) -> list[Choice]:
+    """Return the choice of each frame that it takes to send signals.
 
     Args:
-        catalogue: Takes the errors.
-        message: The message.
-        signal: One of its signals.
-        place: Where the signal stands in the configuration.
+        message: Their message.
+        signals: What is sent.
     """
+    found = list[Choice]()
+    for choice in (_choice(message, one) for one in signals):
+        if choice not in found:
+            found.append(choice)
+    return [one for one in found if not any(one.items() < other.items() for other in found)]
+
+
+def _choice(message: Message, signal: Signal) -> Choice:
+    """Return the first choice with a signal, empty if all frames have it."""
     if not signal.multiplexer_ids or signal.multiplexer_signal is None:
-        return ()
+        return {}
     selector = message.get_signal_by_name(signal.multiplexer_signal)
-    outer = page_of(catalogue, message, selector, place)
-    if not is_word(selector):
-        catalogue.note(place, f"its multiplexer {selector.name!r} has a factor or an offset")
-    return (*outer, (selector.name, float(signal.multiplexer_ids[0])))
+    return {**_choice(message, selector), selector.name: float(signal.multiplexer_ids[0])}
 
 
-def sent_pages(pages: Iterable[Page]) -> list[Page]:
-    """Return the pages that are sent: those of which no other is a part, a single one if all are.
+def is_carried(message: Message, signal: Signal, chosen: Mapping[str, float]) -> bool:
+    """Return whether a frame carries a signal.
 
     Args:
-        pages: The pages that carry something; each occurs once.
+        message: Their message.
+        signal: The signal.
+        chosen: Values of the multiplexers; the others have their initial value.
     """
-    known = [page for page in pages if page]
-    return [
-        page
-        for page in known
-        if not any(len(one) > len(page) and one[: len(page)] == page for one in known)
-    ] or [()]
-
-
-def carried_signals(message: Message, chosen: Mapping[str, float]) -> frozenset[str]:
-    """Return the names of the signals in a frame.
-
-    Args:
-        message: The message of the frame.
-        chosen: Values of its multiplexers; the others have their initial value.
-    """
-    return frozenset(
-        signal.name for signal in message.signals if _is_carried(message, signal, chosen)
-    )
-
-
-def _is_carried(message: Message, signal: Signal, chosen: Mapping[str, float]) -> bool:
     if not signal.multiplexer_ids or signal.multiplexer_signal is None:
         return True
     selector = message.get_signal_by_name(signal.multiplexer_signal)
     value = _selected(selector, chosen)
-    return value in signal.multiplexer_ids and _is_carried(message, selector, chosen)
+    return value in signal.multiplexer_ids and is_carried(message, selector, chosen)
 
 
 def _selected(selector: Signal, chosen: Mapping[str, float]) -> float:
@@ -166,42 +142,43 @@ def _fixed(draft: Iterable[Sink[Located]]) -> dict[str, float]:
     }
 
 
-def _frames(pages: _Pages) -> Iterator[dict[str, float]]:
-    """The values that are always the same, multiplexers among them, of each frame of a message."""
-    fixed = _fixed(one for draft in pages.values() for one in draft)
-    return ({**fixed, **dict(page)} for page in sent_pages(pages))
+def _frames(
+    message: Message, draft: Sequence[Sink[Located]]
+) -> Iterator[tuple[dict[str, float], list[Sink[Located]]]]:
+    """The values that are always the same, and all that is carried, of each frame of a message."""
+    for choice in choices(message, (one.item.signal for one in draft)):
+        chosen = _fixed(draft) | choice
+        held = [one.name for one in message.signals if is_carried(message, one, chosen)]
+        carried = [one for one in draft if one.item.signal.name in held]
+        yield {name: value for name, value in chosen.items() if name in held}, carried
 
 
-def _check_initial(catalogue: SignalCatalogue, message: Message, pages: _Pages) -> None:
-    """Each signal can hold its initial value, which it has where nothing else sets it."""
-    given = {selector for page in pages for selector, _ in page}
-    given |= {one.item.signal.name for draft in pages.values() for one in draft}
-    for signal in message.signals:
-        if signal.name not in given and initial_value(signal) is None:
-            problem = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
-            bits = f"signal {signal.name!r} of {signal.length} bits cannot hold"
-            catalogue.note("signals.command", f"message {message.name!r}: {bits} its {problem}")
-
-
-def _check_overlap(catalogue: SignalCatalogue, message: Message, pages: _Pages) -> None:
-    """No two values that are sent share a bit of their frame."""
-    for draft in pages.values():
-        bits = {one.item.signal.name: signal_bits(one.item.signal) for one in draft}
+def _problems(message: Message, draft: Sequence[Sink[Located]]) -> Iterator[str]:
+    """Yield why the frames of a message cannot be sent."""
+    given = {one.item.signal.name for one in draft}
+    for fixed, carried in _frames(message, draft):
+        given.update(fixed)
+        bits = {one.item.signal.name: signal_bits(one.item.signal) for one in carried}
         for name, other in combinations(bits, 2):
             if bits[name] & bits[other]:
-                problem = f"{other!r} and {name!r} share bits: both are sent"
-                catalogue.note("signals.command", f"message {message.name!r}: {problem}")
-
-
-def _check_pages(catalogue: SignalCatalogue, message: Message, pages: _Pages) -> None:
-    """Each frame is of a page that its message has: no other can be encoded."""
-    for chosen in _frames(pages):
+                yield f"{other!r} and {name!r} share bits: both are sent"
         for selector in message.signals:
-            if not (selector.is_multiplexer and _is_carried(message, selector, chosen)):
-                continue
-            value = _selected(selector, chosen)
-            paged = [one for one in message.signals if one.multiplexer_signal == selector.name]
-            if not any(value in (one.multiplexer_ids or ()) for one in paged):
-                place = f"signals.command.constants.{message.name}.{selector.name}"
-                problem = f"it would be sent as {value:g}, which is none of its pages; name one"
-                catalogue.note(place, f"{selector.name!r} is a multiplexer: {problem}")
+            if selector.is_multiplexer and is_carried(message, selector, fixed):
+                yield from _selection_problems(message, selector, fixed)
+    for signal in message.signals:
+        if signal.name not in given and initial_value(signal) is None:
+            value = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
+            yield f"signal {signal.name!r} of {signal.length} bits cannot hold its {value}"
+
+
+def _selection_problems(
+    message: Message, selector: Signal, fixed: Mapping[str, float]
+) -> Iterator[str]:
+    """Yield why a frame cannot be encoded with the value that its multiplexer has."""
+    if selector.name in fixed and not is_word(selector):
+        yield f"its multiplexer {selector.name!r} has a factor or an offset"
+    value = _selected(selector, fixed)
+    paged = [one for one in message.signals if one.multiplexer_signal == selector.name]
+    if not any(value in (one.multiplexer_ids or ()) for one in paged):
+        problem = f"it would be sent as {value:g}, which is none of its pages; name one"
+        yield f"{selector.name!r} is a multiplexer: {problem}"
