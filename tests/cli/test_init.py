@@ -13,9 +13,10 @@ import pytest
 
 from adaptdrive.cli import main
 from adaptdrive.config import load_configuration
-from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.bus import CanBus, CanOpenBus, Signals
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+DEVICES = EXAMPLES.parent / "devices"
 LOADS = ("motor", "bath", "battery")
 BUSES = ("can", "modbus-tcp", "modbus-rtu", "canopen", "scpi")
 DESCRIPTIONS = (
@@ -97,6 +98,33 @@ def test_objects_of_an_eds_are_proposed(tmp_path: Path) -> None:
     assert signals.boost_voltage_V.signal == "0x6079"
     assert signals.output is not None
     assert signals.output.signal == "0x2001.2"
+
+
+def test_the_file_of_a_like_device_takes_the_eds_of_the_user(tmp_path: Path) -> None:
+    eds = tmp_path / "mine.eds"
+    eds.write_bytes((DEVICES / "maxon-epos4.eds").read_bytes())
+    assert init("motor", "--device", "maxon-epos4", "--eds", eds, "--directory", tmp_path) == 0
+    bus = load_configuration(tmp_path / "motor.toml").bus
+    assert isinstance(bus, CanOpenBus)
+    assert bus.eds == eds
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["mine.eds", "motor.toml"]
+
+
+def test_a_register_map_takes_no_eds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = ("--device", "delta-ms300", "--eds", EXAMPLES / "cia402.eds")
+    assert init("motor", *given, "--directory", tmp_path) == 2
+    assert "delta-ms300: has no bus.eds" in capsys.readouterr().err
+
+
+def test_an_eds_without_what_every_drive_needs_is_refused_before_a_question(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", Terminal(""))
+    eds = tmp_path / "old.eds"
+    text = (EXAMPLES / "cia402.eds").read_text().replace("[1016", "[5016")
+    eds.write_text(text)
+    assert init("motor", "--bus", "canopen", "--eds", eds, "--directory", tmp_path) == 2
+    assert "the EDS has no object 0x1016.1" in capsys.readouterr().err
 
 
 def test_a_missing_signal_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
 
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
@@ -19,9 +18,6 @@ Choices = Mapping[str, Candidate | None]
 _HALF_CYCLES_PER_S = 120.0
 _SI_UNITS = ("", "V", "A", "W", "K", "rad/s", "S")
 _OPTIONAL = ("counter", "fault", "bridge", "command.current_scale_S")
-_OF_THE_PROFILE = ("counter", "fault", "bridge", "command.bridge", "command.current_scale_S")
-"""Names that a CiA 402 drive needs no entry for, or that it does not take."""
-
 
 _MEASURED = "\n# Confirm each line with the manual of the drive.\n[signals]\n"
 _CAN = """\
@@ -63,20 +59,19 @@ def can_part(database: Database, name: str, choices: Choices) -> str:
     used = [database.get_message_by_name(message) for message in messages]
     clock = _clock(used, choices)
     head = _CAN.format(
-        database=_quoted(name), clock=clock.name if clock else "", ticks=_ticks(clock)
+        database=quoted(name), clock=clock.name if clock else "", ticks=_ticks(clock)
     )
     return "".join([head, *_proofs(used), *_signals(choices)])
 
 
-def canopen_part(eds: Path, choices: Choices) -> str:
+def canopen_part(eds: str, choices: Choices) -> str:
     """Return `[bus]` to `[voltage_loop]` of a drive that an EDS describes.
 
     Args:
         eds: Path of the EDS as the configuration is to name it.
         choices: The chosen objects.
     """
-    taken = {name: one for name, one in choices.items() if name not in _OF_THE_PROFILE}
-    return "".join([_CANOPEN.format(eds=_quoted(str(eds))), *_signals(taken)])
+    return "".join([_CANOPEN.format(eds=quoted(eds)), *_signals(choices)])
 
 
 def _clock(used: Iterable[Message], choices: Choices) -> Message | None:
@@ -118,17 +113,17 @@ def _line(quantity: str, chosen: Candidate | None) -> str:
         remark = "leave out where the drive has none" if quantity in _OPTIONAL else "needed"
         return f'# {key} = "…"  # nothing like it was found: {remark}\n'
     if quantity.endswith("bridge") and chosen.on:
-        states = f"on = {_quoted(chosen.on)}"
+        states = f"on = {quoted(chosen.on)}"
         if chosen.off and quantity == "command.bridge":
-            states += f", off = {_quoted(chosen.off)}"
+            states += f", off = {quoted(chosen.off)}"
         return f'{key} = {{ signal = "{chosen.reference}", {states} }}\n'
     about = ", ".join(part for part in (chosen.unit, chosen.range) if part)
     remark = f"  # {about}" if about else ""
     if chosen.unit in _SI_UNITS:
         return f'{key} = "{chosen.reference}"{remark}\n'
-    return f'{key} = {{ signal = "{chosen.reference}", unit = {_quoted(chosen.unit)} }}{remark}\n'
+    return f'{key} = {{ signal = "{chosen.reference}", unit = {quoted(chosen.unit)} }}{remark}\n'
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
     """Return a text as TOML writes it, whatever its characters are."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

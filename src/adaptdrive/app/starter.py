@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
+from adaptdrive.app.described import quoted
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.services import LONGEST_STALE_S
@@ -99,16 +100,18 @@ def device_names() -> list[str]:
     return sorted(one.name.removesuffix(".toml") for one in files if one.name.endswith(".toml"))
 
 
-def of_device(load: LoadName, device: str, name: str) -> Starter:
+def of_device(load: LoadName, device: str, name: str, own: str | None = None) -> Starter:
     """Return the configuration of a device, which passes `check`.
 
     Args:
         load: Kind of load.
         device: Name of the device.
         name: Name of the drive.
+        own: Path of a DBC or EDS of the user, in place of the one that comes with the device.
 
     Raises:
-        ConfigurationError: There is no such device, or it is described with another kind of load.
+        ConfigurationError: There is no such device, it is described with another kind of load, or
+            it has no such file.
     """
     known = device_names()
     if device not in known:
@@ -119,7 +122,14 @@ def of_device(load: LoadName, device: str, name: str) -> Starter:
     if tables["load"]["type"] != load:
         problem = f"is described with a {tables['load']['type']}, not with a {load}"
         raise ConfigurationError("--device", [Flaw(device, problem)])
-    return _starter(_named(text, name), "devices")
+    text = _named(text, name)
+    if own is None:
+        return _starter(text, "devices")
+    key = "eds" if own.lower().endswith((".eds", ".dcf")) else "database"
+    if key not in tables["bus"]:
+        raise ConfigurationError("--device", [Flaw(device, f"has no bus.{key}, as {own} is")])
+    line = f"{key} = {quoted(own)}"
+    return Starter(re.sub(rf"(?m)^{key} = .*$", lambda _: line, text), None, b"")
 
 
 def _starter(text: str, folder: str) -> Starter:

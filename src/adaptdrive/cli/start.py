@@ -7,7 +7,7 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,6 +41,9 @@ from adaptdrive.hardware.proposal import (
 
 _SHOWN = 3
 _NODE_ID = 1
+_TARGET_TORQUE = "0x6071"
+_OF_THE_PROFILE = ("counter", "fault", "bridge", "command.bridge", "command.current_scale_S")
+"""Names that a CiA 402 drive needs no entry for, or that it does not take."""
 
 
 def init(  # noqa: PLR0913 - one parameter for each option
@@ -75,8 +78,9 @@ def init(  # noqa: PLR0913 - one parameter for each option
     """
     drive = load if name is None else _refuse_misnamed(name)
     if device is not None:
-        _refuse_two(bus, dbc, eds)
-        starter = of_device(load, device, drive)
+        own = dbc or eds
+        _refuse_two(bus, dbc and eds)
+        starter = of_device(load, device, drive, _place(own, directory) if own else None)
     else:
         known = _refuse_misfits(bus, dbc, eds)
         part = _described(load, directory, dbc, eds, ask=_way_to_choose(yes=yes))
@@ -105,7 +109,7 @@ def _name_next_steps(path: Path, problem: str) -> int:
 
 def _refuse_two(*given: object) -> None:
     if any(one is not None for one in given):
-        flaw = Flaw("--device", "describes bus and signals: leave --bus, --dbc and --eds out")
+        flaw = Flaw("--device", "describes the bus: leave --bus out, and one of --dbc and --eds")
         raise ConfigurationError("init", [flaw])
 
 
@@ -143,10 +147,12 @@ def _described(
         found = list(proposal.candidates(database))
         return can_part(database, _place(dbc, directory), _choose(load, found, ask=ask))
     if eds is not None:
-        from adaptdrive.hardware.canopen.dictionary import candidates  # noqa: PLC0415 - an extra
+        from adaptdrive.hardware.canopen.mapping import candidates  # noqa: PLC0415 - an extra
 
         found = list(candidates(eds, _NODE_ID))
-        return canopen_part(eds.resolve(), _choose(load, found, ask=ask))
+        if any(one.reference == _TARGET_TORQUE for one in found):
+            print(f"a drive that takes torque: see `init --device maxon-epos4 --eds {eds}` instead")
+        return canopen_part(_place(eds, directory), _choose(load, found, _OF_THE_PROFILE, ask=ask))
     return None
 
 
@@ -161,12 +167,14 @@ def _place(file: Path, directory: Path) -> str:
     return file.name if beside else str(file.resolve())
 
 
-def _choose(load: LoadName, found: Iterable[Candidate], *, ask: bool | None) -> Choices:
-    known = list(found)
+def _choose(
+    load: LoadName, known: list[Candidate], without: Collection[str] = (), *, ask: bool | None
+) -> Choices:
     wanted = {"output": OUTPUTS.get(load, NO_PROPOSAL), **QUANTITIES}
     return {
         quantity: _confirm(quantity, _proposed(quantity, one, known, ask=ask), known, ask=bool(ask))
         for quantity, one in wanted.items()
+        if quantity not in without
     }
 
 
@@ -192,7 +200,8 @@ def _confirm(
     print(f"\n{quantity}:")
     for number in range(1, 1 + len(proposed[:_SHOWN])):
         one = choices[str(number)]
-        print(f"  {number}  {one.reference}  {one.unit}  {one.range}".rstrip())
+        words = "" if one.reference.endswith(one.words.split()[-1]) else one.words
+        print("  ".join(filter(None, (f"  {number}", one.reference, words, one.unit, one.range))))
     usual = "1" if proposed else "0"
     while True:
         answer = _answer(f"a number, a signal by its name, or 0 for none [{usual}]: ", quantity)

@@ -114,6 +114,7 @@ def test_a_counter_wraps_where_its_type_does() -> None:
         ({"bus/eds": "motor.toml"}, "bus.eds", "is no .eds and no .dcf file"),
         ({"bus/setup/0x6040": 15}, "bus.setup.0x6040", "is written by the daemon itself"),
         ({"bus/setup/0x1016.1": 0}, "bus.setup.0x1016.1", "is written by the daemon itself"),
+        ({"bus/setup/0x6007": 0}, "bus.setup.0x6007", "is written by the daemon itself"),
         ({"bus/setup/0x1A00.0": 0}, "bus.setup.0x1A00.0", "is written by the daemon itself"),
         ({"bus/setup/0x2000.4": 300}, "bus.setup.0x2000.4", "is written by the daemon itself"),
         ({"bus/setup/0x6060": 128}, "bus.setup.0x6060", "128 is outside -128…127"),

@@ -20,7 +20,6 @@ from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.canopen.mending import mended
 from adaptdrive.hardware.description import read_description
 from adaptdrive.hardware.field import Field, natural_limits, sensible_limits
-from adaptdrive.hardware.proposal import Candidate
 
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
@@ -199,26 +198,3 @@ def _entry(variable: ODVariable) -> Entry | None:
     high = high if variable.max is None else min(high, variable.max)
     coded = Field(variable.qualname, low, high, integer=not real)
     return Entry((variable.index, variable.subindex), bits, variable, coded)
-
-
-def candidates(path: Path, node_id: int) -> Iterator[Candidate]:
-    """Yield every object that may be a quantity.
-
-    Args:
-        path: EDS file.
-        node_id: Node id of the drive.
-
-    Raises:
-        ConfigurationError: The file cannot be read or is no EDS.
-    """
-    for variable in ObjectCatalogue(*read_eds(path, node_id, path)).variables():
-        entry, index = _entry(variable), variable.index
-        if entry and variable.pdo_mappable and index >= _FIRST_OF_DEVICE and index not in _WORDS:
-            yield Candidate(
-                reference=entry.label,
-                words=variable.qualname,
-                unit="",
-                range="",
-                commanded=variable.writable,
-                bits=entry.bits,
-            )

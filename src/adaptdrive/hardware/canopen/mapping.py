@@ -28,6 +28,7 @@ from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.proposal import Candidate
 
 Bound = TypeVar("Bound", Source[Entry], Sink[Entry])
 
@@ -49,8 +50,11 @@ _NEEDED = {
     STATUSWORD: "it is no CiA 402 drive",
 }
 _WORD_BITS = 16
-_OURS = frozenset({SYNC_ID[0], SYNC_PERIOD[0], HEARTBEATS_HEARD[0], HEARTBEAT_SENT[0]})
+_WATCHED = (HEARTBEATS_HEARD, HEARTBEAT_SENT, ABORT_OPTION, QUICK_STOP_OPTION)
+_OURS = frozenset(index for index, _ in (SYNC_ID, SYNC_PERIOD, *_WATCHED))
 _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
+_FIRST_OF_DEVICE = 0x2000
+"""Objects below are communication parameters (CiA 301)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,3 +238,31 @@ def _setup(
             catalogue.note(f"bus.setup.{sink.name}", "is written by the daemon itself")
         reads = entry.variable.readable and sink.name not in bus.setup_unread
         yield entry, entry.variable.encode_raw(sink.field.raw(sink.base)), reads
+
+
+def candidates(path: Path, node_id: int) -> Iterator[Candidate]:
+    """Yield every object that may be a quantity.
+
+    Args:
+        path: EDS file.
+        node_id: Node id of the drive.
+
+    Raises:
+        ConfigurationError: The file cannot be read, is no EDS, or has not what the daemon needs.
+    """
+    catalogue = ObjectCatalogue(*read_eds(path, node_id, path))
+    _check_needed(catalogue)
+    if catalogue.flaws:
+        raise ConfigurationError(path, catalogue.flaws)
+    for variable in catalogue.variables():
+        entry, index = catalogue.at((variable.index, variable.subindex)), variable.index
+        own = index >= _FIRST_OF_DEVICE and index not in {CONTROLWORD[0], STATUSWORD[0]}
+        if entry and variable.pdo_mappable and own:
+            yield Candidate(
+                reference=entry.label,
+                words=variable.qualname,
+                unit="",
+                range="",
+                commanded=variable.writable,
+                bits=entry.bits,
+            )
