@@ -224,3 +224,26 @@ def test_check_warns_and_accepts(tmp_path: Path, capsys: pytest.CaptureFixture[s
     answer = capsys.readouterr()
     assert f"adaptdrive: {path}: warning: mqtt.tls: false, and '10.0.0.9' is remote" in answer.err
     assert "is configured correctly" in answer.out
+
+
+def test_check_names_warnings_and_the_contradiction_that_they_explain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (EXAMPLES / "motor-modbus-tcp.toml").read_text(encoding="utf-8")
+    path = tmp_path / "motor.toml"
+    text = text.replace("tau_motor_s = 11.7", "tau_motor_s = 0.5")
+    text = text.replace("tau_filter_s = 10.0", "tau_filter_s = 0.1")
+    path.write_text(text, encoding="utf-8")
+    assert main(["check", str(path)]) == 2
+    shown = capsys.readouterr().err
+    assert "warning: load.period_s: 1 s does not suit lags of 0.6 s in all" in shown
+    assert "load.pole: 0.7: the fixed controller must keep a load stable" in shown
+
+
+def test_a_power_limit_that_nobody_stated_for_an_inverter_is_no_warning() -> None:
+    device = EXAMPLES.parent / "devices" / "siemens-v20.toml"
+    text = device.read_text(encoding="utf-8")
+    limited = text.replace("[drive.limits]", "[drive.limits]\nload_power_max_W = 900.0")
+    for stated, named in ((text, False), (limited, True)):
+        flaws = advice(parse_configuration(stated, device))
+        assert ("signals.load_power_W" in {flaw.place for flaw in flaws}) is named

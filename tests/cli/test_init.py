@@ -216,6 +216,20 @@ def test_a_changed_example_is_named_no_more(
     assert "values of the example" not in capsys.readouterr().err
 
 
+def test_what_is_true_of_the_example_alone_is_named_until_it_is_adapted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert init("bath", "--bus", "scpi", "--directory", tmp_path) == 0
+    path = tmp_path / "bath.toml"
+    for text, end in ((path.read_text(), "is not configured yet"), ("", "is configured correctly")):
+        path.write_text(text or path.read_text().replace("# example: ", "# "))
+        capsys.readouterr()
+        assert main(["check", str(path)]) == 0
+        shown = capsys.readouterr()
+        assert f"drive bath {end}" in shown.out
+        assert ("bus.command_timeout_s = 0.4" in shown.err) is bool(text)
+
+
 def test_a_simulated_drive_gets_limits_for_a_shared_machine(tmp_path: Path) -> None:
     """A real drive's own time-out decides; that of a simulated one is longer than any delay."""
     assert init("bath", "--bus", "can", "--directory", tmp_path) == 0

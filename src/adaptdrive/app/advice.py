@@ -89,8 +89,9 @@ def _only_stop(configuration: Configuration) -> Iterator[Flaw]:
 
 def _absent(configuration: Configuration) -> Iterator[Flaw]:
     """A quantity that is not measured watches nothing."""
-    absent = absent_names(configuration)
-    if "load_power_W" in absent:
+    absent, drive = absent_names(configuration), configuration.drive
+    stated = drive.manipulated.unit == "V" or "load_power_max_W" in drive.limits.model_fields_set
+    if "load_power_W" in absent and stated:
         text = "is absent: drive.limits.load_power_max_W holds nothing back"
         yield Flaw("signals.load_power_W", f"{text}; the drive must limit its own power")
     if "boost_voltage_V" in absent:
@@ -154,7 +155,7 @@ def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
         ("load.period_s", period_s, mean_s / _MOST_PERIODS, mean_s / _LEAST_PERIODS),
     ):
         if not low_s <= value_s <= high_s:
-            known = f"the load's mean time constant of {mean_s:.4g} s"
+            known = f"lags of {load.lag_s:.4g} s in all, a mean time constant of {mean_s:.4g} s"
             text = f"{value_s:g} s does not suit {known}: {low_s:.3g}…{high_s:.3g} s"
             yield Flaw(place, text)
 

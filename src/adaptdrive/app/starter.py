@@ -230,8 +230,14 @@ QUESTIONS = {
 }
 """Questions of `init` by key, in the order in which it asks."""
 
-_LIKELY = {"mqtt.host"}
-"""Keys whose value in the example is that of many sites: they are not marked."""
+_MARKED = QUESTIONS.keys() - {"mqtt.host"} | {
+    "bus.host",
+    "bus.device",
+    "bus.command_timeout_s",
+    "drive.boost_capacitance_F",
+    "interlocks.boost_voltage_max_V",
+}
+"""Keys whose value in the example is that of one drive alone."""
 
 _LINE = re.compile(r"(?P<key>\w+) = (?P<value>[^#\n]*?)(?P<gap>\s*)(# (?P<comment>.*))?$")
 _MARK = "example:"
@@ -255,7 +261,7 @@ def asked(text: str) -> dict[str, str]:
 
 def marked(text: str) -> str:
     """Return a configuration whose values are marked as those of the example."""
-    return answered(text, dict.fromkeys(QUESTIONS.keys() - _LIKELY, ""))
+    return answered(text, dict.fromkeys(_MARKED, ""))
 
 
 def answered(text: str, answers: dict[str, str]) -> str:

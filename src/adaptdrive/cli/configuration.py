@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from adaptdrive.cli.options import Json, print_json
 from adaptdrive.cli.standard_files import UNUSABLE
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanLink
-from adaptdrive.config.file import read_text
+from adaptdrive.config.file import find_flaws, read_text
 from adaptdrive.errors import ConfigurationError
 
 
@@ -29,28 +30,42 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     """
     if as_json:
         return _check_for_programs(config)
-    from adaptdrive.app.advice import advice  # noqa: PLC0415 - `schema` needs no bus
-    from adaptdrive.app.check_report import tables  # noqa: PLC0415
-    from adaptdrive.app.examine import load_examined  # noqa: PLC0415
+    from adaptdrive.app.check_report import tables  # noqa: PLC0415 - `schema` needs no bus
+    from adaptdrive.app.examine import examine_text  # noqa: PLC0415
     from adaptdrive.app.starter import examples  # noqa: PLC0415
     from adaptdrive.hardware.link.bus import missing_here  # noqa: PLC0415
 
-    configuration = load_examined(config)
-    if left := [f"{key} = {value}" for key, value in examples(read_text(config))]:
-        print(
-            f"adaptdrive: {config}: warning: values of the example: {', '.join(left)}; adapt each, "
-            "then delete `example:` from its comment",
-            file=sys.stderr,
-        )
-    for one in advice(configuration):
-        print(f"adaptdrive: {config}: warning: {one}", file=sys.stderr)
+    text = read_text(config)
+    left = [f"{key} = {value}" for key, value in examples(text)]
+    if left:
+        remedy = "adapt each, then delete `example:` from its comment"
+        _warn(config, f"values of the example: {', '.join(left)}; {remedy}")
+    _advise(config, text)
+    configuration = examine_text(text, config)
     if isinstance(configuration.bus, CanLink) and (problem := missing_here(configuration.bus)):
         print(f"adaptdrive: {config}: not on this machine: {problem}", file=sys.stderr)
     if configuration.signals.bridge is None and not configuration.bus.has_bridge_words:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(tables(configuration, config))
-    print(f"{config}: drive {configuration.drive.name} is configured correctly")
+    unfinished = "is not configured yet: values of the example are left"
+    end = unfinished if left else "is configured correctly"
+    print(f"{config}: drive {configuration.drive.name} {end}")
     return 0
+
+
+def _warn(config: Path, text: object) -> None:
+    print(f"adaptdrive: {config}: warning: {text}", file=sys.stderr)
+
+
+def _advise(config: Path, text: str) -> None:
+    """Print the warnings, also where values that contradict each other are refused after them."""
+    from adaptdrive.app.advice import advice  # noqa: PLC0415
+
+    findings = find_flaws(text, config)
+    if not findings.flaws:
+        with suppress(ConfigurationError):  # of a DBC, EDS or register map: refused later
+            for one in advice(findings.configuration):
+                _warn(config, one)
 
 
 def _check_for_programs(config: Path) -> int:
