@@ -117,11 +117,11 @@ class VirtualSerialPort:
     def __init__(self, _: object) -> None:
         """Take any link."""
 
-    async def open(self, protocol: asyncio.Protocol) -> tuple[asyncio.Transport, asyncio.Protocol]:
+    async def open(self, protocol: asyncio.Protocol) -> asyncio.Transport:
         """Connect a protocol to the drive."""
         loop = asyncio.get_running_loop()
         assert isinstance(loop, VirtualLoop)
-        return loop.joined(protocol)
+        return loop.joined(protocol)[0]
 
 
 class VirtualDrive:

@@ -94,7 +94,7 @@ class ModbusConnection(PolledLink):
             await stream.connect(config.host, config.port)
         else:
             port = self._serial_port or SerialPort(config)
-            stream.transport, _ = await port.open(stream)
+            stream.transport = await port.open(stream)
 
     async def exchange(
         self, exchange: Exchange, words: list[int], void: Void | None = never

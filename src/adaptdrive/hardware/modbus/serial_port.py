@@ -9,9 +9,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import termios
-from collections.abc import Awaitable
-from concurrent.futures import Future
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import Any
 
 from pymodbus.transport.serialtransport import SerialTransport
 from serial import SerialException
@@ -23,8 +22,6 @@ PATIENCE_S = 5.0
 """Longest wait for a call. An adapter without a wire takes seconds to find its other half."""
 
 _BYTE_BITS = 8
-
-Result = TypeVar("Result")
 
 
 class SerialPort:
@@ -40,12 +37,10 @@ class SerialPort:
             config: Which link.
         """
         self._config = config
-        self._opening: Future[SerialTransport] | None = None
-        self._closing: Future[None] | None = None
+        self._call: asyncio.Future[_Transport | None] | None = None
+        self._purpose = ""
 
-    async def open(
-        self, protocol: asyncio.BaseProtocol
-    ) -> tuple[SerialTransport, asyncio.BaseProtocol]:
+    async def open(self, protocol: asyncio.BaseProtocol) -> SerialTransport:
         """Open the port, and connect it to a protocol.
 
         Args:
@@ -55,64 +50,56 @@ class SerialPort:
             OSError: The port cannot be opened, or not in time.
             ValueError: It does not take a setting.
         """
+        transport = None
         try:
-            transport = await self._transport(protocol)
-        except termios.error as problem:
-            refused = f"the serial port does not take these settings: {problem.args[-1]}"
-            raise OSError(refused) from problem
-        transport.set_protocol(protocol)  # of this attempt, should the call be of an earlier one
-        asyncio.get_running_loop().call_soon(transport.setup)
-        return transport, protocol
-
-    async def _transport(self, protocol: asyncio.BaseProtocol) -> SerialTransport:
-        """Await the call under way, or a new one."""
-        loop = asyncio.get_running_loop()
-        if self._closing is not None:
-            await _in_time(asyncio.wrap_future(self._closing), "closed")
-            self._closing = None
-        if self._opening is None:
-            self._opening = in_thread(lambda: self._opened(loop, protocol), "serial port")
-        opening = self._opening
-        try:
-            transport = await _in_time(asyncio.wrap_future(opening), "opened")
+            while transport is None:  # a closing under way gives none
+                transport = await self._returned()
         except SerialException as problem:
             why = "the serial port cannot be opened: no permission, or another process uses it"
             gone = "there is no such serial port"
             raise OSError(why if self._config.device.exists() else gone) from problem
-        finally:
-            if opening.done() and opening.exception() is not None:
-                self._opening = None
-        self._opening = None
+        except termios.error as problem:
+            refused = f"the serial port does not take these settings: {problem.args[-1]}"
+            raise OSError(refused) from problem
+        transport.set_protocol(protocol)
+        transport.setup()
         return transport
 
-    def _opened(
-        self, loop: asyncio.AbstractEventLoop, protocol: asyncio.BaseProtocol
-    ) -> _Transport:
-        one = self._config
-        settings = (one.baud, _BYTE_BITS, one.parity[0].upper(), one.stop_bits, 0.0)
-        return _Transport(self, loop, protocol, str(one.device), *settings)
+    async def _returned(self) -> _Transport | None:
+        """Await the call under way, or a new opening.
 
-    def close(self, port: Any) -> None:  # noqa: ANN401 - pyserial has no types
+        Raises:
+            TimeoutError: It did not return in time.
+        """
+        if self._call is None:
+            loop, one = asyncio.get_running_loop(), self._config
+            settings = (one.baud, _BYTE_BITS, one.parity[0].upper(), one.stop_bits, 0.0)
+            given = (self._let_close, loop, None, str(one.device), *settings)
+            self._call, self._purpose = _begun(lambda: _Transport(*given)), "opened"
+        call = self._call
+        returned, _ = await asyncio.wait([call], timeout=PATIENCE_S)
+        if not returned:
+            problem = f"not {self._purpose} within {PATIENCE_S:g} s"
+            raise TimeoutError(f"the serial port hangs: {problem}")
+        self._call = None
+        return call.result()
+
+    def _let_close(self, port: Any) -> None:  # noqa: ANN401 - pyserial has no types
         """Close an open port of pyserial, without waiting for it."""
 
         def close() -> None:
             with contextlib.suppress(OSError):  # of a port that is gone
                 port.close()
 
-        self._closing = in_thread(close, "serial port")
+        self._call, self._purpose = _begun(close), "closed"
 
 
 class _Transport(SerialTransport):
     """pymodbus's transport of a serial port, which leaves the closing to the port's owner."""
 
-    def __init__(self, owner: SerialPort, *args: Any) -> None:  # noqa: ANN401 - pymodbus's own
+    def __init__(self, let_close: Callable[[Any], None], *args: Any) -> None:  # noqa: ANN401
         super().__init__(*args)
-        self._owner = owner
-
-    def setup(self) -> None:
-        """Begin to receive, unless the port was closed meanwhile."""
-        if self.sync_serial:
-            super().setup()
+        self._let_close = let_close
 
     def close(self, exc: Exception | None = None) -> None:
         """Take nothing from the port any more, and let it be closed."""
@@ -122,21 +109,10 @@ class _Transport(SerialTransport):
         self.flush()
         self.async_loop.remove_reader(port.fileno())
         self.sync_serial = None
-        self._owner.close(port)
+        self._let_close(port)
         if exc is not None:
             self.intern_protocol.connection_lost(exc)
 
 
-async def _in_time(call: Awaitable[Result], done: str) -> Result:
-    """Await a call.
-
-    Raises:
-        TimeoutError: It did not return in time.
-    """
-    try:
-        async with asyncio.timeout(PATIENCE_S):
-            return await call
-    except TimeoutError as problem:
-        raise TimeoutError(
-            f"the serial port hangs: not {done} within {PATIENCE_S:g} s"
-        ) from problem
+def _begun(call: Callable[[], _Transport | None]) -> asyncio.Future[_Transport | None]:
+    return asyncio.wrap_future(in_thread(call, "serial port"))
