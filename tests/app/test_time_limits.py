@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.check_report import limits_table, time_limits
+from adaptdrive.app.check_report import limits_table, tables, time_limits
 from adaptdrive.app.settings import tick_s
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.errors import ConfigurationError
+from tests.config.modbus_documents import parse as modbus_parse
 from tests.hardware.bench import EXAMPLES
 
 
@@ -45,6 +46,17 @@ def test_a_sensor_has_the_limit_of_its_bus() -> None:
 
 def test_a_node_may_be_silent_for_its_heartbeat() -> None:
     assert limits("motor-cia402")["silent node"] == 0.1
+
+
+def test_the_words_that_are_watched_are_listed() -> None:
+    configuration = modbus_parse(
+        signals__fault="['power', { signal = 'state', mask = 0x0F }]",
+        signals__warning="{ signal = 'state', mask = 0xF0 }",
+    )
+    shown = [" ".join(line.split()) for line in tables(configuration, EXAMPLES).splitlines()]
+    assert "trips on faults of power all bits signals.fault.0" in shown
+    assert "trips on faults of state bits 0xf signals.fault.1" in shown
+    assert "tells warnings of state bits 0xf0 signals.warning" in shown
 
 
 def test_the_table_has_milliseconds_and_half_cycles() -> None:

@@ -47,6 +47,7 @@ async def test_the_delta_ms300() -> None:
         assert reading.boost_voltage_V == pytest.approx(48.2)
         assert reading.other["motor_current"] == pytest.approx(3.12)
         assert (reading.bridge, reading.fault) == (True, 0)  # a warning is no fault
+        assert reading.warning == "warning CE10"
         held = node.tables["holding"]
         await bench.commands(command(30.0), lambda: (held[0x2000], held[0x2001]) == (0x12, 3000))
         await bench.commands(SAFE_COMMAND, lambda: (held[0x2000], held[0x2001]) == (0x01, 0))
@@ -144,7 +145,7 @@ async def test_the_riden_rd6006() -> None:
         await bench.commands(SAFE_COMMAND, lambda: (held[8], held[18]) == (0, 0))
         node.put("holding", 16, 1)
         reading = await bench.reading()
-        assert (await bench.reading()).fault_name == "over-voltage"
+        assert (await bench.reading()).fault_name == "protection bit 0 over-voltage"
 
 
 @pytest.mark.parametrize(("name", "degree"), [("exemys-rme1-tc", 10.0), ("omega-iserver2", None)])

@@ -65,7 +65,8 @@ def motor_bus(**changes: object) -> CanBus:
 
 def motor_signals(**changes: object) -> Signals:
     """`[signals]` of the example, changed."""
-    return Signals.model_validate({**dict(MOTOR.signals), **changes})
+    found = {**dict(MOTOR.signals), **changes}
+    return Signals.model_validate({name: one for name, one in found.items() if one is not None})
 
 
 def with_crc(data: bytes) -> bytes:

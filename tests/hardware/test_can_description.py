@@ -149,7 +149,7 @@ async def test_names_of_the_value_tables_are_used_and_told(
     assert not reading.bridge
     limits = Limits(430.0, 5.0, "V")
     assert find_cause(reading, reading.oldest_s, limits, 1.0) == (
-        "drive fault: Heat sink too hot (word 0x11)"
+        "drive fault: FAULT_CODE Heat sink too hot (word 0x11)"
     )
 
 

@@ -125,6 +125,7 @@ async def test_a_reading_holds_what_the_drive_sent(port: CanPort, drive: Drive, 
         "slack_s": 0.0,
         "fault_name": "",
         "bridge_s": 1000.0,
+        "warning": "",
     }
 
 
@@ -311,7 +312,7 @@ async def test_a_fault_behind_a_piled_up_reading_is_kept(
         time.sleep(0.01)  # noqa: ASYNC251 - the loop must not look
         await heard_by(port, 3)
         assert [reading.fault for reading in ear.readings] == [0]
-        assert port.complaint == "drive fault: Boost overvoltage (word 0x4)"
+        assert port.complaint == "drive fault: Fault bit 2 Boost overvoltage (word 0x4)"
 
 
 async def test_what_waits_is_handed_out_when_it_is_asked_for(
@@ -1091,15 +1092,15 @@ async def test_of_two_fault_codes_between_two_readings_the_first_is_told(
         drive.send_status(Fault=1)
         drive.send_status(Fault=2)
         await heard_by(port, 4)
-        assert port.complaint == "drive fault: Overcurrent (word 0x1)"
+        assert port.complaint == "drive fault: Fault Overcurrent (word 0x1)"
         for count in (2, 3):
             drive.send_load()
             await ear.hears(count)
             drive.send_status(Fault=6)
             await heard_by(port, 2 * count + 2)
-        assert port.complaint == "drive fault: word 0x6"
+        assert port.complaint == "drive fault: Fault 0x6 (word 0x6)"
     faults = [(reading.fault, reading.fault_name) for reading in ear.readings]
-    assert faults == [(0, ""), (1, "Overcurrent"), (6, "")]
+    assert faults == [(0, ""), (1, "Fault Overcurrent"), (6, "Fault 0x6")]
 
 
 async def test_the_words_beside_a_value_that_is_not_available_are_used(

@@ -41,16 +41,16 @@ def test_bits_outside_the_mask_are_no_faults() -> None:
 
 
 def test_a_value_that_is_healthy_is_no_fault_and_each_other_one_is_a_code() -> None:
-    latch = FaultLatch({"fault": FaultWord("", -1, {61: "None", 65: "Open"}, frozenset({61}))})
-    latch.see(61.0)
+    latch = FaultLatch({"fault": FaultWord("state", -1, {61: "None", 65: "Open"}, frozenset({61}))})
+    latch.see(61.0, "fault")
     assert latch.complaint is None
-    latch.see(65.0)
-    latch.see(61.0)
-    latch.see(64.0)
-    assert latch.complaint == "drive fault: Open (word 0x41)"
+    latch.see(65.0, "fault")
+    latch.see(61.0, "fault")
+    latch.see(64.0, "fault")
+    assert latch.complaint == "drive fault: state Open (word 0x41)"
     latch.clear(latch.word)
-    latch.see(64.0)
-    assert latch.complaint == "drive fault: word 0x40"
+    latch.see(64.0, "fault")
+    assert latch.complaint == "drive fault: state 0x40 (word 0x40)"
 
 
 @pytest.mark.parametrize("key", ["signals__fault", "signals__faults"])
@@ -122,13 +122,76 @@ def test_a_drive_on_modbus_has_several_words() -> None:
     assert reading is not None
     assert reading.fault == 0x102
     assert reading.fault_name == "state bit 8 hw_overcurrent, power bit 1"
-    assert "'speed' must be an integer" in flaws(signals__faults="['speed']")["signals.faults.0"]
+    assert "'speed' must be an integer" in flaws(signals__faults="['speed']")["signals.faults"]
 
 
 def test_a_node_on_canopen_has_several_words() -> None:
     mapping = plan_objects({"signals/faults": ["0x2000.1"]})
-    assert mapping.faults == {"fault.0": FaultWord("0x2000.1", -1, {})}
-    assert "no object" in object_flaws({"signals/faults": ["0x2009"]})["signals.faults.0"]
+    assert mapping.faults == {"faults": FaultWord("0x2000.1", -1, {})}
+    assert "no object" in object_flaws({"signals/faults": ["0x2009"]})["signals.faults"]
+
+
+def test_a_fault_and_a_warning_share_a_word() -> None:
+    latch = FaultLatch(
+        {
+            "fault": FaultWord("Word", 0x0F, {}),
+            "warning": FaultWord("Word", 0xF0, {1 << 4: "derating"}, warns=True),
+        }
+    )
+    for quantity in ("fault", "warning"):
+        latch.see(float(0x30), quantity)
+    assert (latch.word, latch.name, latch.complaint) == (0, "", None)
+    assert latch.warning == "Word bit 4 derating, bit 5"
+    latch.clear(0)
+    assert latch.warning == ""
+
+
+TWICE = "is watched by signals.{} already: leave one out, or give each a mask"
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "words"),
+    [
+        ({"fault": "['state', 'nothing']"}, "signals.fault.1.signal", "no register 'nothing'"),
+        ({"warning": "'nothing'"}, "signals.warning.signal", "no register 'nothing'"),
+        (
+            {"warning": "{ signal = 'state', mask = 0x1_0000 }"},
+            "signals.warning.mask",
+            "'state' has no bit 16: its highest is 15",
+        ),
+        (
+            {"fault": "[{ signal = 'state', names = { 16 = 'hot' } }]"},
+            "signals.fault.names",
+            "'state' has no bit 16: its highest is 15",
+        ),
+        (
+            {"warning": "{ signal = 'state', mask = 0x6, names = { 1 = 'hot', 3 = 'fan' } }"},
+            "signals.warning.names",
+            "bit 3 is outside mask = 0x6: leave its name out, or add 0x8",
+        ),
+        (
+            {"fault": "['state', { signal = 'state', mask = 2 }]"},
+            "signals.fault.1",
+            f"bits 0x2 of 'state' {TWICE.format('fault.0')}",
+        ),
+        (
+            {"fault": "'state'", "warning": "'state'"},
+            "signals.warning",
+            f"the word of 'state' {TWICE.format('fault')}",
+        ),
+        ({"fault": "[{ signal = 'state', mask = 0 }]"}, "signals.fault.0.mask", "(it is 0)"),
+        ({"fault": "{ signal = 'state', mask = 0 }"}, "signals.fault.mask", "(it is 0)"),
+    ],
+)
+def test_what_cannot_be_watched_is_refused(changes: dict[str, str], place: str, words: str) -> None:
+    found = flaws(**{f"signals__{key}": value for key, value in changes.items()})
+    assert list(found) == [place]
+    assert words in found[place]
+
+
+def test_a_state_is_a_fault_and_another_one_of_it_a_warning() -> None:
+    state = "{{ signal = 'state', healthy = {} }}"
+    assert flaws(signals__fault=state.format([1, 2]), signals__warning=state.format([1, 3])) == {}
 
 
 @pytest.mark.parametrize("bit", ["64", "-1", "hot"])

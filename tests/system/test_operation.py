@@ -169,11 +169,16 @@ def test_a_fault_of_the_drive_trips_until_it_is_gone_and_reset(site: Site) -> No
     site.run_drive()
     site.disturb("fault", "3")
     tripped = site.await_state(state="tripped")
-    assert tripped["trip"] == "drive fault: Overcurrent, Overtemperature (word 0x3)"
+    assert (
+        tripped["trip"] == "drive fault: Fault bit 0 Overcurrent, bit 1 Overtemperature (word 0x3)"
+    )
     assert not tripped["enabled"]
     refusal = site.ask("reset")
     assert (refusal["accepted"], refusal["state"]) == (False, "tripped")
-    assert "drive fault: Overcurrent, Overtemperature (word 0x3)" in refusal["reason"]
+    assert (
+        "drive fault: Fault bit 0 Overcurrent, bit 1 Overtemperature (word 0x3)"
+        in refusal["reason"]
+    )
     assert not site.ask("enable")["accepted"]
     alarms = [heard.content for heard in site.ear.on("event")]
     assert ("trip", "alarm") in [(alarm["kind"], alarm["severity"]) for alarm in alarms]

@@ -150,7 +150,7 @@ async def test_a_fault_beside_values_that_are_not_available_trips_and_the_stop_i
         began_s = time.monotonic()
         wire.values["Fault"], wire.spoil = 2, without_values
         trip, _ = await alarm(rig, "trip", began_s)
-        assert trip.startswith("drive fault: Overtemperature (word 0x2)")
+        assert trip.startswith("drive fault: Fault bit 1 Overtemperature (word 0x2)")
         await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)
         await until(lambda: rig.heard("trip", began_s))
         assert not any("does not stop" in event.detail for _, event in rig.events)
@@ -218,7 +218,7 @@ async def test_a_modbus_drive_without_values_once_it_is_off_confirms_its_stop(
         if fault:
             peer.fault = True
             trip, _ = await alarm(rig, "trip", began_s)
-            assert trip == "drive fault: word 0x1"
+            assert trip == "drive fault: fault bit 0 (word 0x1)"
         else:
             assert await rig.daemon.execute(Disable()) is State.STOPPING
         await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)

@@ -14,13 +14,13 @@ import functools
 import math
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import IntEnum
 from pathlib import Path
 
 import can
 
-from adaptdrive.config.bus import COMMANDED, MEASURED, WORDS, CanOpenBus, SignalSource
+from adaptdrive.config.bus import COMMANDED, CanOpenBus, SignalSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
@@ -28,7 +28,7 @@ from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.reader import FrameReader
 from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
-from adaptdrive_sim.devices.frames import quantities_of
+from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
 from adaptdrive_sim.devices.power_states import PowerState, PowerStates
 
@@ -276,19 +276,20 @@ def _addresses(
     """Return the address of each quantity, and of each part of the command."""
     catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     find = functools.partial(_places, catalogue)
-    shown = find(configuration.signals, (*MEASURED, *WORDS), "signals")
-    obeyed = find(configuration.signals.command, COMMANDED, "signals.command")
+    measured = ((name, one) for name, one, _ in configuration.signals.entries())
+    shown = find((one for one in measured if one[0] in QUANTITIES), "signals")
+    command = configuration.signals.command
+    obeyed = find(((name, getattr(command, name)) for name in COMMANDED), "signals.command")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     return shown, obeyed
 
 
 def _places(
-    catalogue: ObjectCatalogue, section: object, names: tuple[str, ...], place: str
+    catalogue: ObjectCatalogue, named: Iterable[tuple[str, SignalSource | None]], place: str
 ) -> _Places:
     found: _Places = {}
-    for name in names:
-        given: SignalSource | None = getattr(section, name)
+    for name, given in named:
         if given is None:
             continue
         entry = catalogue.find(given.signal, f"{place}.{name}")

@@ -32,7 +32,7 @@ from adaptdrive_sim.devices.drive import Frame
 LOAD_CURRENT = "LoadCurrent"
 """Sent where the database has such a signal; no configuration needs it."""
 
-_QUANTITIES = (
+QUANTITIES = (
     "boost_voltage_V",
     "line_voltage_V",
     "load_power_W",
@@ -178,9 +178,8 @@ def _find_sinks(
 ) -> dict[str, list[tuple[Signal, SignalSink]]]:
     """Signals and what goes into them, by message."""
     sinks: dict[str, list[tuple[Signal, SignalSink]]] = {}
-    for quantity in _QUANTITIES:
-        given: SignalSource | None = getattr(configuration.signals, quantity)
-        if given is None:
+    for quantity, given, _ in configuration.signals.entries():
+        if quantity not in QUANTITIES:
             continue
         hit = catalogue.find(given.signal, f"signals.{quantity}")
         if hit is not None:

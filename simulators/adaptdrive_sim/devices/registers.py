@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from adaptdrive.config.bus import COMMANDED, MEASURED, WORDS, Signals, SignalSource
+from adaptdrive.config.bus import COMMANDED, MEASURED, Signals, SignalSource
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.field import Field, Raw
@@ -19,6 +19,7 @@ from adaptdrive.hardware.polled.codec import (
     encode_value,
     register_field,
 )
+from adaptdrive_sim.devices.frames import QUANTITIES
 
 Table = dict[int, int]
 
@@ -77,9 +78,8 @@ class RegisterImage:
         return tuple(tables[register.table][a] for a in range(register.address, register.end))
 
     def _shown(self) -> Iterator[tuple[str, SignalSource]]:
-        for name in (*MEASURED, *WORDS):
-            source = getattr(self._signals, name)
-            if source is not None:
+        for name, source, _ in self._signals.entries():
+            if name in QUANTITIES:
                 yield name, source
         if self._bus.heartbeat.drive is not None:
             yield "counter", SignalSource(signal=self._bus.heartbeat.drive)

@@ -12,12 +12,12 @@ import contextlib
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 
-from adaptdrive.config.bus import MEASURED, Signals
+from adaptdrive.config.bus import Signals
 from adaptdrive.config.scpi import ScpiBus, ScpiValue
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.scpi.port import describe_supply
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
-from adaptdrive_sim.devices.frames import quantities_of
+from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
 
 NO_NUMBER = "9.91E37"
@@ -109,8 +109,8 @@ class ScpiDrive:
     def _answer(self, name: str) -> str:
         quantities = {
             one: source
-            for one in (*MEASURED, "fault", "bridge")
-            if (source := getattr(self._signals, one)) is not None and source.signal == name
+            for one, source, _ in self._signals.entries()
+            if source.signal == name and one in QUANTITIES
         }
         for quantity, source in quantities.items():
             if quantity == "fault":

@@ -29,7 +29,8 @@ def tables(configuration: Configuration, source: Path) -> str:
     """
     limits = limits_table(time_limits(configuration, source), tick_s(configuration))
     response = response_table(response_limits(configuration))
-    return "\n".join((limits, *_reach(configuration), pole_line(configuration), response))
+    watched = _watched(configuration)
+    return "\n".join((limits, *watched, *_reach(configuration), pole_line(configuration), response))
 
 
 def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
@@ -79,6 +80,15 @@ def _sensor_rows(configuration: Configuration) -> Iterator[Row]:
         keys = "sensor_bus.cycle_s" if bus.stale_s is None else "sensor_bus.stale_s"
         for name in bus.signals:
             yield f"stale {bus.name}.{name}", bus.oldest_s, keys
+
+
+def _watched(configuration: Configuration) -> Iterator[str]:
+    """Yield the words whose faults trip, and those whose warnings are told."""
+    for key, one in configuration.signals.watched():
+        verb = "tells warnings of" if key.startswith("warning") else "trips on faults of"
+        bits = "all bits" if one.mask is None else f"bits {one.mask:#x}"
+        but = ", ".join(str(value) for value in one.healthy)
+        yield _fact(f"{verb} {one.signal}", f"all but {but}" if but else bits, f"signals.{key}")
 
 
 _FACTOR = "interlocks.response_factor"

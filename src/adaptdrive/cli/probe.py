@@ -158,8 +158,13 @@ async def _command(port: Port, listener: _Probe, remark: Remark) -> None:
 def _said(reading: Reading | None) -> str:
     if reading is None:
         return "nothing"
+    return f"bridge {'on' if reading.bridge else 'off'}, {_watched(reading)}"
+
+
+def _watched(reading: Reading) -> str:
     name = f" ({reading.fault_name})" if reading.fault_name else ""
-    return f"bridge {'on' if reading.bridge else 'off'}, fault {reading.fault:#x}{name}"
+    warning = f", warning {reading.warning}" if reading.warning else ""
+    return f"fault {reading.fault:#x}{name}{warning}"
 
 
 def _say(text: str, end: str = "\n") -> None:
@@ -195,7 +200,7 @@ def _line(configuration: Configuration, port: Port, reading: Reading | None) -> 
         f"line {_shown(reading.line_voltage_V, '6.1f')} V  "
         f"load {_shown(reading.load_power_W, '7.1f')} W  {load.output_name} {reading.output:9.5f} "
         f"{load.output_unit}  bridge {'on' if reading.bridge else 'off'}  "
-        f"fault {reading.fault:#x}  age {age_ms:5.1f} ms  ({counts})"
+        f"{_watched(reading)}  age {age_ms:5.1f} ms  ({counts})"
     )
 
 

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
 from adaptdrive.config.services import check_host
@@ -13,7 +20,8 @@ from adaptdrive.config.units import Converted
 from adaptdrive.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
-WORDS = ("counter", "fault", "bridge")
+WATCHED = ("fault", "faults", "warning")
+WORDS = ("counter", *WATCHED, "bridge")
 COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
 
 Byte = Annotated[int, Field(ge=0, le=0xFF)]
@@ -219,22 +227,41 @@ SwitchQuantity = Annotated[
 
 
 class FaultSource(SignalSource):
-    """`signals.fault`, `[[signals.faults]]`: a fault word, whole or some bits, or a state."""
+    """`signals.fault`, `faults`, `warning`: a watched word, whole or some bits, or a state."""
 
     mask: int | None = key(None, ge=1)
     healthy: list[int | str] = key([])
     names: dict[str, str] = key({})
 
     def flaws(self) -> Iterator[Flaw]:
-        """Yield the names of what is no bit."""
+        """Yield the names of what is no bit, or none of the mask."""
         yield from super().flaws()
         for bit in self.names:
             if not (bit.isdecimal() and int(bit) < 64):
                 yield Flaw("names", f"{bit!r} is no number of a bit from 0 to 63")
+            elif not self.bits >> int(bit) & 1:
+                outside = f"bit {bit} is outside mask = {self.bits:#x}"
+                yield Flaw("names", f"{outside}: leave its name out, or add {1 << int(bit):#x}")
+
+    @property
+    def bits(self) -> int:
+        """The watched bits, -1 for all."""
+        return -1 if self.mask is None else self.mask
 
 
 FaultQuantity = Annotated[
     FaultSource, BeforeValidator(_table, json_schema_input_type=FaultSource | str)
+]
+
+
+def _several(given: object, listed: ValidatorFunctionWrapHandler) -> object:
+    """A list of words; errors of one that stands alone have no number."""
+    return listed(given) if isinstance(given, list) else [FaultSource.model_validate(_table(given))]
+
+
+FaultQuantities = Annotated[
+    list[FaultQuantity],
+    WrapValidator(_several, json_schema_input_type=FaultSource | str | list[FaultSource | str]),
 ]
 
 
@@ -276,8 +303,9 @@ class Signals(Section):
     load_power_W: Quantity | None = None
     output: Quantity | None = None
     counter: Quantity | None = None
-    fault: FaultQuantity | None = None
-    faults: list[FaultQuantity] = key([])
+    fault: FaultQuantities = key([])
+    faults: FaultQuantities = key([])
+    warning: FaultQuantities = key([])
     bridge: SwitchQuantity | None = None
     other: dict[str, Quantity] = key({})
     stated: dict[str, FiniteFloat] = key({})
@@ -286,7 +314,22 @@ class Signals(Section):
     def entries(self) -> Iterator[tuple[str, SignalSource, str]]:
         """Yield every value that the drive sends: its name, its entry, and the place of that."""
         named = {name: getattr(self, name) for name in (*MEASURED, *WORDS)}
+        named |= dict.fromkeys(WATCHED) | dict(self.watched())
         yield from ((name, one, f"signals.{name}") for name, one in named.items() if one)
-        for number, fault in enumerate(self.faults):
-            yield f"fault.{number}", fault, f"signals.faults.{number}"
         yield from ((name, one, f"signals.other.{name}") for name, one in self.other.items())
+
+    def watched(self) -> Iterator[tuple[str, FaultSource]]:
+        """Yield the words of faults and warnings by key; those of a longer list have numbers."""
+        for name in WATCHED:
+            words: list[FaultSource] = getattr(self, name)
+            for number, one in enumerate(words):
+                yield (f"{name}.{number}" if len(words) > 1 else name), one
+
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield the bits that are watched twice."""
+        for (first, one), (place, other) in itertools.combinations(self.watched(), 2):
+            twice = one.bits & other.bits if one.signal == other.signal else 0
+            if twice and one.healthy == other.healthy:
+                which = "the word" if twice < 0 else f"bits {twice:#x}"
+                problem = f"{which} of {other.signal!r} is watched by signals.{first} already"
+                yield Flaw(place, f"{problem}: leave one out, or give each a mask")

@@ -20,7 +20,6 @@ from adaptdrive.config.bus import (
     CommandSignals,
     CommandSwitch,
     FaultSource,
-    Signals,
     SignalSource,
     SwitchSource,
 )
@@ -30,7 +29,7 @@ from adaptdrive.config.units import unit_caution, unit_problem
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
-from adaptdrive.hardware.fault_latch import FAULT, FaultWord
+from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.field import Field
 
 Use = Literal["measured", "word", "state", "command", "constant", "setup"]
@@ -67,31 +66,9 @@ def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
     )
 
 
-def fault_words(sources: Iterable[Source[Any]], signals: Signals) -> dict[str, FaultWord]:
-    """Return the fault words among sources, by quantity."""
-    found = {}
-    for source in sources:
-        kind, _, number = source.quantity.partition(".")
-        given = signals.faults[int(number)] if number and kind == FAULT else signals.fault
-        if kind != FAULT or given is None:
-            continue
-        names = {1 << int(bit): name for bit, name in given.names.items()}
-        mask = -1 if given.mask is None else given.mask
-        numbered = given.signal[:2].lower() == "0x"
-        label = given.signal if numbered else given.signal.rpartition(".")[2]
-        found[source.quantity] = FaultWord(
-            label if number else "",
-            mask,
-            {**source.field.names, **names},
-            _healthy(given, source.field),
-        )
-    return found
-
-
-def _healthy(given: FaultSource, field: Field) -> frozenset[int]:
-    """Return the values that are no faults."""
-    named = {name: raw for raw, name in field.names.items()}
-    return frozenset(named.get(one, 0) if isinstance(one, str) else one for one in given.healthy)
+def watched_words(sources: Iterable[Source[Any]]) -> dict[str, FaultWord]:
+    """Return the words of faults and warnings among sources, by quantity."""
+    return {one.quantity: one.word for one in sources if one.word is not None}
 
 
 def sensor_entries(bus: SensorBusSection, place: str) -> Iterator[Given]:
@@ -111,6 +88,7 @@ class Source(Generic[Item]):
         offset: SI value where the field is zero.
         on: Value of a switch that means on, None where any but 0 does.
         place: Its place in the configuration.
+        word: What is a fault or a warning in it, None for another quantity.
     """
 
     quantity: str
@@ -120,6 +98,7 @@ class Source(Generic[Item]):
     offset: float
     on: float | None
     place: str
+    word: FaultWord | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,9 +253,8 @@ class Catalogue(ABC, Generic[Item]):
 
     def _source(self, given: Given, item: Item, demands: Demands) -> Source[Item]:
         quantity, entry, place = given
-        uses: dict[str, Use] = {"counter": "word", FAULT: "word", BRIDGE: "state"}
-        use = uses.get(quantity.partition(".")[0], "measured")
-        field, on = self.field(item, use), None
+        use: Use = "word" if is_word(quantity) else "measured"
+        field, on, word = self.field(item, "state" if quantity == BRIDGE else use), None, None
         self.note(place, self.refusal(item, use))
         if is_word(quantity):
             self._check_word(given, item, field)
@@ -284,10 +262,10 @@ class Catalogue(ABC, Generic[Item]):
             self._check_unit(entry, field, demands.unit_of(quantity), place)
             self._check_trip(given, field, demands)
         if isinstance(entry, FaultSource):
-            self._check_healthy(entry, field, f"{place}.healthy")
+            word = self._watched(quantity, entry, field, place)
         if isinstance(entry, SwitchSource):
             on = self._on(entry, field, f"{place}.on")
-        return Source(quantity, item, field, entry.scale, entry.offset, on, place)
+        return Source(quantity, item, field, entry.scale, entry.offset, on, place, word)
 
     def _check_unit(self, entry: SignalSource, field: Field, wanted: str, place: str) -> None:
         problem = unit_problem(entry, field.unit, wanted)
@@ -315,11 +293,30 @@ class Catalogue(ABC, Generic[Item]):
             problem = problem or f"{field.name!r} must be an integer with factor 1 and offset 0"
         self.note(place, problem)
 
-    def _check_healthy(self, entry: FaultSource, field: Field, place: str) -> None:
-        """Refuse a healthy value without a name, and a state 0 that would have to be a fault."""
-        values = [self.resolve(field, one, place) for one in entry.healthy]
+    def _watched(self, quantity: str, entry: FaultSource, field: Field, place: str) -> FaultWord:
+        """Return a watched word.
+
+        Refuse a healthy value without a name, a state 0 that would have to be a fault, and bits
+        that the signal does not have.
+        """
+        values = [self.resolve(field, one, f"{place}.healthy") for one in entry.healthy]
         if entry.healthy and 0 in field.names and 0 not in values:
-            self.note(place, f"leaves out 0 ({field.names[0]}), which is never a fault")
+            problem = f"leaves out 0 ({field.names[0]}), which is never a fault"
+            self.note(f"{place}.healthy", problem)
+        names = {1 << int(bit): name for bit, name in entry.names.items()}
+        highest = int(field.high).bit_length() - (field.low >= 0)
+        for key, bits in (("mask", entry.mask or 0), ("names", sum(names))):
+            if bits.bit_length() - 1 > highest:
+                problem = f"{field.name!r} has no bit {bits.bit_length() - 1}"
+                self.note(f"{place}.{key}", f"{problem}: its highest is {highest}")
+        numbered = entry.signal[:2].lower() == "0x"
+        return FaultWord(
+            entry.signal if numbered else entry.signal.rpartition(".")[2],
+            entry.bits,
+            {**field.names, **names},
+            frozenset(int(value) for value in values if value is not None),
+            warns=quantity.startswith("warning"),
+        )
 
     def _on(self, entry: SwitchSource, field: Field, place: str) -> float | None:
         """Return the value that means on; one that no good report has is a flaw."""

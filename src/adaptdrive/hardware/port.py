@@ -47,6 +47,7 @@ class Reading:
             one that is out of date first.
         fault_name: What the drive's description calls the fault, an empty string for nothing.
         bridge_s: Arrival of the frame with the report of the bridge, None where that is `oldest_s`.
+        warning: The drive's warnings by signal, bit and name, an empty string for none.
     """
 
     arrival_s: Final[float]
@@ -62,6 +63,7 @@ class Reading:
     slack_s: Final[float]
     fault_name: Final[str]
     bridge_s: Final[float | None]
+    warning: Final[str]
 
     def __init__(  # noqa: PLR0913, PLR0917 - one argument for each field
         self,
@@ -78,6 +80,7 @@ class Reading:
         slack_s: float = 0.0,
         fault_name: str = "",
         bridge_s: float | None = None,
+        warning: str = "",
     ) -> None:
         self.arrival_s = arrival_s
         self.oldest_s = oldest_s
@@ -92,6 +95,7 @@ class Reading:
         self.slack_s = slack_s
         self.fault_name = fault_name
         self.bridge_s = bridge_s
+        self.warning = warning
 
     @property
     def bridge_reported_s(self) -> float:
@@ -115,7 +119,7 @@ def composed(  # noqa: PLR0913 - what a reading is made of
     Args:
         values: By quantity.
         others: Names of those that are no quantity.
-        faults: Faults of the drive since the reading before.
+        faults: Faults and warnings of the drive since the reading before.
         arrival_s: As in `Reading`, like all that follow.
         oldest_s: Arrival of the oldest value.
         bridge: Whether the bridge is on.
@@ -137,6 +141,7 @@ def composed(  # noqa: PLR0913 - what a reading is made of
         slack_s,
         faults.name if fault else "",
         bridge_s,
+        faults.warning,
     )
 
 

@@ -24,6 +24,9 @@ from adaptdrive.runtime.reports import (
 )
 from adaptdrive.runtime.watchdog import ServiceManager
 
+_WARNING_S = 1.0
+"""Shortest time between two events of warnings: a bit may change in every half cycle."""
+
 _NAMES = tuple(field.name for field in fields(PortStatistics))
 
 
@@ -211,6 +214,7 @@ class Announcer:
         self._manager = manager
         self._recorded = recorded
         self._bus_problem: str | None = None
+        self._warning, self._warned_s = "", -math.inf
         self.decision: Decision | None = None
         self.shutting_down = False
         self.published = state_report(machine, None, fast.stop)
@@ -247,6 +251,20 @@ class Announcer:
             self.published, self._bus_problem, self._fast.cause, recorded=self._recorded()
         )
         self._manager.status(line)
+
+    def report_warning(self, warning: str, arrival_s: float) -> None:
+        """Publish that the warnings of the drive are others than before.
+
+        Args:
+            warning: Their names, empty for none.
+            arrival_s: Arrival of the reading that has them.
+        """
+        if warning == self._warning or arrival_s - self._warned_s < _WARNING_S:
+            return
+        severity = Severity.WARNING if warning else Severity.INFO
+        detail = warning or f"none any more; the last was {self._warning}"
+        self._warning, self._warned_s = warning, arrival_s
+        self.publish_event("warning", severity, f"drive warning: {detail}")
 
     def publish_event(self, kind: str, severity: Severity, detail: str) -> None:
         """Publish an event of the present tick."""

@@ -220,6 +220,7 @@ class Daemon:
         except Exception as problem:  # noqa: BLE001 - a port that dies of it would close the bus
             self.fail(problem)
             return
+        self._announcer.report_warning(reading.warning, reading.arrival_s)
         if self._support is not None:
             self._support.expect(reading.arrival_s + self._fast.reading_period_s)
 

@@ -186,6 +186,7 @@ class DriveReport:
 
 EVENT_KINDS = (
     *("trip", "state", "controller", "mode", "fallback", "complete", "stop", "refused", "bus"),
+    "warning",
     *("latency", "realtime", "checkpoint", "recording", "state directory"),
     *("broker", "command", "outbox", "configuration"),
 )

@@ -67,7 +67,7 @@ def test_an_error_code_that_travels_in_no_pdo_is_left_to_the_emergencies(tmp_pat
     entry = "ParameterName=Error code\nObjectType=0x7\nDataType=0x0006\nAccessType=ro\n"
     mapped = f"{entry}DefaultValue=0\nPDOMapping="
     eds = other_eds(tmp_path, (f"{mapped}1", f"{mapped}0"))
-    found = flaws({"bus/eds": str(eds), "signals/faults": ["0x603F"]})["signals.faults.0"]
+    found = flaws({"bus/eds": str(eds), "signals/faults": ["0x603F"]})["signals.faults"]
     assert "does not send 'Error code' in a PDO: leave it out, its emergencies" in found
 
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 from adaptdrive.config.bus import CanOpenBus, Signals
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.binding import Sink, Source, fault_words
+from adaptdrive.hardware.binding import Sink, Source, watched_words
 from adaptdrive.hardware.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.hardware.canopen.pdo import (
     Channel,
@@ -105,7 +105,7 @@ class CanOpenMapping:
         present: Optional entries that the drive has.
         identity: Identity object that the drive must have to be the one of the EDS.
         cautions: What can be used, and is probably not meant.
-        faults: Fault words of the drive.
+        faults: Watched words of the drive, of faults and warnings.
     """
 
     statuses: tuple[StatusPdo, ...]
@@ -169,7 +169,7 @@ def map_drive(
         present=frozenset(one for one in _OPTIONAL if catalogue.at(one)),
         identity=catalogue.identity,
         cautions=tuple(catalogue.cautions),
-        faults=fault_words(sources, signals),
+        faults=watched_words(sources),
     )
 
 

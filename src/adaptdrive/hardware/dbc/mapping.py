@@ -16,7 +16,7 @@ from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.binding import Source, fault_words, is_word, other_names
+from adaptdrive.hardware.binding import Source, is_word, other_names, watched_words
 from adaptdrive.hardware.dbc.database import (
     Located,
     SignalCatalogue,
@@ -81,7 +81,7 @@ class CanMapping:
         clock: Message whose arrival is the fast tick.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
         bridge_on: Value of the signal while the bridge is on.
-        faults: Fault words of the drive.
+        faults: Watched words of the drive, of faults and warnings.
         others: Names of its values that are no quantity.
         cautions: What can be used, and is probably not meant.
         timing: Times of the drive.
@@ -158,7 +158,7 @@ def map_drive(
         clock=bus.clock,
         counter_modulus=None if counter is None else counter_modulus(counter.field),
         bridge_on=1.0 if bridge is None or bridge.on is None else bridge.on,
-        faults=fault_words(bound.values(), signals),
+        faults=watched_words(bound.values()),
         others=other_names(bound.values()),
         timing=timing,
         cautions=tuple(catalogue.cautions),

@@ -22,8 +22,8 @@ from adaptdrive.hardware.binding import (
     Sink,
     Source,
     Use,
-    fault_words,
     other_names,
+    watched_words,
 )
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.hardware.fault_latch import FaultWord
@@ -186,7 +186,7 @@ class Poll:
         interval_s: Longest time between two writes of the same registers, 0 for each poll.
         setup: What is written before the drive is commanded, whether it reads as written.
         other: Names of more values of the drive.
-        faults: Fault words of the drive.
+        faults: Watched words of the drive, of faults and warnings.
     """
 
     reads: tuple[tuple[Block, tuple[Source[Named], ...]], ...]
@@ -269,7 +269,7 @@ def map_drive(
             for block in plan([one.item.register])
         ),
         other=other_names(bound),
-        faults=fault_words(bound, signals),
+        faults=watched_words(bound),
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     flaws += [] if flaws else capacity_flaws(bus, [*poll.exchanges()], half_cycle_s)

@@ -1,0 +1,148 @@
+"""Warnings of a drive, on each kind of bus with the whole daemon behind it: told, never a trip."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable
+
+import pytest
+
+from adaptdrive.runtime.reports import Severity, State
+from tests.config.modbus_documents import parse as modbus_parse
+from tests.hardware.canopen.documents import parse as canopen_parse
+from tests.hardware.canopen.peer import MEASURED, Peer
+from tests.hardware.modbus.bench import MAP, TcpPeer
+from tests.wire.rig import Rig, rigged, until
+from tests.wire.wires import CanWire, ModbusWire, PATIENT_s, motor_text, strung
+
+Drive = tuple[Rig, Callable[[int], None], str]
+"""The daemon, what sets the drive's word, and the name of the signal of it."""
+
+_NAMES = "{ 4 = 'derating', 5 = 'fan' }"
+_PATIENT_NODE = {
+    "interlocks/stale_s": 1.5,
+    "interlocks/stuck_distance": 0.0,
+    "interlocks/response_factor": 0.0,
+    "bus/heartbeat_timeout_s": 2.0,
+    "bus/sdo_timeout_s": 2.0,
+}
+
+
+@contextlib.asynccontextmanager
+async def on_can(free_udp_port: int) -> AsyncIterator[Drive]:
+    words = "{ signal = 'DriveStatus.Fault', mask = 0x0F }\n"
+    words += f"warning = {{ signal = 'DriveStatus.Fault', mask = 0x70, names = {_NAMES} }}\n"
+    text = motor_text(free_udp_port, stale_s=PATIENT_s)
+    wire = CanWire(free_udp_port, text.replace('fault = "DriveStatus.Fault"', f"fault = {words}"))
+
+    def show(word: int) -> None:
+        wire.values["Fault"] = word
+
+    async with strung(wire), rigged(wire.configuration) as rig:
+        yield rig, show, "Fault"
+
+
+@contextlib.asynccontextmanager
+async def on_modbus(free_tcp_port: int) -> AsyncIterator[Drive]:
+    configuration = modbus_parse(
+        **MAP,
+        bus__port=str(free_tcp_port),
+        interlocks__stale_s=str(PATIENT_s),
+        signals__fault="{ signal = 'state', mask = 0x0F }",
+        signals__warning=f"[{{ signal = 'state', mask = 0x70, names = {_NAMES} }}]",
+    )
+    peer = TcpPeer(free_tcp_port)
+    peer.state = 0
+
+    def show(word: int) -> None:
+        peer.state = word
+
+    async with strung(ModbusWire(configuration, peer)), rigged(configuration) as rig:
+        yield rig, show, "state"
+
+
+@contextlib.asynccontextmanager
+async def on_canopen(monkeypatch: pytest.MonkeyPatch, channel: str) -> AsyncIterator[Drive]:
+    monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
+    monkeypatch.setitem(MEASURED, "0x603F", 0)
+    with contextlib.closing(Peer(channel)) as peer:
+        words = {"mask": 0x70, "names": {"4": "derating", "5": "fan"}}
+        configuration = canopen_parse(
+            {
+                **_PATIENT_NODE,
+                "bus/interface": peer.interface,
+                "bus/channel": peer.channel,
+                "signals/fault": {"signal": "0x603F", "mask": 0x0F},
+                "signals/warning": [{"signal": "0x603F", **words}],
+            }
+        )
+        async with rigged(configuration) as rig:
+            yield rig, lambda word: monkeypatch.setitem(MEASURED, "0x603F", word), "0x603F"
+
+
+@pytest.fixture(params=["can", "modbus", "canopen"])
+async def drive(
+    request: pytest.FixtureRequest,
+    free_udp_port: int,
+    free_tcp_port: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> AsyncIterator[Drive]:
+    """A drive that runs, on one of the buses."""
+    match request.param:
+        case "can":
+            opened = on_can(free_udp_port)
+        case "modbus":
+            opened = on_modbus(free_tcp_port)
+        case _:
+            opened = on_canopen(monkeypatch, f"warnings {free_tcp_port}")
+    async with opened as found:
+        yield found
+
+
+async def test_a_warning_is_told_once_for_each_change_and_trips_nothing(drive: Drive) -> None:
+    rig, show, signal = drive
+    await rig.run()
+    rig.events.clear()
+    told: list[str] = []
+    for word, words in (
+        (0x10, f"drive warning: {signal} bit 4 derating"),
+        (0x30, f"drive warning: {signal} bit 4 derating, bit 5 fan"),
+        (0x00, f"drive warning: none any more; the last was {signal} bit 4 derating, bit 5 fan"),
+    ):
+        show(word)
+        told.append(words)
+        await until(lambda: rig.heard("warning") == told)
+    severities = [one.severity for _, one in rig.events if one.kind == "warning"]
+    assert severities == [Severity.WARNING, Severity.WARNING, Severity.INFO]
+    await asyncio.sleep(0.2)
+    assert rig.heard("warning") == told
+    assert rig.heard("trip") == []
+    assert rig.state is not None
+    assert rig.state.state is State.RUNNING
+
+
+async def test_a_drive_that_warns_is_enabled_and_its_fault_trips(drive: Drive) -> None:
+    rig, show, signal = drive
+    show(0x10)
+    await until(lambda: rig.heard("warning"))
+    await rig.run()
+    began_s = time.monotonic()
+    show(0x14)
+    await until(lambda: rig.heard("trip", began_s))
+    assert rig.heard("trip", began_s)[0].startswith(f"drive fault: {signal} bit 2")
+
+
+async def test_a_warning_that_comes_and_goes_is_told_once_in_a_second(drive: Drive) -> None:
+    rig, show, _ = drive
+    await rig.run()
+    rig.events.clear()
+    end_s = time.monotonic() + 2.5
+    while time.monotonic() < end_s:
+        show(0x10)
+        await asyncio.sleep(0.06)
+        show(0x00)
+        await asyncio.sleep(0.06)
+    assert 1 <= len(rig.heard("warning")) <= 4
+    await until(lambda: "none any more" in rig.heard("warning")[-1])
