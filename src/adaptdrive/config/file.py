@@ -173,12 +173,12 @@ def _valid_sections(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _flaw(error: dict[str, Any]) -> Flaw:
-    keys = [str(key) for key in _location(error["loc"])]
+    keys = tuple(str(key) for key in _location(error["loc"]))
     place = ".".join(keys)
     message = _MESSAGES.get(error["type"], error["msg"]).removeprefix("Value error, ")
     if error["type"] == _UNKNOWN:
-        section = [str(part) for part in error["loc"][:-1]]
-        return Flaw(place, message + key_proposal(_schema(), section, keys))
+        location = tuple(str(part) for part in error["loc"])
+        return Flaw(place, message + key_proposal(_schema(), location, keys))
     if error["type"].startswith("union_tag"):
         place = f"{place}.type"
     value = error["input"]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 Schema = Mapping[str, Any]
+Place = tuple[str, ...]
+Pair = tuple[Place, Place]
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -15,52 +17,40 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def key_proposal(schema: Schema, section: Sequence[str], place: Sequence[str]) -> str:
+def key_proposal(schema: Schema, location: Place, place: Place) -> str:
     """Return a hint at the key that an unknown one was probably meant to be.
 
     Args:
         schema: JSON Schema of the configuration.
-        section: Keys and union tags that lead to the section, as pydantic locates it.
-        place: Keys that lead to the unknown one, and it; another kind of load may have that key.
+        location: Keys and union tags that lead to the unknown key, as pydantic locates it.
+        place: Keys alone that lead to it; another kind of load may have that key.
     """
-    own, key = tuple(place), place[-1]
-    here = _below(schema, schema, section)
-    hint = nearest(key, here)
+    known, key = [*_keys(schema, schema, (), ())], place[-1]
+    hint = nearest(key, [one[-1] for one, _ in known if _is_beside(one, location)])
     if hint:
         return hint
-    elsewhere = [one for one in _places(schema, schema, ()) if one[-1] == key and one != own]
-    return f" (did you mean {'.'.join(elsewhere[0])}?)" if elsewhere else ""
+    named = (one for _, one in known if one[-1] == key and "*" not in one and one != place)
+    elsewhere = next(named, None)
+    return f" (did you mean {'.'.join(elsewhere)}?)" if elsewhere else ""
 
 
-def _below(whole: Schema, schema: Schema, section: Sequence[str]) -> set[str]:
-    """Keys of a section."""
-    found: set[str] = set()
-    for one in _options(whole, schema):
-        keys, kinds = one.get("properties", {}), one.get("discriminator", {}).get("mapping", {})
-        if not section:
-            found.update(keys)
-            continue
-        name, *rest = section
-        kind = {"$ref": kinds[name]} if name in kinds else None
-        items = one.get("items") if name.isdigit() else None
-        for part in (keys.get(name), one.get("additionalProperties"), items, kind):
-            if isinstance(part, Mapping):
-                found |= _below(whole, part, rest)
-    return found
+def _keys(whole: Schema, schema: Schema, location: Place, place: Place) -> Iterator[Pair]:
+    """Every key: as pydantic locates it, and its place; `*` stands for any name or number."""
+    schema = whole["$defs"][schema["$ref"].removeprefix("#/$defs/")] if "$ref" in schema else schema
+    for key, below in schema.get("properties", {}).items():
+        found = (*location, key), (*place, key)
+        yield found
+        yield from _keys(whole, below, *found)
+    for kind, reference in schema.get("discriminator", {}).get("mapping", {}).items():
+        yield from _keys(whole, {"$ref": reference}, (*location, kind), place)
+    for option in schema.get("anyOf", ()):
+        yield from _keys(whole, option, location, place)
+    for below in (schema.get("additionalProperties"), schema.get("items")):
+        if isinstance(below, Mapping):
+            yield from _keys(whole, below, (*location, "*"), (*place, "*"))
 
 
-def _options(whole: Schema, schema: Schema) -> Iterator[Schema]:
-    """A schema and all that it may stand for."""
-    yield schema
-    if "$ref" in schema:
-        yield from _options(whole, whole["$defs"][schema["$ref"].removeprefix("#/$defs/")])
-    for option in (*schema.get("anyOf", ()), *schema.get("oneOf", ())):
-        yield from _options(whole, option)
-
-
-def _places(whole: Schema, schema: Schema, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-    """Every key of the sections that have a fixed name."""
-    for one in _options(whole, schema):
-        for key, below in one.get("properties", {}).items():
-            yield (*path, key)
-            yield from _places(whole, below, (*path, key))
+def _is_beside(known: Place, location: Place) -> bool:
+    """Return whether a key is one of the section in which another one stands."""
+    pairs = zip(known[:-1], location, strict=False)
+    return len(known) == len(location) and all(one in ("*", other) for one, other in pairs)
