@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import select
-import stat
 import tomllib
 from dataclasses import dataclass
 from functools import cache
@@ -27,8 +25,6 @@ _UNKNOWN = "extra_forbidden"
 _ALL = frozenset(Configuration.model_fields)
 _LONGEST = 1_000_000
 """Fifty times the longest example; a device or a pipe may never end."""
-_WRITER_S = 5.0
-"""Longest wait for a first writer of a pipe; one that has opened it may take longer to write."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +85,9 @@ def digest_of(text: str) -> str:
 
 
 def _opened(name: str, flags: int) -> int:
-    """Return a descriptor; a pipe without a writer ends after a while instead of blocking."""
+    """Return a descriptor; a pipe that nobody writes to is empty, and does not block."""
     handle = os.open(name, flags | os.O_NONBLOCK)
     os.set_blocking(handle, True)
-    if stat.S_ISFIFO(os.fstat(handle).st_mode):
-        select.select([handle], [], [], _WRITER_S)
     return handle
 
 

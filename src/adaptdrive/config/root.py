@@ -25,7 +25,7 @@ from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.section import Section, misfit
 from adaptdrive.config.sensors import AnySensorBus, sensor_flaws
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
-from adaptdrive.config.supply import Derived, line_flaws, needed_names, supply_flaws, voltage_flaws
+from adaptdrive.config.supply import Derived, link_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
 from adaptdrive.config.units import WANTED, stated_problem
 from adaptdrive.errors import Flaw
@@ -182,7 +182,7 @@ def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
 _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     _rate_flaws: "drive load",
     _bus_flaws: "bus signals",
-    line_flaws: "bus sensor_bus",
+    link_flaws: "bus sensor_bus",
     sensor_flaws: "sensor_bus",
     _converted_flaws: "derived load",
     pace_flaws: "drive bus signals load interlocks voltage_loop",

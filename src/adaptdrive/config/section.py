@@ -160,5 +160,5 @@ class Range(Section):
 
     rising: ClassVar = ("low", "high")
 
-    low: FiniteFloat = Field(description="lower end")
-    high: FiniteFloat = Field(description="upper end")
+    low: FiniteFloat
+    high: FiniteFloat

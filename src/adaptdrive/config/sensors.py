@@ -78,20 +78,16 @@ AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors
 
 
 def sensor_flaws(whole: Configuration) -> Iterator[Flaw]:
-    """Yield the errors in each sensor bus by itself, and names that two of them have.
+    """Yield the errors in each sensor bus by itself.
 
     Args:
         whole: The configuration.
     """
-    names: dict[str, str] = {}
     for number, bus in enumerate(whole.sensor_bus):
         place = f"sensor_bus.{number}"
         yield from _age_flaws(bus, place)
         if not isinstance(bus, CanSensorSection):
             yield from _modbus_flaws(bus, place)
-        if names.setdefault(bus.name, place) != place:
-            problem = f"{bus.name!r} is the name of {names[bus.name]} already"
-            yield Flaw(f"{place}.name", problem)
 
 
 def _age_flaws(bus: AnySensorBus, place: str) -> Iterator[Flaw]:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from typing import Annotated
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from adaptdrive.config.section import (
     FilePath,
@@ -111,7 +111,7 @@ class Realtime(Section):
     timer_standin: bool = True
     late_fraction: float = key(0.5, gt=0.0, lt=1.0)
     priority: int | None = key(None, span=(1, 98))
-    cpus: list[int] = key([])
+    cpus: list[Annotated[int, Field(ge=0)]] = key([])
     cpu_latency_us: int | None = key(None, span=(0, 10_000))
     lock_memory: bool = False
     freeze_gc: bool = True
@@ -121,10 +121,8 @@ class Realtime(Section):
     late_us: PositiveFloat = key(2000.0, span=(10.0, 1e6))
 
     def flaws(self) -> Iterator[Flaw]:
-        """Yield a wait without time for the rehearsal before it, and CPUs that no computer has."""
+        """Yield a wait without time for the rehearsal before it."""
         if self.spin_us >= self.rehearse_us > 0.0:
             larger = f"rehearse_us = {self.rehearse_us:g} must be larger"
             problem = f"{self.spin_us:g} leaves no time for the rehearsal before it: {larger}"
             yield Flaw("spin_us", problem)
-        if any(cpu < 0 for cpu in self.cpus):
-            yield Flaw("cpus", f"{self.cpus}: CPUs are counted from 0")

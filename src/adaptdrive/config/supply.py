@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -96,22 +95,21 @@ def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
     Args:
         whole: The configuration.
     """
-    givers: dict[str, str] = {}
-    for name, place in _givers(whole):
-        if name in givers:
-            yield Flaw(place, f"{name!r} is given by {givers[name]} already")
-        givers.setdefault(name, place)
+    given = [*_givers(whole)]
+    names = {name for name, _ in given}
+    yield from _repeated(given, "", "given by {} already")
+    for name, place in given:
         if name in _DRIVE and place.startswith("signals.other."):
             yield Flaw(place, "is a name of the drive itself")
         elif name in WORDS:
             yield Flaw(place, "comes from the drive alone")
     for name in MEASURED:
-        if name not in givers and name not in _optional(whole):
+        if name not in names and name not in _optional(whole):
             yield Flaw(
                 f"signals.{name}",
                 "Field required: neither [signals], nor a [[sensor_bus]], nor [derived] gives it",
             )
-    yield from _derived_flaws(whole.derived, givers)
+    yield from _derived_flaws(whole.derived, names)
     period_s = whole.load.period_s
     for number, bus in enumerate(whole.sensor_bus):
         place, period = f"sensor_bus.{number}.cycle_s", f"load.period_s = {period_s}"
@@ -190,22 +188,24 @@ def _givers(whole: Configuration) -> Iterator[tuple[str, str]]:
         yield from ((name, f"{place}.{name}") for name in table)
 
 
-def line_flaws(whole: Configuration) -> Iterator[Flaw]:
-    """Yield the links on a serial line that another one has already: it has one master.
+def link_flaws(whole: Configuration) -> Iterator[Flaw]:
+    """Yield the names and the serial lines that another bus has already: a line has one master.
 
     Args:
         whole: The configuration, with its devices from the folder of the file.
     """
-    buses = [("bus", whole.bus), *((f"sensor_bus.{i}", b) for i, b in enumerate(whole.sensor_bus))]
-    seen: dict[Path, str] = {}
-    for place, link in buses:
-        if not isinstance(link, RtuLink):
-            continue
-        line = link.device.absolute()
-        if line in seen:
-            yield Flaw(
-                f"{place}.device",
-                f"'{link.device}' is the line of {seen[line]} already; modules on one line are one "
-                "[[sensor_bus]], with a device_id for each register",
-            )
-        seen.setdefault(line, place)
+    sensors = [(f"sensor_bus.{number}", bus) for number, bus in enumerate(whole.sensor_bus)]
+    named = ((bus.name, place) for place, bus in sensors)
+    yield from _repeated(named, ".name", "the name of {} already")
+    links = [("bus", whole.bus), *sensors]
+    lines = ((bus.device.absolute(), place) for place, bus in links if isinstance(bus, RtuLink))
+    remedy = "modules on one line are one [[sensor_bus]], with a device_id for each register"
+    yield from _repeated(lines, ".device", f"the line of {{}} already; {remedy}")
+
+
+def _repeated(given: Iterable[tuple[object, str]], key: str, told: str) -> Iterator[Flaw]:
+    """Yield what another place has already; `{}` in the text stands for that place."""
+    seen: dict[object, str] = {}
+    for one, place in given:
+        if seen.setdefault(one, place) != place:
+            yield Flaw(f"{place}{key}", f"'{one}' is {told.format(seen[one])}")

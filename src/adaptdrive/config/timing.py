@@ -65,10 +65,6 @@ class Timing:
     command_timeout_s: float | None = None
     voltage_parts: frozenset[str] = frozenset()
 
-    def feeds_voltage_loop(self, quantity: str) -> bool:
-        """Return whether a quantity goes into the daemon's voltage loop as v_bst."""
-        return quantity in self.voltage_parts
-
     @property
     def reading_s(self) -> float:
         """Time from one reading to the next, and from one command to the next."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from typing import Literal
+from typing import Literal, Self
 
 from pydantic import model_validator
 
@@ -78,10 +78,12 @@ class Converted(Section):
     offset: FiniteFloat = 0.0
     unit: Unit | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _in_si(cls, table: object) -> object:
-        return in_si(table) if isinstance(table, dict) else table
+    @model_validator(mode="after")
+    def _in_si(self) -> Self:
+        """Let scale and offset lead to SI; those of the file lead to its `unit`."""
+        factor, zero = _IN_SI.get(self.unit or "", (1.0, 0.0))
+        self.__dict__.update(scale=factor * self.scale, offset=factor * self.offset + zero)
+        return self
 
 
 def si_unit(unit: str) -> str | None:
@@ -100,7 +102,10 @@ def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
     factor, alone = multiple_of(found)
     is_in, to_be = known_unit(alone), known_unit(wanted)
     if source.unit is not None:
-        return stated_problem(source, wanted) or _alone_problem(source, is_in)
+        plain = (source.scale, source.offset) == _IN_SI[source.unit]
+        denied = plain and is_in not in (None, source.unit)
+        problem = f"the signal is in {is_in}, and unit = {source.unit!r} says otherwise"
+        return stated_problem(source, wanted) or (problem if denied else None)
     scaled = not source.model_fields_set.isdisjoint({"scale", "offset"})
     if scaled or is_in is None or to_be is None or (is_in == to_be and factor == 1.0):
         return None
@@ -142,31 +147,3 @@ def stated_problem(source: Converted, wanted: str) -> str | None:
     if _DIMENSIONS.get(to_be) != leads_to:
         return problem
     return f"{problem}: load.output_unit = {leads_to!r}, with set-points and limits in {leads_to}"
-
-
-def _alone_problem(source: Converted, is_in: str | None) -> str | None:
-    """Return why the `unit` of a signal without scale and offset is not that of the signal."""
-    stated = str(source.unit)
-    alone = (source.scale, source.offset) == _IN_SI[stated]
-    if alone and is_in is not None and is_in != stated:
-        return f"the signal is in {is_in}, and unit = {stated!r} says otherwise"
-    return None
-
-
-def in_si(table: dict[str, object]) -> dict[str, object]:
-    """The table of a file with scale and offset that lead to SI; its own lead to its `unit`.
-
-    A table whose entries are of the wrong kind is left as it is, for its own checks to refuse.
-
-    Args:
-        table: `unit`, and perhaps `scale` and `offset`.
-    """
-    unit, scale, offset = table.get("unit"), table.get("scale", 1.0), table.get("offset", 0.0)
-    if not (isinstance(unit, str) and unit in _IN_SI and _is_number(scale) and _is_number(offset)):
-        return table
-    factor, zero = _IN_SI[unit]
-    return {**table, "scale": factor * float(scale), "offset": factor * float(offset) + zero}  # type: ignore[arg-type]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -180,7 +180,7 @@ def _source(
     slack_s = max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
     named = f"message {slowest.name!r} ({stated_cycle(slowest)})"
     seldom = slack_s > 0.0 or cycle_s > VOLTAGE_TICKS * timing.half_cycle_s
-    if seldom and timing.feeds_voltage_loop(source.quantity):
+    if seldom and source.quantity in timing.voltage_parts:
         problem = f"{named} comes too seldom for voltage_loop.where = 'daemon'"
         catalogue.note(source.place, problem)
     if timing.stale_s + slack_s > LONGEST_STALE_S:
