@@ -23,7 +23,7 @@ from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.config.references import canopen_flaws, modbus_flaws, scpi_flaws
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.section import Section, misfit
-from adaptdrive.config.sensors import AnySensorBus, sensor_flaws
+from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import Derived, link_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
@@ -183,7 +183,6 @@ _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     _rate_flaws: "drive load",
     _bus_flaws: "bus signals",
     link_flaws: "bus sensor_bus",
-    sensor_flaws: "sensor_bus",
     _converted_flaws: "derived load",
     pace_flaws: "drive bus signals load interlocks voltage_loop",
     supply_flaws: "bus signals sensor_bus derived load voltage_loop",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -12,9 +12,6 @@ from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.references import map_flaws, unknown_flaws
 from adaptdrive.config.section import PositiveFloat, Section, key, misfit
 from adaptdrive.errors import Flaw
-
-if TYPE_CHECKING:
-    from adaptdrive.config.root import Configuration
 
 STALE_CYCLES = 1.5
 """Cycles that a value must be allowed to age: it is one old when the next one comes."""
@@ -49,11 +46,35 @@ class SensorBusSection(Section):
         """The oldest usable value."""
         return DEFAULT_STALE_CYCLES * self.cycle_s if self.stale_s is None else self.stale_s
 
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield an age that is too low, or too high."""
+        yield from super().flaws()
+        cycle_s, oldest_s = self.cycle_s, self.oldest_s
+        lowest = f"{STALE_CYCLES * cycle_s:.4g} s, {STALE_CYCLES} times cycle_s"
+        yield from misfit("stale_s", oldest_s, "at least", STALE_CYCLES * cycle_s, lowest)
+        rare_s = max(LONGEST_STALE_S, DEFAULT_STALE_CYCLES * cycle_s)
+        highest_s = min(MOST_STALE_CYCLES * cycle_s, rare_s)
+        if oldest_s > highest_s:
+            limits = f"{MOST_STALE_CYCLES:g} times cycle_s, and {LONGEST_STALE_S:g} s or"
+            problem = f"{self.stale_s} must not exceed {highest_s:.4g} s: {limits}"
+            yield Flaw("stale_s", f"{problem} {DEFAULT_STALE_CYCLES:g} times cycle_s")
+
 
 class ModbusSensorSection(SensorBusSection, ModbusLink):
     """Keys of `[[sensor_bus]]` for every kind of Modbus."""
 
     registers: dict[str, SensorRegister] = key({})
+
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield what is wrong in the register maps, and with names in them."""
+        yield from super().flaws()
+        for device in {register.device_id for register in self.registers.values()}:
+            registers = {
+                name: one for name, one in self.registers.items() if one.device_id == device
+            }
+            yield from map_flaws("registers", registers, zero_based=self.zero_based)
+        named = [(f"signals.{name}.signal", one.signal) for name, one in self.signals.items()]
+        yield from unknown_flaws(named, self.registers, "[sensor_bus.registers] has no register")
 
 
 class ModbusTcpSensors(ModbusSensorSection, TcpLink):
@@ -75,41 +96,3 @@ class CanSensorSection(SensorBusSection, CanDescription):
 
 
 AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors
-
-
-def sensor_flaws(whole: Configuration) -> Iterator[Flaw]:
-    """Yield the errors in each sensor bus by itself.
-
-    Args:
-        whole: The configuration.
-    """
-    for number, bus in enumerate(whole.sensor_bus):
-        place = f"sensor_bus.{number}"
-        yield from _age_flaws(bus, place)
-        if not isinstance(bus, CanSensorSection):
-            yield from _modbus_flaws(bus, place)
-
-
-def _age_flaws(bus: AnySensorBus, place: str) -> Iterator[Flaw]:
-    lowest_s = STALE_CYCLES * bus.cycle_s
-    lowest = f"{lowest_s:.4g} s, {STALE_CYCLES} times cycle_s"
-    yield from misfit(f"{place}.stale_s", bus.oldest_s, "at least", lowest_s, lowest)
-    highest_s = min(
-        MOST_STALE_CYCLES * bus.cycle_s, max(LONGEST_STALE_S, DEFAULT_STALE_CYCLES * bus.cycle_s)
-    )
-    if bus.oldest_s > highest_s:
-        yield Flaw(
-            f"{place}.stale_s",
-            f"{bus.stale_s} must not exceed {highest_s:.4g} s: {MOST_STALE_CYCLES:g} times "
-            f"cycle_s, and {LONGEST_STALE_S:g} s or {DEFAULT_STALE_CYCLES:g} times cycle_s",
-        )
-
-
-def _modbus_flaws(bus: ModbusSensorSection, place: str) -> Iterator[Flaw]:
-    for device in {register.device_id for register in bus.registers.values()}:
-        registers = {name: one for name, one in bus.registers.items() if one.device_id == device}
-        yield from map_flaws(f"{place}.registers", registers, zero_based=bus.zero_based)
-    named = [(f"{place}.signals.{name}.signal", one.signal) for name, one in bus.signals.items()]
-    yield from unknown_flaws(named, bus.registers, "[sensor_bus.registers] has no register")
-    cycle = f"cycle_s = {bus.cycle_s}"
-    yield from misfit(f"{place}.timeout_s", bus.timeout_s, "below", bus.cycle_s, cycle)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from adaptdrive.config.bus import MEASURED, WORDS
-from adaptdrive.config.modbus import RtuLink
+from adaptdrive.config.modbus import ModbusLink, RtuLink
 from adaptdrive.config.section import misfit
 from adaptdrive.config.units import Converted
 from adaptdrive.errors import Flaw
@@ -112,8 +112,11 @@ def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
     yield from _derived_flaws(whole.derived, names)
     period_s = whole.load.period_s
     for number, bus in enumerate(whole.sensor_bus):
-        place, period = f"sensor_bus.{number}.cycle_s", f"load.period_s = {period_s}"
-        yield from misfit(place, bus.cycle_s, "at most", period_s, period)
+        place, period = f"sensor_bus.{number}", f"load.period_s = {period_s}"
+        yield from misfit(f"{place}.cycle_s", bus.cycle_s, "at most", period_s, period)
+        if isinstance(bus, ModbusLink):
+            cycle = f"cycle_s = {bus.cycle_s}"
+            yield from misfit(f"{place}.timeout_s", bus.timeout_s, "below", bus.cycle_s, cycle)
 
 
 def _optional(whole: Configuration) -> tuple[str, ...]:
