@@ -138,7 +138,7 @@ async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
     free_udp_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A shorted bus whose controller restarts by itself: each time, warnings precede bus-off."""
-    delays_s = noted_delays("adaptdrive.hardware.dbc.sensors", monkeypatch)
+    delays_s = noted_delays("adaptdrive.hardware.link.connection", monkeypatch)
     async with bench(free_udp_port) as wires:
         wires.drive.send_both()
         await wires.ear.hears(1)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 import can
 
 from adaptdrive.config.sensors import CanSensorSection as Config
-from adaptdrive.hardware.dbc.sensors import SensorMessage
+from adaptdrive.hardware.dbc.mapping import StatusFrame
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
@@ -23,7 +23,7 @@ class CanSensors:
     """
 
     def __init__(
-        self, drive: SimulatedDrive, config: Config, messages: tuple[SensorMessage, ...]
+        self, drive: SimulatedDrive, config: Config, messages: tuple[StatusFrame, ...]
     ) -> None:
         self.counts: collections.Counter[str] = collections.Counter()
         self._drive = drive
@@ -58,17 +58,15 @@ class CanSensors:
 
     @staticmethod
     def _shown(
-        message: SensorMessage, values: Mapping[str, float], *, open_circuit: bool
+        message: StatusFrame, values: Mapping[str, float], *, open_circuit: bool
     ) -> dict[str, float | None]:
         return {
-            one.item.signal.name: None
-            if open_circuit
-            else (values[one.quantity] - one.offset) / one.scale
+            one.signal: None if open_circuit else (values[one.quantity] - one.offset) / one.scale
             for one in message.sources
         }
 
     def _send(
-        self, bus: can.BusABC, message: SensorMessage, shown: Mapping[str, float | None]
+        self, bus: can.BusABC, message: StatusFrame, shown: Mapping[str, float | None]
     ) -> None:
         try:
             bus.send(message.codec.frame(message.codec.encode(shown)))

@@ -16,7 +16,7 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import SignalCatalogue, cycle_time_s, describe
+from adaptdrive.hardware.dbc.database import SignalCatalogue, cycle_time_s, open_catalogue
 from adaptdrive.hardware.dbc.orders import (
     CommandFrame,
     build_orders,
@@ -150,12 +150,10 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
     Raises:
         ConfigurationError: The database and the configuration do not fit together.
     """
-    catalogue = SignalCatalogue(describe(bus, source), fd=bus.fd, integrity=bus.integrity)
+    catalogue = open_catalogue(bus, source)
     sinks = _find_sinks(catalogue, configuration)
     sent = catalogue.sinks(configuration.signals.command, demands_of(configuration))
     orders = find_orders(catalogue, sent)
-    for name, integrity in bus.integrity.items():
-        catalogue.check_integrity(name, integrity)
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     half_cycle_ms = 500.0 / configuration.drive.line_frequency_Hz

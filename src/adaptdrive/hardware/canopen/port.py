@@ -69,7 +69,7 @@ class CanOpenPort(CountingPort):
         self._mapping = mapping
         self._clock = clock
         self._arrivals = ArrivalClock(clock)
-        self._connection = CanConnection(config, self, self._arrivals, self._counts)
+        self._connection = CanConnection[Listener](config, self, self._arrivals, self._counts)
         self._control = DriveControl()
         self._unseen = UnseenStop(self._control, timing)
         self._reports = Reports(mapping, self._control, self._unseen, self._counts)

@@ -43,7 +43,7 @@ class CanOpenWatch(CountingPort):
         self._config = config
         self._mapping = mapping
         self._clock = clock
-        self._connection = CanConnection(config, self, ArrivalClock(clock), self._counts)
+        self._connection = CanConnection[Listener](config, self, ArrivalClock(clock), self._counts)
         self._sdo = SdoThread(config, self._connection.put)
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:

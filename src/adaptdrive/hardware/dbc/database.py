@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -25,6 +25,7 @@ from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.dbc.mending import mended
 from adaptdrive.hardware.description import read_description
 from adaptdrive.hardware.field import Field
+from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import (
     checksum_span,
     counter_modulus,
@@ -249,18 +250,16 @@ class SignalCatalogue(Catalogue[Located]):
         self.note(place, problem and f"signal {name!r} {problem}")
         return None if problem else found[0]
 
-    def check_ids(self, measuring: Iterable[str], commanding: Iterable[str], place: str) -> None:
-        """Gather a flaw for each used message whose id is that of one with measurements."""
+    def check_ids(self, places: Mapping[str, str]) -> None:
+        """Gather a flaw for each message with the id of one before it, at the place of its use."""
         owners: dict[int, str] = {}
-        for name in measuring:
-            self._check_id(owners.setdefault(_key(self.known(name)), name), name, place)
-        for name in commanding:
-            self._check_id(owners.get(_key(self.known(name)), name), name, f"{place}.command")
-
-    def _check_id(self, owner: str, name: str, place: str) -> None:
-        if owner != name:
-            number = f"0x{self.known(name).frame_id:03X}"
-            self.note(place, f"messages {owner!r} and {name!r} have the same id {number}")
+        for name, place in places.items():
+            message = self.known(name)
+            key = frame_key(message.frame_id, extended=message.is_extended_frame)
+            owner = owners.setdefault(key, name)
+            if owner != name:
+                number = f"0x{message.frame_id:03X}"
+                self.note(place, f"messages {owner!r} and {name!r} have the same id {number}")
 
     def check_integrity(self, name: str, integrity: FrameIntegrity, bus: str = "bus") -> None:
         """Gather the flaws of `[bus.integrity.NAME]`, of `bus` or of another place."""
@@ -299,6 +298,25 @@ class SignalCatalogue(Catalogue[Located]):
         if signal.length == _NIBBLE_BITS and _is_plain(signal):
             return key, None
         return key, f"signal {signal.name!r} must be four bits of every frame"
+
+
+def open_catalogue(bus: CanDescription, source: Path | str, place: str = "bus") -> SignalCatalogue:
+    """Return the catalogue of a bus, with what is wrong in its channel and its integrity.
+
+    Args:
+        bus: The bus.
+        source: The configuration, for the error message.
+        place: Where the bus stands in it.
+
+    Raises:
+        ConfigurationError: A file cannot be read, or a message has no such id.
+    """
+    description = describe(bus, source, place)
+    catalogue = SignalCatalogue(description, fd=bus.fd, integrity=bus.integrity)
+    catalogue.flaws.extend(channel_flaws(bus, place))
+    for name, integrity in bus.integrity.items():
+        catalogue.check_integrity(name, integrity, place)
+    return catalogue
 
 
 def _form_flaws(message: Message, integrity: FrameIntegrity) -> Iterator[tuple[str, str]]:
@@ -353,10 +371,6 @@ def stated_cycle(message: Message) -> str:
     """Return the cycle time of a message in words."""
     cycle: object = message.cycle_time
     return f"GenMsgCycleTime {cycle} ms" if cycle else "no GenMsgCycleTime: that of the clock"
-
-
-def _key(message: Message) -> int:
-    return frame_key(message.frame_id, extended=message.is_extended_frame)
 
 
 def is_word(signal: Signal) -> bool:

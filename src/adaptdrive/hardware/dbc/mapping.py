@@ -12,7 +12,7 @@ from pathlib import Path
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.bus import CanBus, CanDescription, Signals
 from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.config.timing import Timing
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -21,13 +21,12 @@ from adaptdrive.hardware.dbc.database import (
     Located,
     SignalCatalogue,
     cycle_time_s,
-    describe,
+    open_catalogue,
     stated_cycle,
 )
 from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
-from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import is_multiplexed
 
@@ -56,10 +55,10 @@ class CanSource:
     signal: str
     scale: float
     offset: float
-    slack_s: float
-    cycle_by: str
-    cycle_s: float
-    cycle_stated: bool
+    slack_s: float = 0.0
+    cycle_by: str = ""
+    cycle_s: float = 0.0
+    cycle_stated: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,9 +121,8 @@ def map_drive(
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    catalogue = SignalCatalogue(describe(bus, source), fd=bus.fd, integrity=bus.integrity)
+    catalogue = open_catalogue(bus, source)
     catalogue.warn_of_file("bus.database")
-    catalogue.flaws.extend(channel_flaws(bus))
     clock = catalogue.message(bus.clock, "bus.clock")
     bound = {one.quantity: one for one in catalogue.sources(signals.entries(), demands)}
     sources: dict[str, list[CanSource]] = {}
@@ -138,21 +136,21 @@ def map_drive(
         catalogue.note("bus.clock", f"no entry of [signals] is taken from message {clock.name!r}")
     for name in sources:
         catalogue.check_cycle(name)
-    for name, integrity in bus.integrity.items():
-        catalogue.check_integrity(name, integrity)
     for message in sources.keys() & {**orders, **setup}:
         catalogue.note("signals.command", f"message {message!r} carries measurements too")
     for message in setup.keys() & orders.keys():
         problem = f"message {message!r} carries the command: name a constant of it"
         catalogue.note("bus.setup", problem)
-    catalogue.check_ids(sources, orders, "signals")
-    if not catalogue.flaws:
-        catalogue.check_ids([*sources, *orders], setup, "bus.setup")
+    uses = ((sources, "signals"), (orders, "signals.command"), (setup, "bus.setup"))
+    catalogue.check_ids({name: place for used, place in uses for name in used})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     counter, bridge = bound.get("counter"), bound.get("bridge")
     return CanMapping(
-        statuses=tuple(_status(catalogue, bus, *item) for item in sources.items()),
+        statuses=tuple(
+            status_frame(catalogue, bus, *item, cycle_time_s(catalogue.known(item[0])))
+            for item in sources.items()
+        ),
         orders=tuple(build_orders(catalogue, bus.integrity, orders)),
         setup=tuple(build_orders(catalogue, bus.integrity, setup)),
         clock=bus.clock,
@@ -217,17 +215,29 @@ def _pages(message: Message, signal: Signal) -> int:
     return len(pages) * _pages(message, message.get_signal_by_name(selector or ""))
 
 
-def _status(
-    catalogue: SignalCatalogue, bus: CanBus, name: str, sources: Iterable[CanSource]
+def status_frame(
+    catalogue: SignalCatalogue,
+    bus: CanDescription,
+    name: str,
+    sources: Iterable[CanSource],
+    cycle_s: float,
 ) -> StatusFrame:
+    """Return a message that is read.
+
+    Args:
+        catalogue: Has the message.
+        bus: Its bus.
+        name: Its name.
+        sources: What is taken from it.
+        cycle_s: Time from one of its frames to the next, 0 for a message of each half cycle.
+    """
     sources = tuple(sources)
-    message = catalogue.known(name)
     codec = MessageCodec(
-        message,
+        catalogue.known(name),
         bus.integrity.get(name),
         wanted=dict.fromkeys(source.signal for source in sources),
         measured={source.signal for source in sources if not is_word(source.quantity)},
         states={source.signal for source in sources if source.quantity == "bridge"},
-        cycle_s=cycle_time_s(message),
+        cycle_s=cycle_s,
     )
     return StatusFrame(codec, sources)

@@ -72,7 +72,7 @@ class CanPort:
         self._clock = clock
         self._arrivals = ArrivalClock(clock, wall_clock)
         self._counts: Counter[str] = Counter()
-        self._connection = CanConnection(config, self, self._arrivals, self._counts)
+        self._connection = CanConnection[Listener](config, self, self._arrivals, self._counts)
         self._assembly = StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}

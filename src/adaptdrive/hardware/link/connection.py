@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
-from typing import Any, NoReturn, Protocol
+from typing import Any, Generic, NoReturn, Protocol, TypeVar
 
 import can
 
@@ -17,7 +17,9 @@ from adaptdrive.hardware.doubts import Uptake
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.link.reader import FrameReader, FrameTaker
-from adaptdrive.hardware.port import Listener
+from adaptdrive.hardware.port import Listener, SensorListener
+
+Hearer = TypeVar("Hearer", Listener, SensorListener)
 
 Serve = Callable[[Callable[[], None]], Awaitable[str]]
 """Use of an open bus until it is lost; calls its argument when it has begun, returns the reason."""
@@ -34,12 +36,12 @@ class FrameUser(FrameTaker, Protocol):
         """Pass the newest reading on: no more frames wait."""
 
 
-class CanConnection:
+class CanConnection(Generic[Hearer]):
     """One bus of one port.
 
     Attributes:
         bus: The open bus, None while it is lost.
-        listener: Receiver of readings and of the state of the bus, None before `run`.
+        listener: Receiver of values and of the state of the bus, None before `run`.
         uptake: Whether the open bus takes the commands of its drive.
     """
 
@@ -60,11 +62,15 @@ class CanConnection:
         self._counts = counts
         self._reader: FrameReader | None = None
         self.bus: can.BusABC | None = None
-        self.listener: Listener | None = None
+        self.listener: Hearer | None = None
         self.uptake = Uptake()
 
     async def run(
-        self, ids: Iterable[int], serve: Serve, listener: Listener, opened: Callable[[], None]
+        self,
+        ids: Iterable[int],
+        serve: Serve,
+        listener: Hearer,
+        opened: Callable[[], None] | None = None,
     ) -> NoReturn:
         """Serve one bus after the other until cancelled.
 
@@ -72,15 +78,21 @@ class CanConnection:
             ids: Frame ids to receive, all when empty.
             serve: Uses the open bus.
             listener: Receiver of the state of the bus.
-            opened: Called once, when the bus is in use for the first time.
+            opened: Called once, when the bus is in use for the first time; None where one that
+                cannot be opened at the first attempt is tried again, as a lost one is.
 
         Raises:
-            BusError: The bus cannot be opened at the first attempt.
+            BusError: The bus cannot be opened at the first attempt, and there is an `opened`.
         """
         self.listener, ids = listener, tuple(ids)
         # error frames are received, too: a shorted bus that restarts by itself carries nothing else
         backoff = BusBackoff(lambda: self._counts["received"] - self._counts["foreign"])
-        problem = await self._use(self._open(ids), serve, opened)
+        try:
+            problem = await self._use(self._open(ids), serve, opened or (lambda: None))
+        except BusError as missing:
+            if opened is not None:
+                raise
+            problem = missing.problem
         while True:
             self.report(up=False, detail=problem)
             bus = await self._reopen(ids, backoff)
