@@ -273,7 +273,7 @@ def test_a_register_that_wears_out_is_written_on_change_and_not_too_often() -> N
     pace.note(wanted, [7])
     clock.now_s += DAY_S
     assert not pace.is_due(wanted, [7])
-    pace.doubt(wanted)  # 8 was written, and no reply has come
+    pace.note(wanted)  # 8 was written, and no reply has come
     assert not pace.is_due(wanted, [7])
     clock.now_s += 1.0
     assert pace.is_due(wanted, [7])

@@ -106,7 +106,7 @@ class Commander:
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
         self.safe_s = math.inf
-        self._untaken.forget()
+        self._untaken.clear()
         self._pace.forget()
         self._witness.begin()
         self._begun_s = self._clock()
@@ -131,8 +131,7 @@ class Commander:
         it reports, and one that had stopped by itself would be switched on unseen. Otherwise the
         drive is read first, and the command follows.
         """
-        command = self._current()
-        joins = self._poll.combined and command is not None and self._may_join(command)
+        joins = self._poll.combined and self._newest(joined=True) is not None
         if not joins:
             self._written = None  # it takes none with this read
             self._witness.forget_report()
@@ -149,7 +148,7 @@ class Commander:
         Raises:
             ExchangeError: The drive did not give the block.
         """
-        command = self._current() if joined else None
+        command = self._newest(joined=True) if joined else None
         try:
             if command is None:
                 registers = await self._read(link, exchange)
@@ -170,7 +169,7 @@ class Commander:
         """
         block, _ = self._poll.writes[0]
         words = self._words(command)[0]
-        void = None if self._at_once else lambda: not self._may_join(command)
+        void = None if self._at_once else lambda: not self._may_go(command, joined=True)
         self._doubt(command)
         both = Exchange(exchange.read, block)
         try:
@@ -178,8 +177,7 @@ class Commander:
         except OvertakenError:
             return await self._read(link, exchange)
         except ExchangeError as failure:
-            if not self._is_void(command):
-                self._untaken.note(both, failure, silent=self._witness.silent)
+            self._untaken.note(both, failure, silent=self._witness.silent)
             if failure.code is None:
                 raise
             return await self._read(link, exchange)
@@ -191,11 +189,11 @@ class Commander:
 
         One that has the bridge off begins with that: the other writes may have no answer.
         """
-        command = self._current()
-        if command is None or not self._may_follow(command):
+        command = self._newest()
+        if command is None:
             self._count_withheld()
             return
-        void = None if self._at_once else lambda: not self._may_follow(command)
+        void = None if self._at_once else lambda: not self._may_go(command)
         parts = [*zip(self._poll.writes, self._words(command), strict=True)]
         if not command.bridge:
             parts.sort(key=lambda part: not has_switch(part[0][1]))
@@ -206,13 +204,13 @@ class Commander:
             if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
                 continue
             if any(sink.only not in {None, command.bridge} for sink in sinks):
-                self._pace.doubt(block)  # the other coil ends what it has begun
+                self._pace.note(block)  # the other coil ends what it has begun
                 continue
             if not (must_stop or self._pace.is_due(block, registers)):
                 continue
             sent = True
             if taken or (command == SAFE_COMMAND and link.lost is None):
-                taken &= await self._wrote(link, block, registers, command, void)
+                taken &= await self._wrote(link, block, registers, void)
         if taken:
             self.refused_write = ""
             self._confirm(command, link.asked_s, sent=sent)
@@ -251,17 +249,17 @@ class Commander:
             self._witness.note_step()
 
     async def _wrote(
-        self, link: PolledLink, block: Block, words: list[int], command: Command, void: Void | None
+        self, link: PolledLink, block: Block, words: list[int], void: Void | None
     ) -> bool:
         """Write one block of a command; whether the drive has taken it."""
-        self._pace.doubt(block)
+        self._pace.note(block)
         exchange = Exchange(write=block)
         try:
             await self._exchange(link, exchange, words, void)
+        except OvertakenError:
+            self._count_withheld()
+            return False
         except ExchangeError as failure:
-            if self._is_void(command):
-                self._count_withheld()
-                return False
             self._counts["send_drops"] += 1
             self.refused_write = f"command: {failure.problem}"
             self._untaken.note(exchange, failure, silent=self._witness.silent)
@@ -271,27 +269,25 @@ class Commander:
 
     def _count_withheld(self) -> None:
         """Count the newest command once if it must not go out; one that is replaced is not it."""
-        command = self._command
-        if command is not None and not self._withheld and not self._may_follow(command):
+        if self._command is not None and not self._withheld and self._newest() is None:
             self._withheld = True
             self._counts["withheld_commands"] += 1
 
-    def _current(self) -> Command | None:
-        """Return the command that is in force and still valid, None for none."""
+    def _newest(self, *, joined: bool = False) -> Command | None:
+        """Return the newest command, None where it must not go out as for `_may_go`."""
         command = self._command
-        return command if command is not None and self._witness.admits(command) else None
+        return command if command is not None and self._may_go(command, joined=joined) else None
 
-    def _is_void(self, command: Command) -> bool:
-        """Return whether a command that energises must not be sent any more."""
-        return command != SAFE_COMMAND and self._current() in {None, SAFE_COMMAND}
+    def _may_go(self, command: Command, *, joined: bool = False) -> bool:
+        """Return whether a command may be written now, joined with a read or after the read.
 
-    def _may_join(self, command: Command) -> bool:
-        """Return whether a command may be written with a read."""
-        return not self._is_void(command) and self._witness.may_join(command)
-
-    def _may_follow(self, command: Command) -> bool:
-        """Return whether a command may be written after a read."""
-        return not self._is_void(command) and self._witness.may_follow(command)
+        One that is not safe may do so while the newest one is not safe either, and still valid.
+        """
+        newest = self._command
+        if command == SAFE_COMMAND or newest is None:
+            return True
+        fits = self._witness.may_join if joined else self._witness.may_follow
+        return newest != SAFE_COMMAND and self._witness.admits(newest) and fits(command)
 
     def _words(self, command: Command) -> list[list[int]]:
         """The registers of every block that is written, with the next heartbeat.

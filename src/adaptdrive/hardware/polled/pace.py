@@ -38,7 +38,7 @@ class WritePace:
         self._interval_s = poll.interval_s
         self._least_s = {block: _least_s(sinks) for block, sinks in poll.writes}
         self._switches = {block for block, sinks in poll.writes if has_switch(sinks)}
-        self._held: dict[Block, list[int]] = {}
+        self._held: dict[Block, list[int] | None] = {}
         self._written_s: dict[Block, float] = {}
 
     def forget(self) -> None:
@@ -58,13 +58,8 @@ class WritePace:
             return not limited and age_s >= self._interval_s
         return age_s >= limited or block in self._switches
 
-    def doubt(self, block: Block) -> None:
-        """Note that a block is about to be written: until the reply nobody knows what it holds."""
-        self._held.pop(block, None)
-        self._written_s[block] = self._clock()
-
-    def note(self, block: Block, words: list[int]) -> None:
-        """Note that the drive has acknowledged a block."""
+    def note(self, block: Block, words: list[int] | None = None) -> None:
+        """Note what the drive holds of a block; None for what nobody knows until its reply."""
         self._held[block] = words
         self._written_s[block] = self._clock()
 
@@ -119,11 +114,7 @@ class UntakenCommands:
         register = "" if block is None else f" at register {block.address}"
         self._last = f"{reason}{register}; check [bus.registers], its remote mode and write access"
 
-    def forget(self) -> None:
-        """Begin anew on another link; a reply to the last command may still come."""
-        self._refused = self._untaken = 0
-
     def clear(self) -> None:
-        """Note that the drive has acknowledged a command."""
-        self.forget()
+        """Note that the drive has acknowledged a command, or begin anew on another link."""
+        self._refused = self._untaken = 0
         self.doubtful = False
