@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import struct
+import time
 
 import pytest
 
-from adaptdrive.app.ports import derivations
+from adaptdrive.app.ports import build_port, derivations
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.dbc.port import CanPort
 from tests.devices.can_node import CanNode
 from tests.devices.described import DEVICES, described, running
 from tests.hardware.canopen import peer as canopen_peer
@@ -121,6 +123,32 @@ async def test_the_elcon_charger() -> None:
         await bench.commands(SAFE_COMMAND, lambda: bench.ear.readings[-1].fault)
         name = bench.ear.readings[-1].fault_name
         assert name == "Flags bit 1 overtemperature, bit 3 no battery"
+
+
+async def test_the_brusa_nlg5() -> None:
+    actual = struct.pack(">HHHh", 640, 2300, 3500, 520)  # 6.4 A and 230 V in, 350 V and 5.2 A out
+    node = CanNode("nlg5", {1553: actual, 1552: bytes(4)})
+    async with node.served(), running(described("brusa-nlg5", channel="nlg5", **VIRTUAL)) as bench:
+        reading = await bench.reading()
+        assert (reading.boost_voltage_V, reading.line_voltage_V) == (350.0, 230.0)
+        assert reading.output == pytest.approx(5.2)
+        assert reading.load_power_W == pytest.approx(1820.0)
+        charge = bytes((0x80, 0x00, 0xA0, 0x0D, 0xAC, 0x00, 0x78))  # 16 A, 350 V, 12 A
+        await bench.commands(command(350.0), lambda: node.heard.get(1560) == charge)
+        stop = bytes((0x00, 0x00, 0xA0, 0x00, 0x00, 0x00, 0x78))
+        await bench.commands(SAFE_COMMAND, lambda: node.heard[1560] == stop)
+        node.sends[1552] = bytes((0x40, 0, 0, 0))
+        await bench.commands(SAFE_COMMAND, lambda: bench.ear.readings[-1].fault)
+
+
+def test_no_value_of_the_brusa_nlg5_is_older_than_the_limit() -> None:
+    configuration = described("brusa-nlg5")
+    port = build_port(configuration, time.monotonic, DEVICES / "brusa-nlg5.toml")
+    assert isinstance(port, CanPort)
+    sources = [source for status in port._mapping.statuses for source in status.sources]
+    slack_s = {source.quantity: source.slack_s for source in sources}
+    assert slack_s["output"] == pytest.approx(0.0)  # 2.5 cycles of 100 ms
+    assert slack_s["fault"] == pytest.approx(0.0)  # no cycle time is known: those of the clock
 
 
 class Servo(Peer):

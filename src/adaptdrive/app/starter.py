@@ -122,7 +122,7 @@ def of_device(load: LoadName, device: str, name: str, own: str | None = None) ->
     if tables["load"]["type"] != load:
         problem = f"is described with a {tables['load']['type']}, not with a {load}"
         raise ConfigurationError("--device", [Flaw(device, problem)])
-    text = _named(text, name)
+    text = answered(_named(text, name), dict.fromkeys(_MARKED - {"bus.command_timeout_s"}, ""))
     if own is None:
         return _starter(text, "devices")
     key = "eds" if own.lower().endswith((".eds", ".dcf")) else "database"
@@ -233,6 +233,7 @@ QUESTIONS = {
 _MARKED = QUESTIONS.keys() - {"mqtt.host"} | {
     "bus.host",
     "bus.device",
+    "sensor_bus.host",
     "bus.command_timeout_s",
     "drive.boost_capacitance_F",
     "interlocks.boost_voltage_max_V",

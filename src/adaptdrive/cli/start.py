@@ -66,7 +66,8 @@ def init(  # noqa: PLR0913 - one parameter for each option
     Args:
         load: Kind of load.
         bus: Kind of bus.
-        device: Device whose description comes with this package, in place of the bus.
+        device: Described device that is nearest to yours, in place of the bus: the best beginning
+            (docs/own-drive.md). Without both, all are listed.
         name: Name of the drive, the kind of load when left out.
         directory: Folder for the files.
         dbc: DBC file of the drive.
