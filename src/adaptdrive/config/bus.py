@@ -201,7 +201,7 @@ class CanOpenBus(CanLink, BusSection):
 
 
 class SignalSource(Converted):
-    """One measured quantity: a signal, and a conversion to SI where its map has none."""
+    """One quantity: a signal, and a conversion to SI, or from it, where its map has none."""
 
     signal: str = Field(min_length=1)
 
@@ -210,9 +210,12 @@ def _table(value: object) -> object:
     return {"signal": value} if isinstance(value, str) else value
 
 
-Quantity = Annotated[
-    SignalSource, BeforeValidator(_table, json_schema_input_type=SignalSource | str)
-]
+def _or_name(section: type[Section]) -> BeforeValidator:
+    """Return what takes the name of a signal for a table with that name alone."""
+    return BeforeValidator(_table, json_schema_input_type=section | str)
+
+
+Quantity = Annotated[SignalSource, _or_name(SignalSource)]
 
 
 class SwitchSource(SignalSource):
@@ -221,9 +224,7 @@ class SwitchSource(SignalSource):
     on: int | str | None = None
 
 
-SwitchQuantity = Annotated[
-    SwitchSource, BeforeValidator(_table, json_schema_input_type=SwitchSource | str)
-]
+SwitchQuantity = Annotated[SwitchSource, _or_name(SwitchSource)]
 
 
 class FaultSource(SignalSource):
@@ -249,9 +250,7 @@ class FaultSource(SignalSource):
         return -1 if self.mask is None else self.mask
 
 
-FaultQuantity = Annotated[
-    FaultSource, BeforeValidator(_table, json_schema_input_type=FaultSource | str)
-]
+FaultQuantity = Annotated[FaultSource, _or_name(FaultSource)]
 
 
 def _several(given: object, listed: ValidatorFunctionWrapHandler) -> object:
@@ -265,10 +264,6 @@ FaultQuantities = Annotated[
 ]
 
 
-class CommandSignal(SignalSource):
-    """One commanded quantity: a signal, and its conversion from SI where the map has none."""
-
-
 class CommandSwitch(Section):
     """One commanded switch: a signal, and the values that switch, or their names."""
 
@@ -278,19 +273,14 @@ class CommandSwitch(Section):
     off_signal: str | None = None
 
 
-Commanded = Annotated[
-    CommandSignal, BeforeValidator(_table, json_schema_input_type=CommandSignal | str)
-]
-CommandedSwitch = Annotated[
-    CommandSwitch, BeforeValidator(_table, json_schema_input_type=CommandSwitch | str)
-]
+CommandedSwitch = Annotated[CommandSwitch, _or_name(CommandSwitch)]
 
 
 class CommandSignals(Section):
     """`[signals.command]`: which signals carry the command; absent ones are not sent."""
 
-    current_scale_S: Commanded | None = None
-    boost_reference_V: Commanded | None = None
+    current_scale_S: Quantity | None = None
+    boost_reference_V: Quantity | None = None
     bridge: CommandedSwitch | None = None
     constants: dict[str, float | str] = key({})
 
