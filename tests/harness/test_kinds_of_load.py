@@ -5,8 +5,9 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
-from adaptdrive.config.load import LOAD_TYPES
+from adaptdrive.config.load import LoadName
 
 ROOT = Path(__file__).parents[2]
 OPTIONAL = {"hardware/proposal.py"}
@@ -18,7 +19,7 @@ def tables_of_loads(text: str) -> Iterator[int]:
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Dict):
             keys = {one.value for one in node.keys if isinstance(one, ast.Constant)}
-            if len(keys & set(LOAD_TYPES)) > 1:
+            if len(keys & set(get_args(LoadName))) > 1:
                 yield node.lineno
 
 

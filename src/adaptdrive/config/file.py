@@ -13,13 +13,12 @@ from typing import Annotated, Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from adaptdrive.config.load import LOAD_TYPES
 from adaptdrive.config.proposals import key_proposal
-from adaptdrive.config.root import BUS_TYPES, Configuration, consistency_flaws
+from adaptdrive.config.root import Configuration, consistency_flaws
 from adaptdrive.config.tables import Keys, shortened, take_out, value_flaws
 from adaptdrive.errors import ConfigurationError, Flaw
 
-_TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES, "sensor_bus": BUS_TYPES}
+_TYPE_AT = {"load": 1, "bus": 1, "sensor_bus": 2}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 _UNKNOWN = "extra_forbidden"
 _ALL = frozenset(Configuration.model_fields)
@@ -188,7 +187,5 @@ def _schema() -> dict[str, Any]:
 
 def _location(location: Keys) -> Keys:
     """The keys; pydantic counts a type of load or bus as a separate table."""
-    at = 2 if location[1:2] and isinstance(location[1], int) else 1  # of a list, or not
-    if location[at : at + 1] and location[at] in _TYPES.get(str(location[0]), ()):
-        return (*location[:at], *location[at + 1 :])
-    return location
+    at = _TYPE_AT.get(str(location[0]), len(location))
+    return (*location[:at], *location[at + 1 :])

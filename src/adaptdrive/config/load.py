@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -23,7 +23,6 @@ from adaptdrive.config.section import (
 from adaptdrive.errors import Flaw
 
 LoadName = Literal["motor", "bath", "battery"]
-LOAD_TYPES: tuple[str, ...] = get_args(LoadName)
 
 Period = Annotated[PositiveFloat, Field(le=3600.0)]
 

@@ -137,18 +137,14 @@ def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool
     whole.sort(key=lambda item: (item[1].table, item[1].address))
     for (first, one), (name, other) in itertools.pairwise(whole):
         if _meet(one, other) and _CODING(one) != _CODING(other):
-            problem = f"{_span(other)} and {first!r} {_span(one)} share a register"
-            yield Flaw(f"{place}.{name}", f"{problem}: one is read or written wrongly")
+            pair = f"{other.type} at {other.address} and {first!r}, {one.type} at {one.address},"
+            problem = "share a register: one is read or written wrongly"
+            yield Flaw(f"{place}.{name}", f"{pair} {problem}")
 
 
 def _meet(one: Register, other: Register) -> bool:
     """Return whether two values share a register."""
     return one.table == other.table and one.address < other.end and other.address < one.end
-
-
-def _span(register: Register) -> str:
-    last = f"…{register.end - 1}" if register.words > 1 else ""
-    return f"({register.type}, {register.address}{last})"
 
 
 _LABELS = {"input": 30001, "holding": 40001}

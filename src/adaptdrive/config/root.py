@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator
 from operator import attrgetter
-from typing import Annotated, get_args
+from typing import Annotated
 
 from pydantic import Field
 
@@ -31,10 +31,6 @@ from adaptdrive.config.units import WANTED, stated_problem
 from adaptdrive.errors import Flaw
 
 AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu | ScpiBus
-
-BUS_TYPES: tuple[str, ...] = tuple(
-    name for kind in get_args(AnyBus) for name in get_args(kind.model_fields["type"].annotation)
-)
 
 SensorBus = Annotated[AnySensorBus, Field(discriminator="type")]
 
@@ -119,15 +115,12 @@ def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
     if not (configuration.bus.has_bridge_words or (where == "drive" and one_bit)):
         needed.append("bridge")
     for name in needed:
+        why = f"voltage_loop.where = {where!r} needs it"
+        if name == "bridge" and where == "drive":
+            why = "nothing would switch the drive off; a drive that a set-point of 0 stops needs "
+            why += "drive.enable_bit = 'bridge-and-boost'"
         if getattr(configuration.signals.command, name) is None:
-            yield Flaw(f"signals.command.{name}", _missing_command(name, where))
-
-
-def _missing_command(name: str, where: str) -> str:
-    if name == "bridge" and where == "drive":
-        one = "a drive that a set-point of 0 stops needs drive.enable_bit = 'bridge-and-boost'"
-        return f"is missing: nothing would switch the drive off; {one}"
-    return f"is missing: voltage_loop.where = {where!r} needs it"
+            yield Flaw(f"signals.command.{name}", f"is missing: {why}")
 
 
 def _lowest_flaws(configuration: Configuration) -> Iterator[Flaw]:

@@ -24,8 +24,8 @@ LONGEST_STALE_S = 2.0
 """A drive that is read each half cycle is then commanded 240 times on held values; one that is
 polled once a second may lose one poll."""
 
-_LABEL = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(?<!-)")
-_LONGEST_NAME = 253  # RFC 1035
+_NAME = re.compile(r"(?=.{1,254}$)((?!-)[A-Za-z0-9_-]{1,63}(?<!-)(\.|$))+")
+"""Labels with dots between them, and at the end or not; RFC 1035 allows 253 characters."""
 
 
 def check_host(host: str) -> str:
@@ -40,12 +40,10 @@ def check_host(host: str) -> str:
     with contextlib.suppress(ValueError):
         ipaddress.ip_address(host)
         return host
-    try:
-        name = host.encode("idna").decode("ascii").removesuffix(".")
-    except UnicodeError as problem:
-        raise ValueError(f"{host!r} is no host name: {problem}") from problem
-    labels = name.split(".")
-    if len(name) > _LONGEST_NAME or not all(_LABEL.fullmatch(label) for label in labels):
+    name = ""
+    with contextlib.suppress(UnicodeError):
+        name = host.encode("idna").decode("ascii")
+    if not _NAME.fullmatch(name):
         raise ValueError(
             f"{host!r} is neither an IP address nor a host name: labels of 1 to 63 letters, digits "
             "and '-', separated by dots"
