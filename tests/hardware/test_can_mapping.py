@@ -250,27 +250,11 @@ TEXT_CYCLES = (
 )
 
 
-def test_a_cycle_time_that_is_a_text_is_one_flaw_of_each_measured_message(tmp_path: Path) -> None:
-    bus = rewritten(
-        tmp_path, *TEXT_CYCLES, ("BO_ 256 8;", 'BO_ 256 "8 ms";'), ("BO_ 257 8;", 'BO_ 257 "8";')
-    )
-    with pytest.raises(ConfigurationError) as caught:
-        map_drive(bus, MOTOR.signals, TIMING)
-    assert {(flaw.place, flaw.message) for flaw in caught.value.flaws} == {
-        (
-            "bus.database",
-            f"message {name!r}: GenMsgCycleTime {text!r} is a text, not a number of ms",
-        )
-        for name, text in (("DriveStatus", "8 ms"), ("DriveLoad", "8"))
-    }
-
-
-def test_a_cycle_time_that_is_a_text_does_not_matter_where_nothing_is_measured(
-    tmp_path: Path,
-) -> None:
-    unsaid = [(f'BA_ "GenMsgCycleTime" BO_ {number} 8;', "") for number in (256, 257)]
-    bus = rewritten(tmp_path, *TEXT_CYCLES, *unsaid)
-    assert len(map_drive(bus, MOTOR.signals, TIMING).statuses) == 2
+def test_a_cycle_time_that_is_a_text_is_none(tmp_path: Path) -> None:
+    bus = rewritten(tmp_path, *TEXT_CYCLES, ("BO_ 256 8;", 'BO_ 256 "8 ms";'), ("BO_ 257 8;", ""))
+    status, _ = map_drive(bus, MOTOR.signals, TIMING).statuses
+    assert status.codec.name == "DriveStatus"
+    assert {one.cycle_stated for one in status.sources} == {False}
 
 
 @pytest.mark.parametrize(

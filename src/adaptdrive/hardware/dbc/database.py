@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +19,6 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity, SignalRange
 from adaptdrive.config.proposals import nearest
-from adaptdrive.config.tables import shortened
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.dbc.mending import mended
@@ -41,6 +40,12 @@ _NIBBLE_BITS = 4
 _UNREADABLE = re.compile(r"Invalid syntax at line (\d+)")
 _MOST_LEFT_OUT = 20
 """Lines that cannot be read, of a file that is a DBC nevertheless."""
+
+_USES = {
+    "signals": "carries measurements too",
+    "signals.command": "carries the command: name a constant of it",
+}
+"""Meaning of the places that use a message, for another that does so, too."""
 
 logging.getLogger("cantools").setLevel(logging.CRITICAL)  # `check` states what matters of a file
 
@@ -195,13 +200,6 @@ class SignalCatalogue(Catalogue[Located]):
             " or more that starts at 0, has factor 1 and offset 0, and is not multiplexed"
         )
 
-    def check_cycle(self, name: str) -> None:
-        """Gather a flaw for a message whose cycle time is a text."""
-        cycle: object = self.known(name).cycle_time
-        if isinstance(cycle, str):
-            problem = f"GenMsgCycleTime {shortened(cycle)!r} is a text, not a number of ms"
-            self.note("bus.database", f"message {name!r}: {problem}")
-
     def known(self, name: str) -> Message:
         """The message called `name`, which has been found before."""
         return self._description.database.get_message_by_name(name)
@@ -250,16 +248,22 @@ class SignalCatalogue(Catalogue[Located]):
         self.note(place, problem and f"signal {name!r} {problem}")
         return None if problem else found[0]
 
-    def check_ids(self, places: Mapping[str, str]) -> None:
-        """Gather a flaw for each message with the id of one before it, at the place of its use."""
-        owners: dict[int, str] = {}
-        for name, place in places.items():
+    def check_uses(self, uses: Mapping[str, Iterable[str]]) -> None:
+        """Gather a flaw for each id that is used twice, at the second place.
+
+        Args:
+            uses: Names of messages by the place that uses them.
+        """
+        owners: dict[int, tuple[str, str]] = {}
+        for place, name in ((place, name) for place, names in uses.items() for name in names):
             message = self.known(name)
             key = frame_key(message.frame_id, extended=message.is_extended_frame)
-            owner = owners.setdefault(key, name)
+            owner, first = owners.setdefault(key, (name, place))
             if owner != name:
                 number = f"0x{message.frame_id:03X}"
                 self.note(place, f"messages {owner!r} and {name!r} have the same id {number}")
+            elif first != place:
+                self.note(place, f"message {name!r} {_USES[first]}")
 
     def check_integrity(self, name: str, integrity: FrameIntegrity, bus: str = "bus") -> None:
         """Gather the flaws of `[bus.integrity.NAME]`, of `bus` or of another place."""
@@ -362,15 +366,15 @@ def _signal_problem(message: Message, found: Sequence[Signal]) -> str | None:
 
 
 def cycle_time_s(message: Message) -> float:
-    """Return the cycle time of a message in s, 0 without one and for a text."""
+    """Return the cycle time of a message in s, 0 without one: a text is none."""
     cycle_ms: object = message.cycle_time
     return 1e-3 * cycle_ms if isinstance(cycle_ms, int | float) else 0.0
 
 
 def stated_cycle(message: Message) -> str:
     """Return the cycle time of a message in words."""
-    cycle: object = message.cycle_time
-    return f"GenMsgCycleTime {cycle} ms" if cycle else "no GenMsgCycleTime: that of the clock"
+    cycle_s = cycle_time_s(message)
+    return f"GenMsgCycleTime {cycle_s * 1e3:g} ms" if cycle_s else "no GenMsgCycleTime"
 
 
 def is_word(signal: Signal) -> bool:

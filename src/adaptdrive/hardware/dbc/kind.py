@@ -43,41 +43,29 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
     timing, mapping = configuration.timing, _mapped(configuration)
-    statuses = mapping.statuses
-    slack_s = min(one.slack_s for status in statuses for one in status.sources)
+    sources = [(status.codec.name, one) for status in mapping.statuses for one in status.sources]
+    slack_s = min(one.slack_s for _, one in sources)
     yield from timeout_cautions(timing, "bus.clock_ticks", slack_s)
-    for status in statuses:
-        for one in status.sources:
-            if one.quantity == "bridge":
-                yield from _bridge_cautions(timing, status.codec.name, one)
+    for message, one in sources:
+        if one.quantity == "bridge":
+            yield from _bridge_cautions(timing, message, one)
     yield from mapping.cautions
 
 
 def _bridge_cautions(timing: Timing, message: str, bridge: CanSource) -> Iterator[Flaw]:
     """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
     timeout_s, limit_s = timing.command_timeout_s, timing.silent_s
-    oldest_s = timing.stale_s + bridge.slack_s
-    if not bridge.cycle_stated and timeout_s is None and oldest_s > limit_s:
-        yield Flaw("signals.bridge", _unstated(message, limit_s))
-    if bridge.cycle_s > limit_s and (timeout_s or 0.0) <= limit_s + bridge.cycle_s:
-        yield Flaw("signals.bridge", _seldom(message, bridge.cycle_s, limit_s))
-
-
-def _unstated(message: str, limit_s: float) -> str:
-    return (
-        f"message {message!r} has no GenMsgCycleTime: if it comes less often than every "
-        f"{limit_s * 1e3:.4g} ms, commands wait for each of its reports; state "
-        "bus.command_timeout_s, the drive's own time-out, or the cycle time in the DBC"
-    )
-
-
-def _seldom(message: str, cycle_s: float, limit_s: float) -> str:
-    return (
-        f"message {message!r} comes every {cycle_s * 1e3:.4g} ms: after {limit_s * 1e3:.4g} ms "
-        "without the daemon or the drive, or a leap of an alive counter, nothing energises before "
-        "its next report, and a drive stops meanwhile whose own time-out (bus.command_timeout_s) "
-        f"is not longer than {(limit_s + cycle_s) * 1e3:.4g} ms"
-    )
+    every_s, says = bridge.cycle_s, f"comes every {bridge.cycle_s * 1e3:.4g} ms"
+    if not bridge.cycle_stated and timeout_s is None:  # it may come as seldom as it may be old
+        every_s, says = timing.stale_s + bridge.slack_s, "has no GenMsgCycleTime"
+    if every_s > limit_s and (timeout_s or 0.0) <= limit_s + every_s:
+        yield Flaw(
+            "signals.bridge",
+            f"message {message!r} {says}: after {limit_s * 1e3:.4g} ms without the daemon or the "
+            "drive, or a leap of an alive counter, nothing energises before its next report, and "
+            "a drive stops meanwhile whose own time-out (bus.command_timeout_s) is not longer "
+            f"than {(limit_s + every_s) * 1e3:.4g} ms",
+        )
 
 
 CAN = BusKind(_build, _cautions, build_can_sensors, _time_limits)

@@ -134,15 +134,7 @@ def map_drive(
     setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
     if clock is not None and clock.name not in sources:
         catalogue.note("bus.clock", f"no entry of [signals] is taken from message {clock.name!r}")
-    for name in sources:
-        catalogue.check_cycle(name)
-    for message in sources.keys() & {**orders, **setup}:
-        catalogue.note("signals.command", f"message {message!r} carries measurements too")
-    for message in setup.keys() & orders.keys():
-        problem = f"message {message!r} carries the command: name a constant of it"
-        catalogue.note("bus.setup", problem)
-    uses = ((sources, "signals"), (orders, "signals.command"), (setup, "bus.setup"))
-    catalogue.check_ids({name: place for used, place in uses for name in used})
+    catalogue.check_uses({"signals": sources, "signals.command": orders, "bus.setup": setup})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     counter, bridge = bound.get("counter"), bound.get("bridge")

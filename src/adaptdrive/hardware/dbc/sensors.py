@@ -69,7 +69,7 @@ def map_sensors(
         message, signal = one.item
         value = CanSource(one.quantity, signal.name, one.scale, one.offset)
         found.setdefault(message.name, []).append(value)
-    catalogue.check_ids(dict.fromkeys(found, f"{place}.signals"))
+    catalogue.check_uses({f"{place}.signals": found})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     return tuple(status_frame(catalogue, bus, *item, bus.cycle_s) for item in found.items())
