@@ -35,6 +35,29 @@ def test_a_drive_that_holds_its_voltage_has_the_power_of_its_own_limit_alone() -
     assert "drive.limits.load_power_max_W gives 500 W" in flaw.message
 
 
+@pytest.mark.parametrize("place", ["bus", "sensor_bus.0"])
+def test_a_message_that_is_asked_for_and_not_read_gives_a_warning(place: str) -> None:
+    polled = 'databases = ["inverter.dbc"]\npolled = { INV_STATE = "rtr", DriveLoad = "rtr" }\n'
+    sensors = """[[sensor_bus]]
+name = "bench"
+type = "can"
+interface = "udp_multicast"
+channel = "239.74.163.7"
+database = "adaptdrive.dbc"
+polled = { DriveStatus = "rtr", DriveLoad = "rtr" }
+cycle_s = 0.05
+signals = { brake = "DriveLoad.LoadCurrent" }
+"""
+    old, new = {
+        "bus": ("[bus]\n", f"[bus]\n{polled}"),
+        "sensor_bus.0": ("[interlocks]", f"{sensors}\n[interlocks]"),
+    }[place]
+    (flaw,) = found("motor.toml", old, new)
+    name = "INV_STATE" if place == "bus" else "DriveStatus"
+    assert flaw.place == f"{place}.polled.{name}"
+    assert f"'rtr': no signal of {name!r} is read" in flaw.message
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "place", "words"),
     [

@@ -32,8 +32,10 @@ _NOT_WHOLE = frozenset({FrameVerdict.WRONG_LENGTH, FrameVerdict.WRONG_CHECKSUM})
 def _codecs() -> tuple[MessageCodec, ...]:
     names = ("adaptdrive.dbc", "inverter.dbc", "bath.dbc", "battery.dbc")
     bases = [read_dbc(EXAMPLES / name).database for name in names]
-    plain = [MessageCodec(message) for base in bases for message in base.messages]
-    return (*plain, *_protected("motor-inverter.toml"), *_protected("battery.toml"))
+    known = [message for base in bases for message in base.messages]
+    plain = [MessageCodec(message) for message in known]
+    part = [MessageCodec(one, wanted=[one.signals[-1].name]) for one in known]
+    return (*plain, *part, *_protected("motor-inverter.toml"), *_protected("battery.toml"))
 
 
 def _protected(name: str) -> list[MessageCodec]:

@@ -264,6 +264,41 @@ def test_a_frame_of_another_length_is_refused(length: int) -> None:
     assert reference("DriveStatus").decode(bytes(length)).verdict is FrameVerdict.WRONG_LENGTH
 
 
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize("length", [4, 5, 7, 9, 64])
+def test_a_frame_of_another_length_without_proofs_gives_what_it_has(
+    length: int, order: str
+) -> None:
+    place = {"little": "16|16@1+", "big": "23|16@0+"}[order]
+    signals = f""" SG_ Volts : {place} (0.1,0) [0|6553.4] "V" X
+ SG_ Late : 56|8@1+ (1,0) [0|255] "" X"""
+    message = odd_database(signals).get_message_by_name("Odd")
+    volts = (1234).to_bytes(2, "little" if "@1" in place else "big")
+    data = bytes(2) + volts + bytes(60)
+    decoded = MessageCodec(message, wanted=["Volts"]).decode(data[:length])
+    assert decoded.values == {"Volts": pytest.approx(123.4)}
+    assert MessageCodec(message, wanted=["Volts"]).needed == 4
+    both = MessageCodec(message, wanted=["Volts", "Late"]).decode(data[:length])
+    assert both.verdict is (FrameVerdict.GOOD if length > 7 else FrameVerdict.WRONG_LENGTH)
+
+
+@pytest.mark.parametrize("length", [0, 1, 3])
+def test_a_frame_that_ends_before_a_used_signal_is_refused(length: int) -> None:
+    message = odd_database(' SG_ Volts : 16|16@1+ (0.1,0) [0|6553.4] "V" X').messages[0]
+    decoded = MessageCodec(message, wanted=["Volts"]).decode(bytes(length))
+    assert decoded.verdict is FrameVerdict.WRONG_LENGTH
+
+
+def test_a_short_frame_of_a_multiplexed_message_is_read_by_its_page() -> None:
+    message = odd_database(""" SG_ Page M : 0|8@1+ (1,0) [0|255] "" X
+ SG_ Volts m1 : 8|16@1+ (0.1,0) [0|6553.4] "V" X
+ SG_ Late m2 : 48|16@1+ (1,0) [0|65535] "" X""").messages[0]
+    codec = MessageCodec(message, wanted=["Volts"])
+    assert codec.decode(b"\x01\x0a\x00").values == {"Volts": pytest.approx(1.0)}
+    assert codec.decode(b"\x02\x0a\x00").values == {}
+    assert codec.decode(b"\x01\x0a").verdict is FrameVerdict.WRONG_LENGTH
+
+
 @pytest.mark.parametrize(
     ("message", "signal"),
     [

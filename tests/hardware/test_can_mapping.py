@@ -93,6 +93,14 @@ def test_a_drive_without_a_counter_has_no_modulus() -> None:
             "signals.command",
             "carries measurements too",
         ),
+        ({"polled": {"DriveLod": "rtr"}}, {}, "bus.polled.DriveLod", "did you mean 'DriveLoad'"),
+        ({"polled": {"DriveLoad": "pgn"}}, {}, "bus.polled.DriveLoad", "address; ask by 'rtr'"),
+        (
+            {"polled": {"DriveCommand": "rtr"}},
+            {},
+            "bus.polled.DriveCommand",
+            "carries the com",
+        ),
         (
             {"integrity": {"DriveStats": FrameIntegrity()}},
             {},

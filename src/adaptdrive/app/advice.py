@@ -5,12 +5,13 @@ from __future__ import annotations
 import ipaddress
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
+from adaptdrive.config.bus import CanDescription, SignalSource
 from adaptdrive.config.load import BathSection, BatterySection
 from adaptdrive.config.supply import absent_names
 from adaptdrive.control.load import Load, to_input, to_voltage
@@ -45,6 +46,7 @@ def advice(configuration: Configuration) -> Iterator[Flaw]:
     yield from _charge(configuration)
     yield from _paper(configuration)
     yield from _broker(configuration)
+    yield from _unread(configuration)
     yield from bus_kind(configuration.bus.type).cautions(configuration)
 
 
@@ -182,6 +184,19 @@ def _broker(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("mqtt.tls", f"false, and {mqtt.host!r} is remote: commands travel in clear text")
     if mqtt.password_file is not None and not os.access(mqtt.password_file, os.R_OK):
         yield Flaw("mqtt.password_file", f"{mqtt.password_file} cannot be read by this user")
+
+
+def _unread(configuration: Configuration) -> Iterator[Flaw]:
+    """A message that is asked for is read."""
+    own = [one for _, one, _ in configuration.signals.entries()]
+    buses: list[tuple[str, object, Iterable[SignalSource]]] = [("bus", configuration.bus, own)]
+    for number, one in enumerate(configuration.sensor_bus):
+        buses.append((f"sensor_bus.{number}", one, one.signals.values()))
+    for place, bus, sources in buses:
+        polled = bus.polled if isinstance(bus, CanDescription) else {}
+        for name in polled.keys() - {one.signal.partition(".")[0] for one in sources}:
+            text = f"{polled[name]!r}: no signal of {name!r} is read, so that nobody asks for it"
+            yield Flaw(f"{place}.polled.{name}", f"{text}; name a signal, or leave it out")
 
 
 def _is_here(host: str) -> bool:

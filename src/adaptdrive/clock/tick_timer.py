@@ -1,10 +1,11 @@
-"""One deadline at a time, kept by the kernel and delivered in the event loop."""
+"""Deadlines, kept by the kernel and delivered in the event loop: one at a time, or on a grid."""
 
 from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from adaptdrive.clock.now import now_s
 from adaptdrive.clock.timerfd import acknowledge, arm_timer, create_timer
@@ -51,3 +52,27 @@ class TickTimer:
         while now_s() < self._deadline_s:
             pass
         self._callback(self._deadline_s)
+
+
+@contextmanager
+def pulsing(period_s: float, *due: Callable[[], object]) -> Iterator[None]:
+    """Call back on a grid until the block ends; deadlines that the process slept over are skipped.
+
+    Args:
+        period_s: Time from one call to the next, in s; the first is one period away.
+        due: Called each time, in this order; must return at once.
+    """
+
+    def expired(deadline_s: float) -> None:
+        skipped = max(0, int((now_s() - deadline_s) / period_s))
+        timer.arm(deadline_s + (1 + skipped) * period_s)
+        for call in due:
+            call()
+
+    timer = TickTimer(asyncio.get_running_loop(), expired)
+    if due:
+        timer.arm(now_s() + period_s)
+    try:
+        yield
+    finally:
+        timer.close()

@@ -147,6 +147,8 @@ class CanDescription(CanLink):
     database: FilePath
     databases: list[FilePath] = key([])
     frames: dict[str, FrameAddress] = key({})
+    polled: dict[str, Literal["rtr", "pgn"]] = key({})
+    own_address: int = key(0xF9, span=(0, 0xFD))
     ranges: dict[str, SignalRange] = key({})
     integrity: dict[str, FrameIntegrity] = key({})
 

@@ -14,7 +14,6 @@ from collections.abc import Awaitable, Callable
 from enum import IntEnum
 from typing import Protocol
 
-from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.sdo import describe_node
@@ -192,40 +191,3 @@ class Master:
     def _command(self, command: int) -> None:
         self._state = None
         self._send(NMT, bytes((command, self._bus.node_id)))
-
-
-class SyncProducer:
-    """Calls back on a grid; deadlines missed while the process slept are skipped, not repeated."""
-
-    def __init__(
-        self, period_s: float, clock: Callable[[], float], due: Callable[[], None]
-    ) -> None:
-        """Set the grid.
-
-        Args:
-            period_s: Time between two SYNCs.
-            clock: Monotonic clock in seconds.
-            due: Called when a SYNC is due; must return at once.
-        """
-        self._period_s = period_s
-        self._clock = clock
-        self._due = due
-        self._timer: TickTimer | None = None
-
-    def start(self) -> None:
-        """Begin a grid now."""
-        self._timer = TickTimer(asyncio.get_running_loop(), self._expired)
-        self._timer.arm(self._clock() + self._period_s)
-
-    def stop(self) -> None:
-        """Call back no more."""
-        if self._timer is not None:
-            self._timer.close()
-            self._timer = None
-
-    def _expired(self, deadline_s: float) -> None:
-        if self._timer is None:
-            return
-        skipped = max(0, int((self._clock() - deadline_s) / self._period_s))
-        self._timer.arm(deadline_s + (1 + skipped) * self._period_s)
-        self._due()

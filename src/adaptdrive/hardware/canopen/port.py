@@ -16,12 +16,13 @@ from collections.abc import Callable
 
 import can
 
+from adaptdrive.clock.tick_timer import pulsing
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.health import ForeignCommands, Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
-from adaptdrive.hardware.canopen.master import Master, NodeState, SyncProducer
+from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
 from adaptdrive.hardware.canopen.reports import Reports
 from adaptdrive.hardware.canopen.sdo import SdoThread, describe_node
@@ -76,7 +77,6 @@ class CanOpenPort(CountingPort):
         self._sdo = SdoThread(config, self._connection.put)
         self._master = Master(config, self._set_up, self._connection.put, clock)
         self._health = Health(self._control, self._master)
-        self._sync = SyncProducer(timing.half_cycle_s, clock, self._send_sync)
         self._half_cycle_s = timing.half_cycle_s
         self._obedience = Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
@@ -262,17 +262,16 @@ class CanOpenPort(CountingPort):
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""
-        if self._config.sync == "daemon":
-            self._sync.start()
+        syncs = [self._send_sync] if self._config.sync == "daemon" else []
         try:
-            announce()
-            bringing_up = self._master.run(self._report_node, lambda: self._rival.complaint is None)
-            return await self._connection.read_beside(bringing_up, "node")
+            with pulsing(self._half_cycle_s, *syncs):
+                announce()
+                node = self._master.run(self._report_node, lambda: self._rival.complaint is None)
+                return await self._connection.read_beside(node, "node")
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
             raise
         finally:
-            self._sync.stop()
             self._master.leave("bus lost")
             self._on_node(up=False, detail="bus lost")
 

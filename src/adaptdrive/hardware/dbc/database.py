@@ -93,7 +93,8 @@ def describe(
     files = [read_dbc(path, source, place) for path in (bus.database, *bus.databases)]
     messages = [message for one in files for message in one.database.messages]
     flaws = [
-        *_readdressed(messages, bus.frames, f"{place}.frames"),
+        *_addressed(messages, bus.frames, f"{place}.frames"),
+        *_addressed(messages, bus.polled, f"{place}.polled", "; ask by 'rtr'"),
         *_ranged(messages, bus.ranges, f"{place}.ranges"),
     ]
     if flaws:
@@ -104,20 +105,26 @@ def describe(
     )
 
 
-def _readdressed(
-    messages: Sequence[Message], frames: Mapping[str, FrameAddress], place: str
+def _addressed(
+    messages: Sequence[Message],
+    given: Mapping[str, FrameAddress | str],
+    place: str,
+    remedy: str = "",
 ) -> Iterator[Flaw]:
-    """Change the ids of messages; yield what has no such id."""
-    for name, address in frames.items():
+    """Change the ids of messages; yield what has no such id, or cannot be asked for so."""
+    for name, how in given.items():
         found = [one for one in messages if one.name == name]
         if not found:
             hint = nearest(name, [one.name for one in messages])
             yield Flaw(f"{place}.{name}", f"the database has no message {name!r}{hint}")
         for message in found:
-            if message.is_extended_frame:
-                message.frame_id = address.of(message.frame_id)
-            else:
-                yield Flaw(f"{place}.{name}", "an id of 11 bits has no source address")
+            if how == "rtr" and needs_fd(message):
+                yield Flaw(f"{place}.{name}", "'rtr': CAN FD has no remote frames")
+            elif how != "rtr" and not message.is_extended_frame:
+                problem = "an id of 11 bits has no source address"
+                yield Flaw(f"{place}.{name}", f"{problem}{remedy}")
+            elif isinstance(how, FrameAddress):
+                message.frame_id = how.of(message.frame_id)
 
 
 def _ranged(

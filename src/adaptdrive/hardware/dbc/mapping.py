@@ -134,6 +134,8 @@ def map_drive(
     setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
     if clock is not None and clock.name not in sources:
         catalogue.note("bus.clock", f"no entry of [signals] is taken from message {clock.name!r}")
+    for message in bus.polled.keys() & {**orders, **setup}:
+        catalogue.note(f"bus.polled.{message}", "it carries the command: name one that is read")
     catalogue.check_uses({"signals": sources, "signals.command": orders, "bus.setup": setup})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
@@ -184,7 +186,7 @@ def _source(
         slack_s=slack_s,
         cycle_by=by,
         cycle_s=cycle_s,
-        cycle_stated=message.name == bus.clock or cycle_time_s(message) > 0.0,
+        cycle_stated=message.name in {bus.clock, *bus.polled} or cycle_time_s(message) > 0.0,
     )
 
 

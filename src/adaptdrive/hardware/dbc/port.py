@@ -30,7 +30,7 @@ from adaptdrive.hardware.dbc.orders import CommandFrame, bridge_first
 from adaptdrive.hardware.dbc.refusals import Refusals
 from adaptdrive.hardware.doubts import LEAPT, Obedience, Relink, Rival
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
-from adaptdrive.hardware.link.bus import as_received, describe_bus
+from adaptdrive.hardware.link.bus import as_received, describe_bus, requests
 from adaptdrive.hardware.link.codec import frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
@@ -73,6 +73,8 @@ class CanPort:
         self._arrivals = ArrivalClock(clock, wall_clock)
         self._counts: Counter[str] = Counter()
         self._connection = CanConnection[Listener](config, self, self._arrivals, self._counts)
+        asked = requests(config, [one.codec for one in mapping.statuses])
+        self._connection.asked = asked, mapping.timing.reading_s
         self._assembly = StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
@@ -232,7 +234,8 @@ class CanPort:
         """Count a frame that is no measurement; no bus returns what this port has sent."""
         self._counts["foreign"] += 1
         if self._hears_all:
-            self._refusals.note(f"0x{frame.arbitration_id:03X}", None, bytes(frame.data))
+            sender = f" from 0x{key & 0xFF:02X} of J1939" if frame.is_extended_id else ""
+            self._refusals.note(f"0x{frame.arbitration_id:03X}{sender}", None, bytes(frame.data))
         if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
             self._counts["foreign_commands"] += 1
             self._rival.hear(self._commands[key])
@@ -283,7 +286,8 @@ class CanPort:
         # a counter that leapt is in `counter_lost` already, with the length of its leap
         if verdict is not FrameVerdict.COUNTER_LOST:
             self._counts[verdict] += 1
-        self._refusals.note(status.codec.label, verdict, bytes(frame.data))
+        codec = status.codec
+        self._refusals.note(codec.label, verdict, bytes(frame.data), codec.needed)
 
     @property
     def _awaits_bridge(self) -> bool:

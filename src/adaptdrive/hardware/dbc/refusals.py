@@ -11,7 +11,8 @@ _KINDS_HELD = 64
 """Kinds of refused frames remembered: a flood of ids must not fill the memory."""
 
 _REMEDIES = {
-    FrameVerdict.WRONG_LENGTH: "the DBC describes another version of the message",
+    FrameVerdict.WRONG_LENGTH: "DLC {}, needed {}: the DBC describes another version "
+    "of the message",
     FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; look at the "
     "cable",
     FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
@@ -27,6 +28,7 @@ class _Refusal:
     count: int = 0
     in_a_row: int = 0
     data: bytes = b""
+    needed: int = 0
 
 
 class Refusals:
@@ -40,14 +42,21 @@ class Refusals:
         """True if a frame was refused since the start."""
         return bool(self._seen)
 
-    def note(self, frame: str, verdict: FrameVerdict | None, data: bytes) -> None:
-        """Remember a frame that failed a check, or of an id that nothing is taken from."""
+    def note(self, frame: str, verdict: FrameVerdict | None, data: bytes, needed: int = 0) -> None:
+        """Remember a frame that failed a check, or of an id that nothing is taken from.
+
+        Args:
+            frame: Its message or id.
+            verdict: The check, None for an id that nothing is taken from.
+            data: Its bytes.
+            needed: Number of bytes that the signals in use take.
+        """
         if verdict is None and frame not in self._seen and len(self._seen) >= _KINDS_HELD:
             return
         refusal = self._seen.setdefault(frame, {}).setdefault(verdict, _Refusal())
         refusal.count += 1
         refusal.in_a_row += 1
-        refusal.data = data
+        refusal.data, refusal.needed = data, needed
 
     def accept(self, message: str) -> None:
         """Note a good frame of a message."""
@@ -60,7 +69,7 @@ class Refusals:
         verdict = max(found, key=lambda one: found[one].in_a_row, default=None)
         if verdict is None or not found[verdict].in_a_row:
             return None
-        count, remedy = found[verdict].in_a_row, _REMEDIES[verdict]
+        count, remedy = found[verdict].in_a_row, _remedy(verdict, found[verdict])
         return f"its frames come and are refused ({verdict}, {count} in a row): {remedy}"
 
     def lines(self) -> Iterator[str]:
@@ -71,5 +80,9 @@ class Refusals:
                 if verdict is None:
                     why = f"no entry of [signals] is taken from this id, {shown}"
                 else:
-                    why = f"{verdict} {shown}: {_REMEDIES[verdict]}"
+                    why = f"{verdict} {shown}: {_remedy(verdict, refusal)}"
                 yield f"refused {frame}: {why}"
+
+
+def _remedy(verdict: FrameVerdict, refusal: _Refusal) -> str:
+    return _REMEDIES[verdict].format(len(refusal.data), refusal.needed)

@@ -1,7 +1,7 @@
-"""Sensors on a CAN bus: messages that come by themselves, as a DBC describes them.
+"""Sensors on a CAN bus: messages as a DBC describes them.
 
 Each good frame hands out its values, as old as its arrival; one that fails a check changes nothing
-and is counted. Nothing is ever sent.
+and is counted. Nothing is sent but requests for messages that come only when asked.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from adaptdrive.hardware.dbc.database import open_catalogue
 from adaptdrive.hardware.dbc.mapping import CanSource, StatusFrame, status_frame
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.arrival import ArrivalClock
-from adaptdrive.hardware.link.bus import describe_bus
+from adaptdrive.hardware.link.bus import describe_bus, requests
 from adaptdrive.hardware.link.codec import frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
@@ -92,6 +92,8 @@ class CanSensorPort(CountedPort):
         self._clock = clock
         self._arrivals = ArrivalClock(clock)
         self._connection = CanConnection[SensorListener](config, self, self._arrivals, self._counts)
+        asked = requests(config, [one.codec for one in messages])
+        self._connection.asked = asked, config.cycle_s
         self._heard_s = 0.0
         self._silent = False
 

@@ -17,14 +17,21 @@ from pathlib import Path
 import can
 from can.interfaces.udp_multicast.utils import pack_message
 
-from adaptdrive.config.bus import CanBus, CanLink
+from adaptdrive.config.bus import CanBus, CanDescription, CanLink
 from adaptdrive.config.sensors import CanSensorSection
 from adaptdrive.errors import BusError, Flaw
+from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.multicast import LoopbackMulticast, parse
 
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
 _IFNAMSIZ = 16
+
+_REQUEST = 0x18EA0000
+"""Id of a request of J1939, of priority 6, without its addresses (SAE J1939-21, PGN 59904)."""
+
+_EVERYBODY, _NOBODY = 0xFF, 0xFE
+"""The global address of J1939, and that of a sender without one."""
 
 _INTERFACES = Path("/sys/class/net")
 
@@ -87,6 +94,34 @@ def as_received(config: CanLink, frame: can.Message) -> Callable[[], can.Message
         return lambda: frame
     datagram = pack_message(frame)
     return lambda: parse(datagram, 0.0)
+
+
+def requests(bus: CanDescription, codecs: Iterable[MessageCodec]) -> list[can.Message]:
+    """Return the frames that ask for those messages of a bus that come only when asked.
+
+    Args:
+        bus: The bus.
+        codecs: Messages that are read.
+    """
+    return [
+        _request(one, bus.own_address, remote=bus.polled[one.name] == "rtr")
+        for one in codecs
+        if one.name in bus.polled
+    ]
+
+
+def _request(codec: MessageCodec, own: int, *, remote: bool) -> can.Message:
+    """Return a remote frame, or a request of J1939 from the address that the reply goes to."""
+    if remote:
+        frame = codec.frame(b"")
+        frame.is_remote_frame, frame.dlc = True, codec.length
+        return frame
+    group, sender = codec.frame_id >> 8 & 0x3FFFF, codec.frame_id & 0xFF
+    if group & 0xFF00 < 0xF000:  # its last byte is the receiver
+        group, receiver = group & ~0xFF, group & 0xFF
+        own = own if receiver == _EVERYBODY else receiver
+    to = _EVERYBODY if sender == _NOBODY else sender
+    return can.Message(arbitration_id=_REQUEST | to << 8 | own, data=group.to_bytes(3, "little"))
 
 
 def _has_fd(config: CanLink) -> bool:

@@ -20,7 +20,7 @@ from adaptdrive.hardware.link.integrity import (
     checksum_function,
     covered_bytes,
 )
-from adaptdrive.hardware.link.layout import compile_field, compile_pack, compile_unpack
+from adaptdrive.hardware.link.layout import compile_field, compile_pack, compile_unpack, signal_bits
 
 CLASSIC_LENGTH = 8
 """Most bytes of a frame without CAN FD."""
@@ -63,8 +63,10 @@ class Decoded:
 class MessageCodec:
     """Encodes and decodes the frames of one message, which `key` and `label` tell from others.
 
-    Each direction keeps its own alive counter. Build it from a message whose integrity has
-    been checked, as `SignalCatalogue.check_integrity` does.
+    Each direction keeps its own alive counter. A frame of another length is read if it has the
+    `needed` bytes, for one that wants some signals of a message without counter and checksum.
+    Build it from a message whose integrity has been checked, as `SignalCatalogue.check_integrity`
+    does.
     """
 
     def __init__(  # noqa: PLR0913 - one for each property of a message
@@ -94,7 +96,7 @@ class MessageCodec:
         self.is_fd = needs_fd(message)
         self.key = frame_key(message.frame_id, extended=message.is_extended_frame)
         self.label = f"0x{message.frame_id:03X} ({message.name})"
-        self._length = message.length
+        self.length = message.length
         self._fields = {
             signal.name: compile_field(
                 signal, measured=signal.name in measured, state=signal.name in states
@@ -129,8 +131,12 @@ class MessageCodec:
     def _prepare_decoding(self, message: Message, wanted: Collection[str] | None) -> None:
         names = self._fields.keys() if wanted is None else wanted
         self._wanted = tuple(self._fields[name] for name in names if name not in self._proofs)
-        needed = [one.name for one in self._wanted]
-        self._unpack = compile_unpack(message, [*needed, *filter(None, [self._counter])])
+        used = [one.name for one in self._wanted]
+        self._unpack = compile_unpack(message, [*used, *filter(None, [self._counter])])
+        self._is_exact = wanted is None or any(self._proofs)
+        read = [one for one in message.signals if one.is_multiplexer or one.name in used]
+        bits = max((signal_bits(one) for one in read), default=0).bit_length()
+        self.needed = message.length if self._is_exact else (bits + 7) // 8
 
     def encode(self, values: Mapping[str, float | None]) -> bytes:
         """Make the next frame; the alive counter advances by one.
@@ -187,8 +193,10 @@ class MessageCodec:
         Args:
             data: The bytes of the frame.
         """
-        if len(data) != self._length:
-            return Decoded(FrameVerdict.WRONG_LENGTH)
+        if len(data) != self.length:
+            if self._is_exact or len(data) < self.needed:
+                return Decoded(FrameVerdict.WRONG_LENGTH)
+            data = data[: self.length].ljust(self.length, b"\xff")
         if not self._is_whole(data):
             return Decoded(FrameVerdict.WRONG_CHECKSUM)
         try:

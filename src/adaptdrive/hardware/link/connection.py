@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Iterable
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
+from functools import partial
 from typing import Any, Generic, NoReturn, Protocol, TypeVar
 
 import can
 
+from adaptdrive.clock.tick_timer import pulsing
 from adaptdrive.config.bus import CanLink
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.counting import BusBackoff
@@ -43,6 +45,7 @@ class CanConnection(Generic[Hearer]):
         bus: The open bus, None while it is lost.
         listener: Receiver of values and of the state of the bus, None before `run`.
         uptake: Whether the open bus takes the commands of its drive.
+        asked: Frames that ask for others, and the time from each to the same again, in s.
     """
 
     def __init__(
@@ -64,6 +67,7 @@ class CanConnection(Generic[Hearer]):
         self.bus: can.BusABC | None = None
         self.listener: Hearer | None = None
         self.uptake = Uptake()
+        self.asked: tuple[Sequence[can.Message], float] = (), 0.0
 
     async def run(
         self,
@@ -117,7 +121,9 @@ class CanConnection(Generic[Hearer]):
         if self.bus is None:
             return "closed"
         self._reader = FrameReader(self.bus, self._user, self._arrivals, self._user.hand_out)
-        return await self._reader.run()
+        frames, period_s = self.asked
+        with pulsing(period_s, *[partial(self.send, one) for one in frames]):
+            return await self._reader.run()
 
     def catch_up(self) -> None:
         """Process the frames that have arrived, but were not read yet."""
