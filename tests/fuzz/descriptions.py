@@ -7,7 +7,7 @@ import json
 from adaptdrive.config.file import parse_configuration
 from adaptdrive.errors import ConfigurationError, RefusedError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.hardware.canopen.pdo import codec, pack, transmit_channel
+from adaptdrive.hardware.canopen.pdo import channels_of, codec, pack
 from adaptdrive.hardware.dbc.database import SignalCatalogue, read_dbc
 from adaptdrive.hardware.dbc.proposal import candidates, proofs
 from adaptdrive.hardware.link.codec import MessageCodec
@@ -48,7 +48,7 @@ def eds(data: bytes) -> object:
     catalogue = ObjectCatalogue(*read_eds(damaged_file("fuzzed.eds", data), NODE))
     entries = (catalogue.at((one.index, one.subindex)) for one in catalogue.variables())
     found = [entry for entry in entries if entry is not None]
-    packed = pack("TPDO", [transmit_channel(1, NODE)], found[:2])
+    packed = pack(channels_of("TPDO", NODE)[:1], found[:2])
     return catalogue.identity, [codec(pdo) for pdo in packed or []]
 
 

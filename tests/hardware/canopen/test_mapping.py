@@ -15,8 +15,8 @@ def test_the_example_fits_into_two_pdos_of_the_drive_and_one_of_the_daemon() -> 
     mapping = plan()
     sends = [status.pdo for status in mapping.statuses]
     takes = [order.pdo for order in mapping.orders]
-    sent = {pdo.name: [entry.label for entry in pdo.entries] for pdo in sends}
-    taken = {pdo.name: [entry.label for entry in pdo.entries] for pdo in takes}
+    sent = {pdo.channel.name: [entry.label for entry in pdo.entries] for pdo in sends}
+    taken = {pdo.channel.name: [entry.label for entry in pdo.entries] for pdo in takes}
     assert sent == {
         "TPDO1": ["0x6041", "0x6079", "0x2000.1"],
         "TPDO2": ["0x2001.1", "0x2001.2"],

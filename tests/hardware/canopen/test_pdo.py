@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.hardware.canopen.dictionary import Entry, ObjectCatalogue, read_eds
-from adaptdrive.hardware.canopen.pdo import Channel, codec, pack, receive_channel, transmit_channel
+from adaptdrive.hardware.canopen.pdo import channels_of, codec, pack
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from tests.hardware.canopen.documents import EDS
 
@@ -56,7 +56,7 @@ def test_frames_are_those_of_the_library_in_both_directions(
     filling: tuple[list[Entry], tuple[float, ...]],
 ) -> None:
     entries, values = filling
-    for pdo in pack("TPDO", [transmit_channel(n, NODE) for n in range(1, 5)], entries) or []:
+    for pdo in pack(channels_of("TPDO", NODE), entries) or []:
         given_values = {
             one.label: value
             for one, value in zip(entries, values, strict=True)
@@ -74,8 +74,8 @@ def test_frames_are_those_of_the_library_in_both_directions(
 
 @given(st.lists(st.sampled_from(ENTRIES), unique=True))
 def test_everything_is_packed_once_and_no_frame_is_too_long(entries: list[Entry]) -> None:
-    channels = [transmit_channel(number, NODE) for number in range(1, 5)]
-    pdos = pack("TPDO", channels, entries)
+    channels = channels_of("TPDO", NODE)
+    pdos = pack(channels, entries)
     assert pdos is not None
     packed = [one for pdo in pdos for one in pdo.entries]
     assert sorted(one.label for one in packed) == sorted(one.label for one in entries)
@@ -83,17 +83,17 @@ def test_everything_is_packed_once_and_no_frame_is_too_long(entries: list[Entry]
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    assert pack("TPDO", [transmit_channel(1, NODE)], ENTRIES) is None
+    assert pack(channels_of("TPDO", NODE)[:1], ENTRIES) is None
 
 
 @pytest.mark.parametrize("length", [0, 7, 9])
 def test_a_frame_of_another_length_is_refused(length: int) -> None:
-    (pdo,) = pack("TPDO", [transmit_channel(1, NODE)], ENTRIES[:3]) or []
+    (pdo,) = pack(channels_of("TPDO", NODE)[:1], ENTRIES[:3]) or []
     assert codec(pdo).decode(bytes(length)).verdict is FrameVerdict.WRONG_LENGTH
 
 
 def test_a_number_that_is_none_is_refused() -> None:
-    (pdo,) = pack("RPDO", [receive_channel(1, NODE)], [entry((0x2000, 3))]) or []
+    (pdo,) = pack(channels_of("RPDO", NODE)[:1], [entry((0x2000, 3))]) or []
     assert codec(pdo).decode(bytes.fromhex("0000c07f")).verdict is FrameVerdict.OUT_OF_RANGE
     with pytest.raises(ValueError, match="outside"):
         codec(pdo).encode({"0x2000.3": float("nan")})
@@ -101,7 +101,7 @@ def test_a_number_that_is_none_is_refused() -> None:
 
 def test_channels_are_those_of_the_predefined_connection_set() -> None:
     node = canopen.RemoteNode(NODE, str(EDS))
-    for number in range(1, 5):
-        channel: Channel = transmit_channel(number, NODE)
-        assert channel.cob_id == node.tpdo[number].predefined_cob_id
-        assert receive_channel(number, NODE).cob_id == 0x100 * (number + 1) + NODE
+    sent, taken = channels_of("TPDO", NODE), channels_of("RPDO", NODE)
+    for number, (tpdo, rpdo) in enumerate(zip(sent, taken, strict=True), start=1):
+        assert tpdo.cob_id == node.tpdo[number].predefined_cob_id
+        assert rpdo.cob_id == 0x100 * (number + 1) + NODE

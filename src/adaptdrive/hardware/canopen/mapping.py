@@ -5,7 +5,7 @@ Everything that can be wrong is found here, before a bus is opened, and all of i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -15,14 +15,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Sink, Source, watched_words
 from adaptdrive.hardware.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
-from adaptdrive.hardware.canopen.pdo import (
-    Channel,
-    Pdo,
-    codec,
-    pack,
-    receive_channel,
-    transmit_channel,
-)
+from adaptdrive.hardware.canopen.pdo import Channel, Pdo, channels_of, codec, pack
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
@@ -41,7 +34,6 @@ ABORT_OPTION = (0x6007, 0)
 QUICK_STOP_OPTION = (0x605A, 0)
 
 _OPTIONAL = (SYNC_PERIOD, ABORT_OPTION, QUICK_STOP_OPTION)
-_CHANNELS = 4  # CiA 301 preconfigures the identifiers of four PDOs in each direction
 _NEEDED = {
     SYNC_ID: "its measurements could not be synchronised",
     HEARTBEATS_HEARD: "it could not monitor the daemon's heartbeat",
@@ -148,8 +140,8 @@ def map_drive(
     _check_needed(catalogue)
     sent = [catalogue.at(STATUSWORD), *(one.item for one in sources)]
     taken = [catalogue.at(CONTROLWORD), *(one.item for one in sinks)]
-    transmits, unsent = _plan(catalogue, bus.node_id, "TPDO", sent, transmit_channel)
-    receives, untaken = _plan(catalogue, bus.node_id, "RPDO", taken, receive_channel)
+    transmits, unsent = _plan(catalogue, bus.node_id, "TPDO", sent)
+    receives, untaken = _plan(catalogue, bus.node_id, "RPDO", taken)
     if catalogue.at(ABORT_OPTION) is None:
         lacks = (
             f"has no {label(ABORT_OPTION)}: the daemon cannot make the drive disable its voltage"
@@ -198,30 +190,23 @@ def _check_needed(catalogue: ObjectCatalogue) -> None:
 
 
 def _plan(
-    catalogue: ObjectCatalogue,
-    node_id: int,
-    name: str,
-    entries: Iterable[Entry | None],
-    make: Callable[[int, int], Channel],
+    catalogue: ObjectCatalogue, node_id: int, kind: str, entries: Iterable[Entry | None]
 ) -> tuple[list[Pdo], list[Channel]]:
     """Return the PDOs that carry some entries, and the drive's channels that carry nothing."""
     has = catalogue.has
-    channels = [
-        one
-        for one in (make(number, node_id) for number in range(1, _CHANNELS + 1))
-        if has(one.communication) and has(one.mapping)
-    ]
+    known = channels_of(kind, node_id)
+    channels = [one for one in known if has(one.communication) and has(one.mapping)]
     wanted = list(dict.fromkeys(entry for entry in entries if entry is not None))
-    pdos = pack(name, channels, wanted)
+    pdos = pack(channels, wanted)
     if pdos is None:
         bits = sum(entry.bits for entry in wanted)
-        problem = f"{bits} bits do not fit into the drive's {len(channels)} {name}s"
+        problem = f"{bits} bits do not fit into the drive's {len(channels)} {kind}s"
         catalogue.note("signals", problem)
         return [], channels
     for pdo in pdos:
         count = catalogue.at((pdo.channel.mapping, 0))
         if count is None or not count.variable.writable:
-            catalogue.note("bus.eds", f"the mapping of {pdo.name} cannot be changed")
+            catalogue.note("bus.eds", f"the mapping of {pdo.channel.name} cannot be changed")
     taken = {pdo.channel for pdo in pdos}
     return pdos, [channel for channel in channels if channel not in taken]
 

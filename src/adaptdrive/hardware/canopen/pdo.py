@@ -20,18 +20,25 @@ _LARGEST_ENTRIES = 8
 """Mapped objects of one PDO: at least a byte each."""
 
 
+_CHANNELS = {"TPDO": (0x180, 0x1800), "RPDO": (0x200, 0x1400)}
+"""Frame id and index of the first PDO from a drive, and to it (CiA 301)."""
+
+_PRECONFIGURED = 4
+"""PDOs of each direction to which CiA 301 gives identifiers."""
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """The records that describe a PDO of the drive.
 
     Attributes:
-        number: 1 for the first of its direction.
+        name: Such as `TPDO1`.
         cob_id: Frame id that the predefined connection set gives it.
         communication: Index of its communication parameters.
         mapping: Index of its mapping.
     """
 
-    number: int
+    name: str
     cob_id: int
     communication: int
     mapping: int
@@ -42,33 +49,27 @@ class Pdo:
     """One process data object.
 
     Attributes:
-        name: Such as `TPDO1`.
         channel: Where the drive keeps its description.
         entries: What travels in it, in this order.
     """
 
-    name: str
     channel: Channel
     entries: tuple[Entry, ...]
 
 
-def transmit_channel(number: int, node_id: int) -> Channel:
-    """Return the PDO channel from the drive."""
-    offset = number - 1
-    return Channel(number, 0x180 + 0x100 * offset + node_id, 0x1800 + offset, 0x1A00 + offset)
+def channels_of(kind: str, node_id: int) -> list[Channel]:
+    """Return the PDO channels from a drive (`TPDO`) or to it (`RPDO`)."""
+    cob_id, first = _CHANNELS[kind]
+    return [
+        Channel(f"{kind}{n + 1}", cob_id + 0x100 * n + node_id, first + n, first + 0x200 + n)
+        for n in range(_PRECONFIGURED)
+    ]
 
 
-def receive_channel(number: int, node_id: int) -> Channel:
-    """Return the PDO channel to the drive."""
-    offset = number - 1
-    return Channel(number, 0x200 + 0x100 * offset + node_id, 0x1400 + offset, 0x1600 + offset)
-
-
-def pack(name: str, channels: Sequence[Channel], entries: Iterable[Entry]) -> list[Pdo] | None:
+def pack(channels: Sequence[Channel], entries: Iterable[Entry]) -> list[Pdo] | None:
     """Put entries into as few PDOs as need be, each into the first one with room.
 
     Args:
-        name: `TPDO` or `RPDO`.
         channels: What the drive has.
         entries: What must travel.
 
@@ -82,9 +83,7 @@ def pack(name: str, channels: Sequence[Channel], entries: Iterable[Entry]) -> li
             return None
         chosen.append(entry)
     return [
-        Pdo(f"{name}{channel.number}", channel, tuple(found))
-        for channel, found in zip(channels, bins, strict=True)
-        if found
+        Pdo(channel, tuple(found)) for channel, found in zip(channels, bins, strict=True) if found
     ]
 
 
@@ -94,7 +93,7 @@ def codec(pdo: Pdo) -> MessageCodec:
     for entry in pdo.entries:
         signals.append(_signal(entry, start))
         start += entry.bits
-    return MessageCodec(Message(pdo.channel.cob_id, pdo.name, (start + 7) // 8, signals))
+    return MessageCodec(Message(pdo.channel.cob_id, pdo.channel.name, (start + 7) // 8, signals))
 
 
 def _has_room(entries: Sequence[Entry], entry: Entry) -> bool:

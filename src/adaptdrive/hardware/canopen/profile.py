@@ -55,14 +55,10 @@ class Goal(IntEnum):
     ENABLED = 3
 
 
-_RUNGS = {
-    DriveState.SWITCH_ON_DISABLED: 0,
-    DriveState.READY: 1,
-    DriveState.SWITCHED_ON: 2,
-    DriveState.ENABLED: 3,
-}
-_NEXT = {0: SHUTDOWN, 1: SWITCH_ON, 2: ENABLE_OPERATION, 3: ENABLE_OPERATION}
-_HOLD = {Goal.SWITCHED_ON: SWITCH_ON, Goal.ENABLED: ENABLE_OPERATION}
+_LADDER = ("SWITCH_ON_DISABLED", "READY", "SWITCHED_ON", "ENABLED")
+_RUNGS = {DriveState[name]: rung for rung, name in enumerate(_LADDER)}
+_UP = (SHUTDOWN, SWITCH_ON, ENABLE_OPERATION)
+"""Words that lead from each rung to the next one; the last one up to a goal also holds it."""
 
 _FAULTS = frozenset({DriveState.FAULT, DriveState.FAULT_REACTION})
 
@@ -164,7 +160,7 @@ class DriveControl:
         self._reached = min(self._reached, goal)
         if self.fallen or not self._rested:
             return DISABLE_VOLTAGE
-        return _HOLD[goal] if self._reached >= goal else _NEXT[self._reached]
+        return _UP[min(self._reached, goal - 1)]
 
     def _rest(self) -> int:
         if self._goal is not Goal.REST:
