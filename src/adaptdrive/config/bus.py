@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
 from adaptdrive.config.services import check_host
@@ -255,7 +249,7 @@ class FaultSource(SignalSource):
 FaultQuantity = Annotated[FaultSource, _or_name(FaultSource)]
 
 
-def _several(given: object, listed: ValidatorFunctionWrapHandler) -> object:
+def _several(given: object, listed: Callable[[object], object]) -> object:
     """A list of words; errors of one that stands alone have no number."""
     return listed(given) if isinstance(given, list) else [FaultSource.model_validate(_table(given))]
 
