@@ -6,6 +6,8 @@ import contextlib
 import hashlib
 import os
 import tomllib
+import unicodedata
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,15 +17,27 @@ from pydantic import TypeAdapter, ValidationError
 
 from adaptdrive.config.proposals import key_proposal
 from adaptdrive.config.root import Configuration, consistency_flaws
-from adaptdrive.config.tables import Keys, shortened, take_out, value_flaws
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _TYPE_AT = {"load": 1, "bus": 1, "sensor_bus": 2}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 _UNKNOWN = "extra_forbidden"
 _ALL = frozenset(Configuration.model_fields)
+_LARGEST = 1e12
+"""No quantity in SI units, factor or bound is larger, or smaller than its inverse."""
+
+_INTEGER_BITS = 64
+_LONGEST_TEXT = 4096
+"""The longest path of Linux. Names and units go into every message of telemetry."""
+_DEEPEST = 20
+_SHOWN_TEXT = 80
+_CONTROLS = frozenset({"Cc", "Zl", "Zp"})
+"""Unicode's categories of control characters and of the separators of lines and paragraphs."""
+
 _LONGEST = 1_000_000
 """Fifty times the longest example; a device or a pipe may never end."""
+
+Keys = tuple[int | str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +149,9 @@ def _tables(text: str, source: Path) -> dict[str, Any]:
 
 def _examine(tables: dict[str, Any], folder: Path) -> Findings:
     """Validate tables; what is wrong is taken out of them, and the rest is examined further."""
-    wrong = dict(value_flaws(tables))
+    wrong = dict(_value_flaws(tables))
     for place in wrong:
-        take_out(tables, place)
+        _take_out(tables, place)
     flaws = [Flaw(".".join(map(str, place)), message) for place, message in wrong.items()]
     try:
         whole, valid = Configuration.model_validate(tables, context=folder), _ALL
@@ -146,7 +160,7 @@ def _examine(tables: dict[str, Any], folder: Path) -> Findings:
         known = {flaw.place for flaw in flaws}
         flaws += [flaw for flaw in map(_flaw, errors) if flaw.place not in known]
         for error in errors:
-            take_out(tables, _location(error["loc"]))
+            _take_out(tables, _location(error["loc"]))
         sections = _valid_sections(tables, folder)
         whole, valid = Configuration.model_construct(None, **sections), frozenset(sections)
     return Findings(whole, valid, (*flaws, *consistency_flaws(whole, valid)))
@@ -176,7 +190,7 @@ def _flaw(error: dict[str, Any]) -> Flaw:
         place = f"{place}.type"
     value = error["input"]
     if isinstance(value, str | int | float | bool) and repr(value) not in message:
-        message = f"{message} (it is {shortened(repr(value))})"
+        message = f"{message} (it is {_shortened(repr(value))})"
     return Flaw(place, message)
 
 
@@ -189,3 +203,52 @@ def _location(location: Keys) -> Keys:
     """The keys; pydantic counts a type of load or bus as a separate table."""
     at = _TYPE_AT.get(str(location[0]), len(location))
     return (*location[:at], *location[at + 1 :])
+
+
+def _value_flaws(value: object, keys: Keys = ()) -> Iterator[tuple[Keys, str]]:
+    """Find numbers that nothing has, and texts and keys that no screen, log or topic can show."""
+    if len(keys) > _DEEPEST:
+        yield keys, f"more than {_DEEPEST} tables lie in each other"
+    elif isinstance(value, dict):
+        for key, one in value.items():
+            yield from _text_flaws(key, "the key", (*keys, key)) or _value_flaws(one, (*keys, key))
+    elif isinstance(value, list):
+        for number, one in enumerate(value):
+            yield from _value_flaws(one, (*keys, number))
+    elif isinstance(value, str):
+        yield from _text_flaws(value, "the text", keys)
+    else:
+        yield from _number_flaws(value, keys)
+
+
+def _text_flaws(text: str, what: str, keys: Keys) -> list[tuple[Keys, str]]:
+    if len(text) > _LONGEST_TEXT:
+        rule = f"have at most {_LONGEST_TEXT} characters"
+    elif any(unicodedata.category(one) in _CONTROLS for one in text):
+        rule = "be one line without control characters"
+    else:
+        return []
+    return [(keys, f"{what} must {rule} (it is {_shortened(repr(text))})")]
+
+
+def _number_flaws(value: object, keys: Keys) -> Iterator[tuple[Keys, str]]:
+    if isinstance(value, float) and value and not 1.0 / _LARGEST <= abs(value) <= _LARGEST:
+        problem = f"its size must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, in SI units"
+        yield keys, f"{problem} (it is {value})"
+    elif isinstance(value, int) and value.bit_length() >= _INTEGER_BITS:
+        yield keys, f"has more than {_INTEGER_BITS} bits"
+
+
+def _take_out(tables: Any, place: Keys) -> None:  # noqa: ANN401 - or a list of them
+    """Take a value, if it is there, out of tables; one within a list stands for the list."""
+    *above, last = place[:-1] if isinstance(place[-1], int) else place
+    with contextlib.suppress(LookupError, TypeError, AttributeError):
+        for key in above:
+            tables = tables[key]
+        tables.pop(last, None)
+
+
+def _shortened(text: str) -> str:
+    """Return a text without its middle, where it is long."""
+    half = _SHOWN_TEXT // 2
+    return text if len(text) <= _SHOWN_TEXT else f"{text[:half]}…{text[-half:]}"

@@ -10,7 +10,6 @@ from typing import Annotated
 from pydantic import Field
 
 from adaptdrive.config.bus import CanBus, CanOpenBus, Signals
-from adaptdrive.config.cadence import pace_flaws
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.load import (
     AnyLoad,
@@ -20,7 +19,7 @@ from adaptdrive.config.load import (
     Supervisor,
 )
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
-from adaptdrive.config.references import canopen_flaws, modbus_flaws, scpi_flaws
+from adaptdrive.config.references import canopen_flaws, modbus_flaws, pace_flaws, scpi_flaws
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.section import Section, misfit
 from adaptdrive.config.sensors import AnySensorBus

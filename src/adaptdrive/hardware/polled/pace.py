@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
-from adaptdrive.config.cadence import DAY_S
+from adaptdrive.config.references import DAY_S
 from adaptdrive.hardware.binding import BRIDGE, Sink
 from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.link import EXCEPTIONS, ExchangeError
