@@ -148,7 +148,7 @@ async def test_a_drive_that_answers_only_is_read_each_half_cycle_until_it_is_sil
         device.answers = False
         known = len(device.asked)
         await until(lambda: cause(port, ear.readings[-1]) is not None)
-        assert "no message comes" in (cause(port, ear.readings[-1]) or "")
+        assert "no reply to its requests: check bus.polled" in (cause(port, ear.readings[-1]) or "")
         await until(lambda: len(device.asked) > known)
         device.answers = True
         known = len(ear.readings)

@@ -199,6 +199,8 @@ class CanPort:
         refused = self._refusals.explain(status.codec.label)
         if refused is not None:
             return refused
+        if status.codec.name in self._config.polled:
+            return "no reply to its requests: check bus.polled, the id, the drive and its cable"
         if others_come and came:
             return (
                 "other messages come, and this one has come before: does the drive still send it, "
