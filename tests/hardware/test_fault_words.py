@@ -167,7 +167,7 @@ TWICE = "is watched by signals.{} already: leave one out, or give each a mask"
         (
             {"warning": "{ signal = 'state', mask = 0x6, names = { 1 = 'hot', 3 = 'fan' } }"},
             "signals.warning.names",
-            "bit 3 is outside mask = 0x6: leave its name out, or add 0x8",
+            "3 is outside mask = 0x6: leave its name out, or add 0x8",
         ),
         (
             {"fault": "['state', { signal = 'state', mask = 2 }]"},
@@ -179,6 +179,16 @@ TWICE = "is watched by signals.{} already: leave one out, or give each a mask"
             "signals.warning",
             f"the word of 'state' {TWICE.format('fault')}",
         ),
+        (
+            {"fault": "{ signal = 'state', healthy = [0], names = { hot = 'x' } }"},
+            "signals.fault.names",
+            "'hot' is no number of a value",
+        ),
+        (
+            {"fault": "{ signal = 'state', healthy = [0], names = { 65536 = 'x' } }"},
+            "signals.fault.names",
+            "'state' has no bit 16: its highest is 15",
+        ),
         ({"fault": "[{ signal = 'state', mask = 0 }]"}, "signals.fault.0.mask", "(it is 0)"),
         ({"fault": "{ signal = 'state', mask = 0 }"}, "signals.fault.mask", "(it is 0)"),
     ],
@@ -187,6 +197,15 @@ def test_what_cannot_be_watched_is_refused(changes: dict[str, str], place: str, 
     found = flaws(**{f"signals__{key}": value for key, value in changes.items()})
     assert list(found) == [place]
     assert words in found[place]
+
+
+def test_a_file_names_the_values_of_a_code() -> None:
+    code = {"signal": "0x603F", "healthy": [0], "names": {"8880": "over-current", "5": "hot"}}
+    latch = FaultLatch(plan_objects({"signals/fault": code}).faults)
+    latch.see(float(0), "fault")
+    assert latch.complaint is None
+    latch.see(float(0x22B0), "fault")
+    assert latch.complaint == "drive fault: 0x603F over-current (word 0x22b0)"
 
 
 def test_a_state_is_a_fault_and_another_one_of_it_a_warning() -> None:

@@ -231,14 +231,23 @@ class FaultSource(SignalSource):
     names: dict[str, str] = key({})
 
     def flaws(self) -> Iterator[Flaw]:
-        """Yield the names of what is no bit, or none of the mask."""
+        """Yield the names of what is no bit or no value, or none of the mask."""
         yield from super().flaws()
-        for bit in self.names:
-            if not (bit.isdecimal() and int(bit) < 64):
-                yield Flaw("names", f"{bit!r} is no number of a bit from 0 to 63")
-            elif not self.bits >> int(bit) & 1:
-                outside = f"bit {bit} is outside mask = {self.bits:#x}"
-                yield Flaw("names", f"{outside}: leave its name out, or add {1 << int(bit):#x}")
+        for number in self.names:
+            if not (number.isdecimal() and (self.healthy or int(number) < 64)):
+                what = "a value" if self.healthy else "a bit from 0 to 63"
+                yield Flaw("names", f"{number!r} is no number of {what}")
+            elif outside := self._word(number) & ~self.bits:
+                what = f"{number} is outside mask = {self.bits:#x}"
+                yield Flaw("names", f"{what}: leave its name out, or add {outside:#x}")
+
+    @property
+    def named(self) -> dict[int, str]:
+        """Names by word: with `healthy` by value, else by the one bit that is set."""
+        return {self._word(number): name for number, name in self.names.items()}
+
+    def _word(self, number: str) -> int:
+        return int(number) if self.healthy else 1 << int(number)
 
     @property
     def bits(self) -> int:

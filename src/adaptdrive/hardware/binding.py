@@ -303,9 +303,8 @@ class Catalogue(ABC, Generic[Item]):
         if entry.healthy and 0 in field.names and 0 not in values:
             problem = f"leaves out 0 ({field.names[0]}), which is never a fault"
             self.note(f"{place}.healthy", problem)
-        names = {1 << int(bit): name for bit, name in entry.names.items()}
         highest = int(field.high).bit_length() - (field.low >= 0)
-        for key, bits in (("mask", entry.mask or 0), ("names", sum(names))):
+        for key, bits in (("mask", entry.mask or 0), ("names", max(entry.named, default=0))):
             if bits.bit_length() - 1 > highest:
                 problem = f"{field.name!r} has no bit {bits.bit_length() - 1}"
                 self.note(f"{place}.{key}", f"{problem}: its highest is {highest}")
@@ -313,7 +312,7 @@ class Catalogue(ABC, Generic[Item]):
         return FaultWord(
             entry.signal if numbered else entry.signal.rpartition(".")[2],
             entry.bits,
-            {**field.names, **names},
+            {**field.names, **entry.named},
             frozenset(int(value) for value in values if value is not None),
             warns=quantity.startswith("warning"),
         )
