@@ -138,7 +138,7 @@ def test_big_endian_signals_of_a_database_are_those_of_cantools(data: bytes) -> 
     decoded = MessageCodec(message).decode(data)
     in_range = float(str(expected["Volts"])) <= 400.0
     assert decoded.verdict is (FrameVerdict.GOOD if in_range else FrameVerdict.OUT_OF_RANGE)
-    assert decoded.values == (expected if in_range else {})
+    assert decoded.values == (expected if in_range else {"Amps": expected["Amps"]})
 
 
 def test_a_multiplexed_frame_of_an_unknown_page_is_refused() -> None:
@@ -176,7 +176,7 @@ def test_a_state_whose_name_says_that_nothing_is_known_is_none(
 ) -> None:
     conversion = BaseConversion.factory(choices=OrderedDict({raw: NamedSignalValue(raw, name)}))
     message = Message(0x123, "Drive", 1, [Signal("State", 0, 3, conversion=conversion)])
-    codec, frame = MessageCodec(message, states={"State"}), bytes((raw,))
+    codec, frame = MessageCodec(message, states={"State": 1.0}), bytes((raw,))
     expected = FrameVerdict.GOOD if known else FrameVerdict.OUT_OF_RANGE
     assert codec.decode(frame).verdict is expected
     assert MessageCodec(message).decode(frame).verdict is FrameVerdict.GOOD
@@ -193,7 +193,7 @@ def test_a_state_whose_name_says_that_nothing_is_known_is_none(
 def test_a_prefix_of_all_names_hides_no_state_of_which_nothing_is_known(names: list[str]) -> None:
     choices: OrderedDict[int, str | NamedSignalValue] = OrderedDict(enumerate(names))
     state = Signal("State", 0, 2, conversion=BaseConversion.factory(choices=choices))
-    codec = MessageCodec(Message(0x123, "Drive", 1, [state]), states={"State"})
+    codec = MessageCodec(Message(0x123, "Drive", 1, [state]), states={"State": 1.0})
     verdicts = [codec.decode(bytes((raw,))).verdict for raw in range(4)]
     assert verdicts == [*3 * [FrameVerdict.GOOD], FrameVerdict.OUT_OF_RANGE]
 
@@ -324,58 +324,57 @@ WORDS = """ SG_ Volts : 0|16@1+ (0.1,0) [0|6553.4] "V" X
 
 
 @pytest.mark.parametrize(
-    ("status", "words"),
+    ("status", "values"),
     [
         ("0214", {"Fault": 2, "State": 4, "On": 1}),
         ("0009", {"Fault": 0, "On": 0}),
-        ("ffff", {"On": 1}),
+        ("ffff", {"Fault": 255, "On": 1}),
     ],
     ids=["in range", "one out of range", "all bits set"],
 )
-def test_the_words_beside_a_refused_value_are_those_in_range(
-    status: str, words: dict[str, float]
+def test_the_values_beside_a_refused_one_are_those_in_range(
+    status: str, values: dict[str, float]
 ) -> None:
     integrity = FrameIntegrity(counter="Alive", checksum="Crc", algorithm="sae-j1850")
     codec = MessageCodec(dbc(WORDS), integrity, measured={"Volts", "Amps"})
     frame = with_crc(bytes.fromhex("ffff 0100") + bytes.fromhex(status) + bytes(2))
     decoded = codec.decode(frame)
-    assert (decoded.verdict, decoded.values) == (FrameVerdict.OUT_OF_RANGE, {})
-    assert decoded.words == words
+    assert decoded.verdict is FrameVerdict.OUT_OF_RANGE
+    assert decoded.values == {"Amps": pytest.approx(0.1), **values}
 
 
 @pytest.mark.parametrize(
-    ("status", "words"),
-    [("ff", {"On": -1}), ("fe", {"On": 0}), ("7e", {"On": 0}), ("02", {"State": 1, "On": 0})],
+    ("raw", "on", "named", "known"),
+    [
+        ("ff", 1.0, "", False),
+        ("fe", 1.0, "", True),
+        ("ff", -1.0, "", True),
+        ("ff", 1.0, '\nVAL_ 291 State -1 "Off" ;', True),
+    ],
+    ids=["all bits set", "another", "means on", "named"],
 )
-def test_all_bits_set_are_no_word_where_they_have_a_sign_either(
-    status: str, words: dict[str, float]
-) -> None:
-    """-1 is none of the states of a drive, and would be a bridge that is off."""
-    signals = """ SG_ Volts : 0|16@1+ (0.1,0) [0|6553.4] "V" X
- SG_ On : 16|1@1- (1,0) [0|0] "" X
- SG_ State : 17|7@1- (1,0) [0|0] "" X"""
-    decoded = MessageCodec(dbc(signals), measured={"Volts"}).decode(
-        bytes.fromhex("ffff") + bytes.fromhex(status) + bytes(5)
-    )
-    assert decoded.verdict is FrameVerdict.OUT_OF_RANGE
-    assert decoded.words == words
+def test_a_state_with_all_bits_set_is_none(raw: str, on: float, named: str, known: bool) -> None:
+    """As a gateway sends it of a drive that it does not hear: it would be a bridge that is off."""
+    state = dbc(f' SG_ State : 0|8@1- (1,0) [0|0] "" X{named}')
+    decoded = MessageCodec(state, states={"State": on}).decode(bytes.fromhex(raw) + bytes(7))
+    assert bool(decoded.values) is known
 
 
-def test_a_frame_with_nothing_available_has_no_words() -> None:
+def test_a_frame_with_nothing_available_has_no_values() -> None:
     """As a drive sends while its control starts; a word of one bit looks like a 1 there."""
     codec = MessageCodec(dbc(WORDS), FrameIntegrity(), measured={"Volts", "Amps"})
-    assert codec.decode(b"\xff" * 7 + b"\x7f").words["On"] == 1
+    assert codec.decode(b"\xff" * 7 + b"\x7f").values["On"] == 1
     decoded = codec.decode(b"\xff" * 8)
     assert decoded.verdict is FrameVerdict.OUT_OF_RANGE
-    assert not decoded.words
+    assert not decoded.values
 
 
 @pytest.mark.parametrize("alive", [0, 15], ids=["repeated", "beyond its end"])
-def test_a_frame_whose_counter_is_wrong_has_no_words(alive: int) -> None:
+def test_a_frame_whose_counter_is_wrong_has_no_values(alive: int) -> None:
     codec = MessageCodec(dbc(WORDS), FrameIntegrity(counter="Alive"), measured={"Volts", "Amps"})
     frame = bytes.fromhex("ffff 0100 0214")
-    assert codec.decode(frame + bytes(2)).words
-    assert not codec.decode(frame + bytes((alive, 0))).words
+    assert codec.decode(frame + bytes(2)).values
+    assert not codec.decode(frame + bytes((alive, 0))).values
 
 
 @pytest.mark.parametrize("declared", ["[0|0]", "[0|6553.5]"])

@@ -178,7 +178,13 @@ def test_a_signed_bit_is_on_at_minus_one(tmp_path: Path) -> None:
     ):
         map_drive(bus, MOTOR.signals, TIMING)
     signals = motor_signals(bridge=SwitchSource(signal="DriveStatus.BridgeOn", on=-1))
-    assert map_drive(bus, signals, TIMING).bridge_on == -1.0
+    (bridge,) = (
+        one
+        for status in map_drive(bus, signals, TIMING).statuses
+        for one in status.sources
+        if one.quantity == "bridge"
+    )
+    assert bridge.on == -1.0
 
 
 def with_initial(folder: Path, message: str, signal: str, kind: str, value: str) -> CanBus:

@@ -69,7 +69,7 @@ def test_a_state_register_has_healthy_values(key: str, healthy: str) -> None:
         assembly.begin()
         for block, sources in poll.reads:
             assembly.take(block, sources, [0, 0, 2, 0, 0, state][: block.count])
-        reading = assembly.reading(1.0, 1.0, bridge_sent=True, stopped=False)
+        reading = assembly.reading(1.0, 1.0, bridge_sent=True)
         assert reading is not None
         assert (reading.fault, "Fault" in reading.fault_name) == (fault, fault == 3)
 
@@ -118,7 +118,7 @@ def test_a_drive_on_modbus_has_several_words() -> None:
     assembly.begin()
     for block, sources in poll.reads:
         assembly.take(block, sources, [0, 0, 2, 0, 0, 0x101][: block.count])
-    reading = assembly.reading(1.0, 1.0, bridge_sent=True, stopped=False)
+    reading = assembly.reading(1.0, 1.0, bridge_sent=True)
     assert reading is not None
     assert reading.fault == 0x102
     assert reading.fault_name == "state bit 8 hw_overcurrent, power bit 1"

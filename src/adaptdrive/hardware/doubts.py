@@ -20,7 +20,6 @@ LOST = "the bus was lost meanwhile"
 LEAPT = "its alive counter leapt meanwhile: it may have started anew"
 UNANSWERED = "a read had no answer meanwhile"
 UNREAD = "no poll gave a reading meanwhile"
-REFUSED = "its other values were refused meanwhile"
 
 QUIET_S = 5.0
 """Time without a foreign command until the drive may be energised. A sender commands its drive
@@ -64,15 +63,12 @@ class Relink:
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
 
-    def glimpse_on(self, how: str = LOST) -> None:
+    def glimpse_on(self) -> None:
         """Note a report of the bridge on that no reading carries, of a drive commanded on.
 
         It keeps no command back. If the next reading has it off, the drive has stopped meanwhile.
-
-        Args:
-            how: Why no reading carries it.
         """
-        self._glimpsed_on, self._how = self._commanded, how
+        self._glimpsed_on = self._commanded
 
     def hear(self, *, bridge: bool) -> None:
         """Note a reading.

@@ -31,8 +31,7 @@ class Field:
         offset: Physical value of the raw value zero.
         unavailable: Raw value that means "not available".
         idle: Raw value of a signal that the sender does not set.
-        blanks: Raw values that say nothing next to refused values: "not available" and all bits
-            set; none for a signal of one bit.
+        blanks: Values of a whole register that say nothing, where raw values are some of its bits.
         unknown: Raw values within the range that say nothing.
         unit: Unit of the physical value as the description writes it, empty for none.
         names: Names of raw values, as a value table has them.

@@ -127,7 +127,7 @@ class FastLoop:
             reading = assuming(reading, self.command.boost_reference_V)
         self.reading = reading
         if tick > self.tick:
-            self._run(tick, arrival_s, self._surroundings.now_s(), fresh=True)
+            self._run(tick, arrival_s, self._surroundings.now_s(), fresh=reading.whole)
         else:
             self._watch_late_reading(reading, self._surroundings.now_s())
         late_s = (1.0 + self._settings.late_fraction) * half_cycles.reading_period_s

@@ -224,9 +224,7 @@ class CanOpenPort(CountingPort):
         if not self._master.ready:
             return  # whatever it carries, it is not what the drive has been set up for
         waited_s = self._arrivals.waited_s(frame)
-        at_rest = self._obedience.awaited
-        arrival_s = self._clock() - waited_s
-        whole = self._reports.take(status, bytes(frame.data), arrival_s, at_rest=at_rest)
+        whole = self._reports.take(status, bytes(frame.data), self._clock() - waited_s)
         if whole and frame.timestamp and waited_s < PROMPT_S:
             self.hand_out()
 

@@ -16,11 +16,11 @@ from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveState, state_of
 from adaptdrive.hardware.canopen.sdo import SdoThread, Server, describe_node
 from adaptdrive.hardware.counting import CountingPort
-from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
 from adaptdrive.hardware.link.connection import CanConnection
-from adaptdrive.hardware.port import Listener, Reading, composed
+from adaptdrive.hardware.newest import NewestValues
+from adaptdrive.hardware.port import Listener, Reading
 
 _PAUSE_S = 0.2
 """Pause between two readings: five lines a second are as many as can be read."""
@@ -113,14 +113,10 @@ class CanOpenWatch(CountingPort):
         return values, state_of(server.number(STATUSWORD))
 
     def _reading(self, values: dict[str, float], state: DriveState, start_s: float) -> Reading:
-        faults = FaultLatch(self._mapping.faults)
-        for name in self._mapping.faults:
-            faults.see(values.get(name), name)
-        return composed(
-            values,
-            other_names(self._mapping.sources),
-            faults,
-            arrival_s=self._clock(),
-            oldest_s=start_s,
-            bridge=state in POWERED,
-        )
+        values["bridge"] = float(state in POWERED)
+        slacks, others = dict.fromkeys(values, 0.0), other_names(self._mapping.sources)
+        newest = NewestValues(slacks, others, self._mapping.faults)
+        newest.keep(values, start_s)
+        reading = newest.reading(self._clock(), set_s=start_s)
+        assert reading is not None  # noqa: S101 - every value was read
+        return reading

@@ -49,6 +49,7 @@ class CanSource:
         cycle_s: Time from one such value to the next.
         cycle_stated: Whether something says how often its message comes; else it is taken to come
             as often as the clock.
+        on: Value of the signal while the bridge is on.
     """
 
     quantity: str
@@ -59,6 +60,7 @@ class CanSource:
     cycle_by: str = ""
     cycle_s: float = 0.0
     cycle_stated: bool = True
+    on: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,6 @@ class CanMapping:
         setup: Frames that are sent once, when the bus is opened.
         clock: Message whose arrival is the fast tick.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
-        bridge_on: Value of the signal while the bridge is on.
         faults: Watched words of the drive, of faults and warnings.
         others: Names of its values that are no quantity.
         cautions: What can be used, and is probably not meant.
@@ -91,7 +92,6 @@ class CanMapping:
     setup: tuple[CommandFrame, ...]
     clock: str
     counter_modulus: int | None
-    bridge_on: float
     faults: Mapping[str, FaultWord]
     others: tuple[str, ...]
     timing: Timing
@@ -139,7 +139,7 @@ def map_drive(
     catalogue.check_uses({"signals": sources, "signals.command": orders, "bus.setup": setup})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
-    counter, bridge = bound.get("counter"), bound.get("bridge")
+    counter = bound.get("counter")
     return CanMapping(
         statuses=tuple(
             status_frame(catalogue, bus, *item, cycle_time_s(catalogue.known(item[0])))
@@ -149,7 +149,6 @@ def map_drive(
         setup=tuple(build_orders(catalogue, bus.integrity, setup)),
         clock=bus.clock,
         counter_modulus=None if counter is None else counter_modulus(counter.field),
-        bridge_on=1.0 if bridge is None or bridge.on is None else bridge.on,
         faults=watched_words(bound.values()),
         others=other_names(bound.values()),
         timing=timing,
@@ -187,6 +186,7 @@ def _source(
         cycle_by=by,
         cycle_s=cycle_s,
         cycle_stated=message.name in {bus.clock, *bus.polled} or cycle_time_s(message) > 0.0,
+        on=1.0 if source.on is None else source.on,
     )
 
 
@@ -231,7 +231,7 @@ def status_frame(
         bus.integrity.get(name),
         wanted=dict.fromkeys(source.signal for source in sources),
         measured={source.signal for source in sources if not is_word(source.quantity)},
-        states={source.signal for source in sources if source.quantity == "bridge"},
+        states={source.signal: source.on for source in sources if source.quantity == "bridge"},
         cycle_s=cycle_s,
     )
     return StatusFrame(codec, sources)

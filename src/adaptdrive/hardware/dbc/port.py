@@ -4,10 +4,8 @@ Every message keeps its last good values and their arrival. When a good clocking
 every quantity has been heard once, there is a reading, as old as its oldest value. One whose frame
 was read as soon as it came is handed out at once. One whose frame has waited is held back until no
 more frames wait: of readings that piled up while the process did not run, only the newest is worth
-a tick. A frame that fails a check is counted and changes nothing, but for the words of one that is
-whole and no repetition: its fault word and its bridge are believed where another value is out of
-range, or its alive counter leapt or stands. A drive at rest that sends clocking frames with values
-out of range has readings of old values, so that it can confirm its stop.
+a tick. A frame that fails a check is counted and changes nothing, but for the other values of one
+with a value out of range. Of one whose alive counter leapt or stands, faults and a stop are noted.
 """
 
 from __future__ import annotations
@@ -246,24 +244,19 @@ class CanPort:
         waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - waited_s
         decoded = status.codec.decode(bytes(frame.data))
+        verdict = decoded.verdict
         if decoded.lost:
             self._counts["counter_lost"] += decoded.lost
-        if decoded.verdict is _GOOD:
-            if self._refusals.any:
-                self._refusals.accept(status.codec.label)
-            self._assembly.keep(status, decoded.values, arrival_s)
-        else:
-            self._refuse(status, decoded.verdict, frame)
-            if decoded.verdict is FrameVerdict.COUNTER_LOST:
+        if verdict is not _GOOD:
+            self._refuse(status, verdict, frame)
+            if verdict is FrameVerdict.COUNTER_LOST:
                 self._doubt(arrival_s)
-            if decoded.words:
-                alive = decoded.verdict is FrameVerdict.OUT_OF_RANGE
-                stopped = self._obedience.awaited
-                self._assembly.keep_words(
-                    status, decoded.words, arrival_s, alive=alive, stopped=stopped
-                )
-            if decoded.verdict is not FrameVerdict.OUT_OF_RANGE or not self._awaits_bridge:
+            if verdict is not FrameVerdict.OUT_OF_RANGE:
+                self._assembly.doubt(status, decoded.values)
                 return
+        elif self._refusals.any:
+            self._refusals.accept(status.codec.label)
+        self._assembly.keep(status, decoded.values, arrival_s, whole=verdict is _GOOD)
         if status is self._clocking:
             stopped = self._obedience.awaited
             reading = self._assembly.reading(
@@ -290,11 +283,6 @@ class CanPort:
             self._counts[verdict] += 1
         codec = status.codec
         self._refusals.note(codec.label, verdict, bytes(frame.data), codec.needed)
-
-    @property
-    def _awaits_bridge(self) -> bool:
-        """True if the safe command is in force, and the drive reports whether it obeys."""
-        return self._obedience.awaited and self.stop_slack_s is not None
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""

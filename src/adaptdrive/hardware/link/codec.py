@@ -37,27 +37,23 @@ class Decoded:
 
     Attributes:
         verdict: `GOOD`, or the first check that the frame failed.
-        values: Physical values by signal, in the units of the DBC; empty unless `GOOD`. A
-            multiplexed frame gives those that it carries.
+        values: Physical values by signal that are in range, in the units of the DBC. A multiplexed
+            frame gives those that it carries; one that proves nothing, as it is not whole or
+            repeats the last one, gives none.
         lost: Frames that went missing before this one, as far as the alive counter shows.
-        words: Words, such as a fault word, of a whole frame that is `OUT_OF_RANGE` for another
-            value, whose alive counter leapt, or stands although its bytes are others; empty
-            otherwise.
     """
 
-    __slots__ = ("lost", "values", "verdict", "words")
+    __slots__ = ("lost", "values", "verdict")
 
     def __init__(
         self,
         verdict: FrameVerdict,
         values: Mapping[str, float] = _NOTHING,
         lost: int = 0,
-        words: Mapping[str, float] = _NOTHING,
     ) -> None:
         self.verdict = verdict
         self.values = values
         self.lost = lost
-        self.words = words
 
 
 class MessageCodec:
@@ -76,7 +72,7 @@ class MessageCodec:
         *,
         wanted: Collection[str] | None = None,
         measured: Collection[str] = (),
-        states: Collection[str] = (),
+        states: Mapping[str, float] = _NOTHING,
         cycle_s: float = 0.0,
     ) -> None:
         """Compile a message.
@@ -86,7 +82,8 @@ class MessageCodec:
             integrity: Its alive counter and checksum; None for neither.
             wanted: Signals to decode and to check, all of them when None.
             measured: Signals whose largest raw value always means "not available".
-            states: Signals of which a value whose name says that nothing is known is no value.
+            states: Signals of which a value that says that nothing is known is no value, by its
+                name or with all its bits set, and the value of each that means on.
             cycle_s: Time from one frame to the next, 0 for a message of each half cycle.
         """
         integrity = integrity or _UNPROTECTED
@@ -99,7 +96,10 @@ class MessageCodec:
         self.length = message.length
         self._fields = {
             signal.name: compile_field(
-                signal, measured=signal.name in measured, state=signal.name in states
+                signal,
+                measured=signal.name in measured,
+                state=signal.name in states,
+                on=states.get(signal.name),
             )
             for signal in message.signals
         }
@@ -107,7 +107,6 @@ class MessageCodec:
         idle = {name: one.idle for name, one in self._fields.items()}
         self._pack = compile_pack(message, {**idle, **self._fixed})
         self._prepare_decoding(message, wanted)
-        self._words = [one for one in self._wanted if one.integer and one.name not in measured]
 
     def _prepare_integrity(
         self, message: Message, integrity: FrameIntegrity, cycle_s: float
@@ -205,7 +204,7 @@ class MessageCodec:
             return Decoded(FrameVerdict.OUT_OF_RANGE)
         decoded = self._judge(raw, repeated=data == self._data)
         self._data = data
-        if decoded.words and not data.strip(b"\xff"):  # nothing is available, the words neither
+        if decoded.verdict is not _GOOD and not data.strip(b"\xff"):  # nothing is available
             return Decoded(decoded.verdict, lost=decoded.lost)
         return decoded
 
@@ -240,31 +239,16 @@ class MessageCodec:
         verdict, lost = self._follow(raw)
         if verdict is FrameVerdict.OUT_OF_RANGE or (verdict is not _GOOD and repeated):
             return Decoded(verdict, lost=lost)
-        if verdict is not _GOOD:
-            return Decoded(verdict, lost=lost, words=self._find_words(raw))
         values = {}
         for field_ in self._wanted:
             value = raw.get(field_.name)
             if value is None:
                 continue
-            if not field_.low <= value <= field_.high or value in field_.unknown:
-                return Decoded(FrameVerdict.OUT_OF_RANGE, lost=lost, words=self._find_words(raw))
-            values[field_.name] = value * field_.scale + field_.offset
-        return Decoded(_GOOD, values, lost)
-
-    def _find_words(self, raw: Mapping[str, Raw]) -> dict[str, float]:
-        """Return the words of a frame with a refused value that are in range themselves.
-
-        All bits set say nothing where such a value is refused, except in a word of one bit.
-        """
-        words = {}
-        for field_ in self._words:
-            value = raw.get(field_.name)
-            if value is None or value in field_.blanks:
-                continue
             if field_.low <= value <= field_.high and value not in field_.unknown:
-                words[field_.name] = value * field_.scale + field_.offset
-        return words
+                values[field_.name] = value * field_.scale + field_.offset
+            elif verdict is _GOOD:
+                verdict = FrameVerdict.OUT_OF_RANGE
+        return Decoded(verdict, values, lost)
 
     def _follow(self, raw: Mapping[str, Raw]) -> tuple[FrameVerdict, int]:
         if not self._counter:

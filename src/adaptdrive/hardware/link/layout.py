@@ -29,7 +29,9 @@ _UNKNOWN = re.compile(
 """Names of a raw value that says nothing."""
 
 
-def compile_field(signal: Signal, *, measured: bool = False, state: bool = False) -> Field:
+def compile_field(
+    signal: Signal, *, measured: bool = False, state: bool = False, on: float | None = None
+) -> Field:
     """Compile one signal.
 
     Args:
@@ -38,6 +40,7 @@ def compile_field(signal: Signal, *, measured: bool = False, state: bool = False
             DBC declares (or fails to declare) has room for it, and whatever its value table names
             next to the ends ("error") is no value either.
         state: Whether a value whose name says that nothing is known ("SNA") is none.
+        on: Value of a state that means on. With it, all bits set are none unless they have a name.
     """
     bottom, top = _natural_limits(signal)
     low, high = _declared_limits(signal)
@@ -57,8 +60,7 @@ def compile_field(signal: Signal, *, measured: bool = False, state: bool = False
         integer=not signal.is_float,
         unavailable=math.nan if signal.is_float else top,
         idle=initial_value(signal) or 0,
-        blanks=_blanks(signal, top),
-        unknown=_unknown_states(signal) if state else frozenset(),
+        unknown=_unknown_states(signal, on) if state else frozenset(),
         unit=signal.unit or "",
         names={int(raw): str(name) for raw, name in (signal.choices or {}).items()},
     )
@@ -81,13 +83,6 @@ def initial_value(signal: Signal) -> Raw | None:
     return int(raw) if raw == int(raw) else None
 
 
-def _blanks(signal: Signal, top: Raw) -> frozenset[Raw]:
-    """Return "not available" and all bits set, which are one where there is no sign."""
-    if signal.length == 1:
-        return frozenset()
-    return frozenset((top, -1) if signal.is_signed else (top,))
-
-
 def _natural_limits(signal: Signal) -> tuple[Raw, Raw]:
     return natural_limits(signal.length, signed=signal.is_signed, real=signal.is_float)
 
@@ -100,14 +95,16 @@ def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
     return declared_limits(natural, (signal.minimum, signal.maximum), signal.scale, signal.offset)
 
 
-def _unknown_states(signal: Signal) -> frozenset[Raw]:
+def _unknown_states(signal: Signal, on: float | None) -> frozenset[Raw]:
     """Return the raw values that say nothing; a prefix that all names share is no part of them."""
     names = {raw: str(name) for raw, name in (signal.choices or {}).items()}
     shared = commonprefix(list(names.values()))  # noqa: RUF071 - names, no paths
     behind = max(shared.rfind("_"), shared.rfind(" ")) + 1
+    blank = -1 if signal.is_signed else _natural_limits(signal)[1]
+    known = on is None or signal.length == 1 or blank * signal.scale + signal.offset == on
     return frozenset(
         raw for raw, name in names.items() if _UNKNOWN.match(name) or _UNKNOWN.match(name[behind:])
-    )
+    ).union(() if known or blank in names else (blank,))
 
 
 def _below_names(names: Collection[int], end: Raw) -> Raw:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from adaptdrive.config.modbus import Heartbeat
 from adaptdrive.hardware.binding import BRIDGE, Source
-from adaptdrive.hardware.fault_latch import FaultLatch
+from adaptdrive.hardware.newest import NewestValues
 from adaptdrive.hardware.polled.capacity import Block
-from adaptdrive.hardware.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in, word_in
-from adaptdrive.hardware.port import Reading, composed, confirming
+from adaptdrive.hardware.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in
+from adaptdrive.hardware.port import Reading
 
 STANDS_STILL = "the drive's heartbeat register stands still: its controller hangs"
 
@@ -25,11 +25,13 @@ class PollAssembly:
 
     def __init__(self, poll: Poll) -> None:
         self._poll = poll
+        sources = (one.quantity for _, read in poll.reads for one in read)
+        slacks = {name: 0.0 for name in sources if name != HEARTBEAT}
+        self._newest = NewestValues(slacks, poll.other, poll.faults)
         self._values: dict[str, float] = {}
-        self._handed_out: Reading | None = None
-        self.faults = FaultLatch(poll.faults)
+        self._refused: dict[str, str] = {}
+        self.faults = self._newest.faults
         self.raw: dict[Block, list[int]] = {}
-        self._refused: list[str] = []
 
     @property
     def heartbeat(self) -> float | None:
@@ -41,8 +43,8 @@ class PollAssembly:
         """Reason why values of the poll must not be used, empty where all may be."""
         if not self._refused:
             return ""
-        more = f", and {len(self._refused) - 1} more" if len(self._refused) > 1 else ""
-        return f"{self._refused[0]}{more}"
+        first, *others = self._refused.values()
+        return f"{first}, and {len(others)} more" if others else first
 
     def begin(self) -> None:
         """Begin a poll."""
@@ -60,58 +62,35 @@ class PollAssembly:
         self.raw[block] = words
         for source in sources:
             value = value_in(source, block, words)
-            if source.quantity in self._poll.faults:
-                self.faults.see(value, source.quantity)
             if value is not None:
                 self._values[source.quantity] = value
             else:
-                self._refused.append(explain(source, block, words))
+                self._refused[source.quantity] = explain(source, block, words)
+        self._newest.see_faults(self._values)
 
-    def reading(
-        self, arrival_s: float, start_s: float, *, bridge_sent: bool, stopped: bool
-    ) -> Reading | None:
-        """Return the reading of a poll, None for refused values of a driven drive.
+    def bridge(self, sent: bool) -> bool | None:
+        """Return the bridge of this poll, None where it must not be used.
 
-        A drive at rest may confirm its stop although its measurements are refused: it has the
-        reading before with the bridge of this poll, even if that came over a link before.
+        Args:
+            sent: Bridge of the last command that the drive took: a drive that does not report its
+                bridge is assumed to follow it.
+        """
+        reported = self._values.get(BRIDGE)
+        if reported is None:
+            return None if self._poll.bridge_block else sent
+        return reported != 0.0
+
+    def reading(self, arrival_s: float, start_s: float, *, bridge_sent: bool) -> Reading | None:
+        """Return the reading that a poll makes, None before every value has been good once.
 
         Args:
             arrival_s: When the last reply came, monotonic clock.
             start_s: When the poll began.
-            bridge_sent: Bridge of the last command that the drive took: a drive that does not
-                report its bridge is assumed to follow it.
-            stopped: Whether the safe command is in force.
+            bridge_sent: As for `bridge`.
         """
-        reading = self._stop(arrival_s, start_s) if self._refused and stopped else None
-        if not self._refused:
-            bridge = self._values.get(BRIDGE, bridge_sent)
-            reading = composed(
-                self._values,
-                self._poll.other,
-                self.faults,
-                arrival_s=arrival_s,
-                oldest_s=start_s,
-                bridge=bridge != 0,
-            )
-        self._handed_out = reading or self._handed_out
-        return reading
-
-    def _stop(self, arrival_s: float, start_s: float) -> Reading | None:
-        """Return the last reading with the bridge of this poll."""
-        last, powered = self._handed_out, self.powered_beside_refused
-        if last is None or powered is None:
-            return None
-        return confirming(last, self.faults, arrival_s=arrival_s, bridge=powered, bridge_s=start_s)
-
-    @property
-    def powered_beside_refused(self) -> bool | None:
-        """The bridge of a poll with refused values, None where it must not be used."""
-        for block, sources in self._poll.reads:
-            for source in sources:
-                if source.quantity == BRIDGE:
-                    word = word_in(source, block, self.raw[block])
-                    return None if word is None else word != 0
-        return None
+        values = {name: value for name, value in self._values.items() if name != HEARTBEAT}
+        self._newest.keep(values, start_s, self._refused)
+        return self._newest.reading(arrival_s, bridge=bridge_sent, set_s=start_s)
 
 
 class DriveHeartbeat:

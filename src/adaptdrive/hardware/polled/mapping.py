@@ -104,18 +104,10 @@ def value_in(source: Source[Named], block: Block, words: list[int]) -> float | N
         return None
     if source.on is not None:
         value = float(value == source.on)
-    if not value and _is_blank(source, taken):
+    some_bits = source.item.register.bits is not None
+    if (some_bits or not value) and _is_blank(source, taken):
         return None
     return value * source.scale + source.offset
-
-
-def word_in(source: Source[Named], block: Block, words: list[int]) -> float | None:
-    """Return a word where values are refused: all its bits set say nothing there."""
-    taken = _words(source, block, words)
-    blank = all(word == _ALL_ONES for word in taken)
-    if blank or decode_value(source.item.register, taken, measured=True) is None:
-        return None
-    return value_in(source, block, words)
 
 
 def explain(source: Source[Named], block: Block, words: list[int]) -> str:

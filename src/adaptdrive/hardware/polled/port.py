@@ -1,15 +1,14 @@
 """Port of a drive that is polled: polls it on an absolute grid, and writes the newest command.
 
-A poll that gives every value makes one reading, as old as the first of its requests; one that does
-not gives none, so that the values in use grow old until they trip the drive. A drive at rest has a
-reading of the old values then, with its bridge, so that it can confirm its stop. A command waits
-for the end of the poll under way, the safe command only for the end of the exchange under way.
+A poll in which every block was read makes one reading, whose values are as old as the first of its
+requests; one that must not be used is the last good one, which grows old until it trips the drive.
+A command waits for the end of the poll under way, the safe command only for the end of the exchange
+under way.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable
 
 from adaptdrive.config.modbus import ModbusBus
@@ -228,17 +227,18 @@ class PolledPort(Polling[PolledLink, Listener], CountingPort):
         self._counts["out_of_range"] += bool(assembly.refusal)
 
     def _take(self, start_s: float) -> None:
-        """Hand out the reading of a poll, unless it has none or the drive stands still."""
-        assembly, reading = self._assembly, None
-        if self._is_alive(start_s):
-            sent, stopped = self._witness.bridge, self.safe_s < math.inf
-            reading = assembly.reading(self._clock(), start_s, bridge_sent=sent, stopped=stopped)
+        """Hand out the reading of a poll; a drive that stands still has said nothing."""
+        if not self._is_alive(start_s):
+            return
+        assembly, sent = self._assembly, self._witness.bridge
+        reading = assembly.reading(self._clock(), start_s, bridge_sent=sent)
+        powered = assembly.bridge(sent)
+        if powered is not None:
+            self._witness.note_bridge(powered=powered)
         if reading is None:
-            self._witness.note_refused(powered=assembly.powered_beside_refused)
             return
         self._silent = 0
         self._note_bus(up=True)
-        self._witness.note_bridge(powered=reading.bridge)
         if self._listener is not None:
             assembly.faults.clear(reading.fault)
             self._listener.on_reading(reading)

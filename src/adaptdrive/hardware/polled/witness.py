@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.doubts import REFUSED, UNANSWERED, UNREAD, Relink
+from adaptdrive.hardware.doubts import UNANSWERED, UNREAD, Relink
 
 _LOOK_TIMEOUTS = 0.5
 """Age of a report at which a write still follows, in time-outs besides those of the exchanges."""
@@ -24,7 +24,7 @@ class PollWitness:
         bridge: Bridge of the last command that the drive acknowledged.
         silent: Whether the drive did not answer the last poll.
         may_be_on: Whether the last report, on this link or before, has the bridge on, or it is
-            assumed to be; it may come with refused values.
+            assumed to be.
         reported_s: When the last report of the bridge was asked for.
         fed_s: When the last command that the drive took was sent.
     """
@@ -85,10 +85,10 @@ class PollWitness:
         self._stepped_s = now_s
 
     def note_read(self, *, answered: bool) -> bool:
-        """Note the end of a poll, which gives no reading unless its bridge is noted next.
+        """Note the end of a poll, which reports no bridge unless that is noted next.
 
         A drive that has given none for as long as its own time-out may be, or has neither answered
-        a read nor acknowledged a command, may have stopped: what energises waits for a reading, as
+        a read nor acknowledged a command, may have stopped: what energises waits for a report, as
         after a lost link.
 
         Args:
@@ -105,32 +105,13 @@ class PollWitness:
         return waits
 
     def note_bridge(self, *, powered: bool) -> None:
-        """Note a reading: whether the drive reports its bridge on, or is assumed to have it on."""
+        """Note whether the drive reports its bridge on, or is assumed to have it on."""
         if self.bridge and self._powered and not powered:
             self._outdated = True  # a command from before the bridge went off
         self._powered = self.may_be_on = powered
         self._seen_s = self._read_s = self.reported_s
         self._blank = False
         self._relink.hear(bridge=powered)
-
-    def note_refused(self, *, powered: bool | None) -> None:
-        """Note a poll without a reading: what energises waits where it has the bridge off.
-
-        One that has it on counts as a report: a drive that is off in the next reading has stopped.
-        A drive that never reports it is assumed to follow its last command, as in a reading.
-
-        Args:
-            powered: The bridge reported with the refused values, None where it must not be used.
-        """
-        if powered is not None:
-            self.may_be_on = powered
-            self._seen_s = self.reported_s
-        if powered is False:
-            self._relink.open(bridge=self._given_on, how=REFUSED)
-        elif powered and self.bridge:
-            self._relink.glimpse_on(REFUSED)
-        if not self._reported:
-            self.may_be_on = self.bridge
 
     def forget_report(self) -> None:
         """Begin a poll: reports of the one before do not count for its commands."""
