@@ -78,20 +78,18 @@ RUNTIME: dict[str, str] = {
     f"{_RATE}FrameRate.add: self._extend((arrival_s - self._began_s) / self._tick_s) -> "
     "self._extend((arrival_s + self._began_s) / self._tick_s)": _DIFFERENCES,
     f"{_COUNTER}__init__: self._tick_s = tick_s -> pass": _SET_BEFORE_USE,
-    f"{_COUNTER}_watch_restart: if self._off(before or last, count) <= SLACK_TICKS: -> "
-    "if self._off(before or last, count) < SLACK_TICKS:": _DOUBT_BOUND,
-    f"{_COUNTER}_watch_restart: if before is None or self._off(last, count) > _PACE_TICKS: -> "
-    "if before is None or self._off(last, count) >= _PACE_TICKS:": _DOUBT_BOUND,
-    f"{_COUNTER}_watch_restart: if self._passed(last, count) >= _SURE_TICKS: -> "
-    "if self._passed(last, count) > _SURE_TICKS:": _TIME_BOUND,
-    f"{_COUNTER}_follow: if (since[0] - count[0]) % self._modulus > SLACK_TICKS: -> "
-    "if (since[0] - count[0]) % self._modulus >= SLACK_TICKS:": _DOUBT_BOUND,
-    f"{_COUNTER}_doubt: if count[0] <= self._passed(since, count) + _BEGUN_TICKS: -> "
-    "if count[0] < self._passed(since, count) + _BEGUN_TICKS:": _DOUBT_BOUND,
-    f"{_COUNTER}_doubt: if self._stray is None or self._off(self._stray, count) > _PACE_TICKS: -> "
-    "if self._stray is None or self._off(self._stray, count) >= _PACE_TICKS:": _DOUBT_BOUND,
-    f"{_COUNTER}_doubt: if self._passed(self._stray, count) >= _SURE_TICKS: -> "
-    "if self._passed(self._stray, count) > _SURE_TICKS:": _TIME_BOUND,
+    f"{_COUNTER}_judge: if self._off(believed, count) <= SLACK_TICKS: -> "
+    "if self._off(believed, count) < SLACK_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_judge: if doubted is not None and self._off(doubted, count) <= _PACE_TICKS: -> "
+    "if doubted is not None and self._off(doubted, count) < _PACE_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_judge: if self._passed(doubted, count) >= _SURE_TICKS: -> "
+    "if self._passed(doubted, count) > _SURE_TICKS:": _TIME_BOUND,
+    f"{_COUNTER}_judge: if count[0] <= self._passed(believed, count) + _BEGUN_TICKS: -> "
+    "if count[0] < self._passed(believed, count) + _BEGUN_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_judge: if stray is not None and self._off(stray, count) <= _PACE_TICKS: -> "
+    "if stray is not None and self._off(stray, count) < _PACE_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_judge: if self._passed(stray, count) >= sure_ticks: -> "
+    "if self._passed(stray, count) > sure_ticks:": _TIME_BOUND,
     f"{_BRIDGE}__init__: self._gap_s = self._silent_s = 0.0 -> "
     "self._gap_s = self._silent_s = 1.0": _SET_BEFORE_USE,
     f"{_BRIDGE}__init__: self._gap_end_s = self._silence_end_s = -math.inf -> "

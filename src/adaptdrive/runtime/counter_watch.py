@@ -1,23 +1,19 @@
 """Finds old frames, and a drive that has started anew, by the drive's own count of half cycles.
 
-A drive that hangs, or a gateway, may repeat its last frame for ever, or several of them in turn:
-these advance from one to the next, and back. A count that stands, or is behind the newest one, is
-therefore that of an old frame. A count that has leapt elsewhere, as of a drive that starts anew, is
-the newest once it has advanced from there for a time: longer than a reading may be old if it has
-leapt back. That of a drive that starts anew at 0 is so at once.
+A count that keeps step with the one that is believed is believed in its place, if it is a newer
+one: it is that of the drive as it was, whatever was lost and however often it has wrapped. One that
+does not is believed once those after it have kept step with it, and not with the one before.
 
 A drive that has started anew must not be driven on. It may do so so quickly that no reading is
 missed for long, and the commands of that time have switched it on again before its first report.
-Its count then begins at 0.
+Its count then begins at 0. One that may have done so is in doubt. If the frames after it keep step
+with that from before, it was late, or repeated; frames that waited come at once and are soon over.
+If they keep step with the doubtful one alone, the drive has started anew.
 
-A count that keeps step with time is that of the drive as it was, whatever was lost and however
-often it has wrapped. One that does not, and that may have begun at 0 since the frame before, is in
-doubt. If the frames after it keep step with that from before, it was late, or repeated; frames that
-waited come at once and are soon over. If they keep step with the doubtful one alone, the drive has
-started anew.
-
-A count that fits neither may be that of an old frame. It changes nothing, unless those after it
-keep step with it: the counter has jumped. Nor does one that stands, or that is older.
+A drive that hangs, or a gateway, may repeat its last frame for ever, or several of them in turn:
+these advance from one to the next, and back. A count that stands, or is behind the newest one, is
+therefore that of an old frame. One that has leapt back must keep step for longer than a reading may
+be old, before it is believed.
 """
 
 from __future__ import annotations
@@ -33,10 +29,6 @@ _DRIFT = 0.04
 _BEGUN_TICKS = 2 * SLACK_TICKS
 """The same of a count that began at 0 after the frame before, which may have been late itself."""
 
-_RESTART_TICKS = 2 * SLACK_TICKS
-"""Half cycles that a count near 0 is behind the newest where the drive has started anew: frames in
-the wrong order are behind by less."""
-
 _PACE_TICKS = 1.0
 """Difference within which the frames after a doubtful one keep step with it."""
 
@@ -46,15 +38,12 @@ _SURE_TICKS = 2.5
 _OLDER_SHARE = 0.25
 """Share of its range by which a repeated count is older than the newest, at the most."""
 
-_ANEW_TICKS = 7.5
-"""Half cycles that a counter must keep advancing before a jump is accepted."""
+_BACK_TICKS = 7.5
+"""Half cycles that a counter must keep step after it has leapt back before that is accepted."""
 
-_ANEW_SHARE = 1.1
-"""The same as a share of the longest age of a reading, of one that has leapt back: frames that are
-repeated in turn, however many they are, have stood for longer by then."""
-
-_BOOT_TICKS = 60
-"""Half cycles from one leap to the next between which a drive cannot have started anew: 0.5 s."""
+_BACK_SHARE = 1.1
+"""The same as a share of the longest age of a reading: frames that are repeated in turn, however
+many they are, have stood for longer by then."""
 
 _Count = tuple[int, float]
 """The count of a frame, and its arrival by the monotonic clock."""
@@ -73,20 +62,18 @@ class CounterWatch:
         """
         self._modulus = modulus or 0
         self._tick_s = tick_s
-        self._anew_ticks = max(_ANEW_TICKS, _ANEW_SHARE * stale_s / tick_s - 0.5)
-        self._seen: _Count | None = None
+        self._back_ticks = max(_BACK_TICKS, _BACK_SHARE * stale_s / tick_s - 0.5)
+        self._seen_s = -math.inf
         self._newest: _Count = (0, -math.inf)
-        self._risen_s = self._leapt_s = -math.inf
-        self._anew = False
-        self._last: _Count | None = None
-        self._before: _Count | None = None
+        self._believed: _Count | None = None
+        self._doubted: _Count | None = None
         self._stray: _Count | None = None
         self._cause: str | None = None
 
     @property
     def in_doubt(self) -> bool:
         """True while the drive may have started anew."""
-        return self._before is not None or self._cause is not None
+        return self._doubted is not None or self._cause is not None
 
     def see(self, counter: int | None, arrival_s: float, tick_s: float) -> bool:
         """Take the count of a reading; return whether it is an old one.
@@ -99,9 +86,17 @@ class CounterWatch:
         if counter is None or not self._modulus:
             return False
         self._tick_s = tick_s
-        count = (counter, arrival_s)
-        self._watch_restart(count)
-        return self._is_old(count)
+        count, quiet = (counter, arrival_s), (arrival_s - self._seen_s) / tick_s
+        self._seen_s = arrival_s
+        self._judge(count)
+        if self._newest == count:
+            return False
+        if self._is_behind(count) and quiet < 0.5 * self._modulus:  # else it may have come round
+            return True
+        ahead = (counter - self._newest[0]) % self._modulus
+        if ahead <= self._passed(self._newest, count) + SLACK_TICKS:
+            self._newest = count
+        return False
 
     def find_cause(self, *, commanded: bool) -> str | None:
         """Return the cause of a trip, None for none.
@@ -110,84 +105,45 @@ class CounterWatch:
             commanded: Whether the last command had the bridge on; else a drive may start anew.
         """
         if not commanded:
-            self._before = self._cause = None
+            self._cause = None
+            if self._doubted is not None:
+                self._believe(self._doubted)
         return self._cause
 
-    def _is_old(self, count: _Count) -> bool:
-        seen, self._seen = self._seen, count
-        if seen is None:
-            self._newest = count
-            return False
-        if not self._may_follow(seen, count):
-            self._risen_s = count[1]
-            self._leap(seen, count)
-        is_behind = self._is_behind(seen, count)
-        in_time = not is_behind and self._may_follow(self._newest, count)
-        risen = (count[1] - self._risen_s) / self._tick_s
-        if in_time or risen >= (self._anew_ticks if is_behind else _ANEW_TICKS):
-            self._newest = count
-            return False
-        return is_behind
-
-    def _is_behind(self, seen: _Count, count: _Count) -> bool:
-        """Return whether a count is behind the newest one.
-
-        One that had time to come round is not, nor is that of a drive that has started anew.
-        """
-        behind = (self._newest[0] - count[0]) % self._modulus
-        may_wrap = self._passed(seen, count) >= 0.5 * self._modulus
-        if may_wrap or (self._anew and behind > _RESTART_TICKS):
-            return False
-        return behind < _OLDER_SHARE * self._modulus
-
-    def _leap(self, seen: _Count, count: _Count) -> None:
-        """Note whether a count that does not follow the last one is that of a drive started anew.
-
-        It may have begun at 0 since then. Frames that are repeated in turn leap back to the oldest
-        of them, and soon again; those in the wrong order leap back by less.
-        """
-        if (seen[0] - count[0]) % self._modulus <= _RESTART_TICKS:
-            return
-        begins = count[0] <= self._passed(seen, count) + SLACK_TICKS
-        self._anew = begins and (count[1] - self._leapt_s) / self._tick_s > _BOOT_TICKS
-        self._leapt_s = count[1]
-
-    def _may_follow(self, earlier: _Count, count: _Count) -> bool:
-        """Return whether a count can come after another: it does not advance faster than time."""
-        ahead = (count[0] - earlier[0]) % self._modulus
-        return 0 < ahead <= self._passed(earlier, count) + SLACK_TICKS
-
-    def _watch_restart(self, count: _Count) -> None:
-        last, before = self._last, self._before
-        if last is None:
-            self._last = count
-        elif self._off(before or last, count) <= SLACK_TICKS:
-            self._follow(before or last, count)
-        elif before is None or self._off(last, count) > _PACE_TICKS:
-            self._doubt(before or last, count)
-        elif self._passed(last, count) >= _SURE_TICKS:
-            self._settle(before, last)
-
-    def _follow(self, since: _Count, count: _Count) -> None:
-        """Take a count that keeps step for that of the drive as it was, if it is a newer one."""
-        if (since[0] - count[0]) % self._modulus > SLACK_TICKS:
-            self._begin(count)
-
-    def _begin(self, count: _Count) -> None:
-        """Compare the counts after this one with it alone."""
-        self._last, self._before, self._stray = count, None, None
-
-    def _doubt(self, since: _Count, count: _Count) -> None:
-        """Doubt a count that has leapt if it is one of a drive that starts anew."""
-        if count[0] <= self._passed(since, count) + _BEGUN_TICKS:
-            self._last, self._before, self._stray = count, since, None
-        elif self._stray is None or self._off(self._stray, count) > _PACE_TICKS:
+    def _judge(self, count: _Count) -> None:
+        """Believe a count that keeps step, or that has kept step with one that did not."""
+        believed, doubted, stray = self._believed, self._doubted, self._stray
+        if believed is None:
+            self._believe(count)
+        elif self._off(believed, count) <= SLACK_TICKS:
+            if not self._is_behind(count):
+                self._believe(count)
+        elif doubted is not None and self._off(doubted, count) <= _PACE_TICKS:
+            if self._passed(doubted, count) >= _SURE_TICKS:
+                self._note_restart(believed, doubted)
+                self._believe(count)
+        elif count[0] <= self._passed(believed, count) + _BEGUN_TICKS:
+            self._doubted, self._stray = count, None
+        elif stray is not None and self._off(stray, count) <= _PACE_TICKS:
+            sure_ticks = self._back_ticks if self._is_behind(stray) else _SURE_TICKS
+            if self._passed(stray, count) >= sure_ticks:
+                self._believe(count)
+        else:
             self._stray = count
-        elif self._passed(self._stray, count) >= _SURE_TICKS:
-            self._begin(count)
 
-    def _settle(self, before: _Count, anew: _Count) -> None:
-        """Note that the drive has started anew."""
+    def _believe(self, count: _Count) -> None:
+        """Compare the counts after this one with it alone."""
+        self._believed = self._newest = count
+        self._doubted = self._stray = None
+
+    def _is_behind(self, count: _Count) -> bool:
+        """Return whether a count is that of an older frame than the newest, or the same again."""
+        limit = _OLDER_SHARE * self._modulus
+        if self._doubted is not None:  # it may be that of a drive that has started anew
+            limit = min(limit, _BEGUN_TICKS + 1)
+        return (self._newest[0] - count[0]) % self._modulus < limit
+
+    def _note_restart(self, before: _Count, anew: _Count) -> None:
         due = round(before[0] + self._passed(before, anew)) % self._modulus
         self._cause = (
             f"drive restarted: its half-cycle counter began anew, {anew[0]} where {due} was due"
