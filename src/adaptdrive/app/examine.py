@@ -14,7 +14,7 @@ from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import Findings, find_flaws, read_text
 from adaptdrive.config.load import AnyLoad, BatterySection
-from adaptdrive.config.modbus import ModbusBus, ModbusLink
+from adaptdrive.config.modbus import ModbusBus
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
@@ -65,12 +65,9 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
         yield from _flaws_of(lambda: build_port(configuration, now_s, path))
     if "sensor_bus" not in findings.valid:
         return
-    flawed = [flaw.place for flaw in findings.flaws]
     demands = demands_of(configuration) if whole else NO_DEMANDS
     for number, bus in enumerate(configuration.sensor_bus):
         place = f"sensor_bus.{number}"
-        if isinstance(bus, ModbusLink) and any(one.startswith(f"{place}.") for one in flawed):
-            continue
         build = functools.partial(build_sensor_port, bus, place, now_s, path, demands)
         yield from _flaws_of(build)
 
