@@ -73,23 +73,21 @@ class Configuration(Section):
         )
 
 
-def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    load, ticks = configuration.load, configuration.ticks_per_period
-    half_cycle_s = configuration.drive.half_cycle_s
+def _rate_flaws(whole: Configuration) -> Iterator[Flaw]:
+    load, ticks = whole.load, whole.ticks_per_period
+    half_cycle_s = whole.drive.half_cycle_s
     if ticks < 1 or not math.isclose(load.period_s, ticks * half_cycle_s, rel_tol=1e-6):
-        yield Flaw(
-            "load.period_s",
-            f"{load.period_s} must be a whole number of half cycles of {half_cycle_s:.6g} s",
-        )
+        rule = f"must be a whole number of half cycles of {half_cycle_s:.6g} s"
+        yield Flaw("load.period_s", f"{load.period_s} {rule}")
     period = f"the {ticks} ticks of one period"
     if load.samples > ticks:
         yield Flaw("load.samples", f"{load.samples} exceeds {period}")
     yield from misfit("load.latency_ticks", load.latency_ticks, "below", ticks, period)
 
 
-def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
+def _bus_flaws(whole: Configuration) -> Iterator[Flaw]:
     """Yield the signals that do not fit the bus; those of CAN are compared with the DBC."""
-    bus, signals = configuration.bus, configuration.signals
+    bus, signals = whole.bus, whole.signals
     if isinstance(bus, CanOpenBus):
         yield from canopen_flaws(bus, signals)
     elif isinstance(bus, ScpiBus):
@@ -98,50 +96,50 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield from modbus_flaws(bus, signals)
 
 
-def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
+def _converted_flaws(whole: Configuration) -> Iterator[Flaw]:
     """Yield the derived quantities whose `unit` does not lead to theirs."""
-    for name, wanted in {**WANTED, "output": configuration.load.output_unit}.items():
-        source = configuration.derived.get(name)
+    for name, wanted in {**WANTED, "output": whole.load.output_unit}.items():
+        source = whole.derived.get(name)
         problem = None if source is None else stated_problem(source, wanted)
         if problem:
             yield Flaw(f"derived.{name}", problem)
 
 
-def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    where = configuration.voltage_loop.where
+def _command_flaws(whole: Configuration) -> Iterator[Flaw]:
+    where = whole.voltage_loop.where
     needed = ["current_scale_S" if where == "daemon" else "boost_reference_V"]
-    one_bit = configuration.drive.enable_bit == "bridge-and-boost"
-    if not (configuration.bus.has_bridge_words or (where == "drive" and one_bit)):
+    one_bit = whole.drive.enable_bit == "bridge-and-boost"
+    if not (whole.bus.has_bridge_words or (where == "drive" and one_bit)):
         needed.append("bridge")
     for name in needed:
         why = f"voltage_loop.where = {where!r} needs it"
         if name == "bridge" and where == "drive":
             why = "nothing would switch the drive off; a drive that a set-point of 0 stops needs "
             why += "drive.enable_bit = 'bridge-and-boost'"
-        if getattr(configuration.signals.command, name) is None:
+        if getattr(whole.signals.command, name) is None:
             yield Flaw(f"signals.command.{name}", f"is missing: {why}")
 
 
-def _lowest_flaws(configuration: Configuration) -> Iterator[Flaw]:
+def _lowest_flaws(whole: Configuration) -> Iterator[Flaw]:
     """The lowest V_c is one that the stage can make, and the load bears."""
-    unit = configuration.drive.manipulated.unit
-    if configuration.voltage_loop.where == "daemon" and unit != "V":
+    unit = whole.drive.manipulated.unit
+    if whole.voltage_loop.where == "daemon" and unit != "V":
         yield Flaw("drive.manipulated.unit", f"{unit!r} needs voltage_loop.where = 'drive'")
-    drive, lowest_V = configuration.drive, configuration.drive.limits.boost_reference_min_V
+    drive, lowest_V = whole.drive, whole.drive.limits.boost_reference_min_V
     place = "drive.limits.boost_reference_min_V"
     peak = drive.line_voltage_V * 2**0.5
-    if configuration.voltage_loop.where == "daemon" and lowest_V <= peak:
+    if whole.voltage_loop.where == "daemon" and lowest_V <= peak:
         yield Flaw(place, f"{lowest_V} must be above the line's peak of {peak:.1f} V")
-    elif lowest_V < 0.0 and configuration.load.type != "motor":
-        kind = configuration.load.type
+    elif lowest_V < 0.0 and whole.load.type != "motor":
+        kind = whole.load.type
         yield Flaw(place, f"{lowest_V} must not be below 0: a {kind} has no direction")
 
 
-def _lag_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    lag_s, period_s = configuration.voltage_loop.lag_s, configuration.load.period_s
+def _lag_flaws(whole: Configuration) -> Iterator[Flaw]:
+    lag_s, period_s = whole.voltage_loop.lag_s, whole.load.period_s
     if lag_s is None:
         return
-    if configuration.voltage_loop.where == "daemon":
+    if whole.voltage_loop.where == "daemon":
         problem = "is for where = 'drive': the delay of the daemon's own loop is known"
         yield Flaw("voltage_loop.lag_s", problem)
     else:
@@ -149,24 +147,24 @@ def _lag_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield from misfit("voltage_loop.lag_s", lag_s, "at most", period_s, longest)
 
 
-def _course_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    load = configuration.load
+def _course_flaws(whole: Configuration) -> Iterator[Flaw]:
+    load = whole.load
     if not isinstance(load, MotorSection) or load.boost_course == "held":
         return
     if load.design != "paper":
         yield Flaw("load.boost_course", "'impulse' needs load.design 'paper'")
-    elif (configuration.voltage_loop.lag_s or 0.0) > 0.25 * load.period_s:
-        lag_s = configuration.voltage_loop.lag_s
+    elif (whole.voltage_loop.lag_s or 0.0) > 0.25 * load.period_s:
+        lag_s = whole.voltage_loop.lag_s
         yield Flaw("load.boost_course", f"'impulse' needs voltage_loop.lag_s = {lag_s} s shorter")
 
 
-def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
+def _trip_flaws(whole: Configuration) -> Iterator[Flaw]:
     for place, relation, limit in (
         ("interlocks.boost_voltage_max_V", "above", "drive.limits.boost_reference_max_V"),
         ("interlocks.output_max", "above", "load.reference_max"),
         ("interlocks.output_min", "below", "load.reference_min"),
     ):
-        trip, highest = attrgetter(place)(configuration), attrgetter(limit)(configuration)
+        trip, highest = attrgetter(place)(whole), attrgetter(limit)(whole)
         if trip is not None:
             yield from misfit(place, trip, relation, highest, f"{limit} = {highest}")
 
