@@ -16,7 +16,7 @@ from adaptdrive.config.modbus import ModbusBus, ModbusRtu
 from adaptdrive.config.supply import Derived
 from adaptdrive.hardware.polled.capacity import (
     Exchange,
-    capacity_flaws,
+    cycle_flaws,
     exchange_bytes,
     exchange_s,
     plan_blocks,
@@ -35,7 +35,8 @@ def test_every_map_is_valid_and_can_be_polled(tables: dict[str, dict[str, object
     bus = ModbusRtu.model_validate(tables["bus"])
     blocks = plan_blocks(bus.registers.values(), bus.max_gap, bus.max_block)
     exchanges = [Exchange(read=block) for block in blocks]
-    assert list(capacity_flaws(bus, exchanges, HALF_CYCLE_s)) == []
+    wanted = (bus.poll_ticks * HALF_CYCLE_s, "bus.poll_ticks", HALF_CYCLE_s)
+    assert list(cycle_flaws(bus, exchanges, *wanted)) == []
 
 
 def test_the_sensors_of_the_page_make_a_whole_configuration_with_an_example() -> None:

@@ -130,7 +130,7 @@ def build_modbus_sensors(
     sources = catalogue.sources(sensor_entries(bus, place), demands)
     blocks = tuple(_blocks(bus, sources))
     exchanges = [one.exchange for one in blocks]
-    flaws = [*catalogue.flaws, *cycle_flaws(bus, exchanges, bus.cycle_s, place)]
+    flaws = [*catalogue.flaws, *cycle_flaws(bus, exchanges, bus.cycle_s, f"{place}.cycle_s")]
     if flaws:
         raise ConfigurationError(source, flaws)
     return ModbusSensorPort(bus, blocks, clock)

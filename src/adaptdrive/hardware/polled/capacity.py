@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from adaptdrive.config.modbus import ModbusBus, ModbusLink, Register, RtuLink
+from adaptdrive.config.modbus import ModbusLink, Register, RtuLink
 from adaptdrive.errors import Flaw
 
 Table = Literal["input", "holding", "coil", "discrete"]
@@ -143,27 +143,12 @@ def exchange_s(bus: ModbusLink, exchange: Exchange) -> float:
     return wire_s + bus.turnaround_s + 2.0 * silence_s(bus)
 
 
-def capacity_flaws(
-    bus: ModbusBus, exchanges: Sequence[Exchange], half_cycle_s: float
-) -> Iterator[Flaw]:
-    """Yield why the wanted rate does not fit on the link, with the link's figures.
-
-    Args:
-        bus: `[bus]`.
-        exchanges: The exchanges of one poll.
-        half_cycle_s: Half a line cycle.
-    """
-    poll_s, ticks = bus.poll_ticks * half_cycle_s, bus.poll_ticks
-    rate = f"a poll every {poll_s * 1e3:.1f} ms ({1.0 / poll_s:.3g} per second)"
-    needed_s, problem = _excess(bus, exchanges, poll_s)
-    if problem:
-        fitting = f"poll_ticks = {int(needed_s / half_cycle_s) + 1} fits"
-        yield Flaw("bus.poll_ticks", f"{ticks} half cycles ask for {rate}; {problem}: {fitting}")
-    yield from _reply_flaws(bus, exchanges, "bus")
-
-
 def cycle_flaws(
-    bus: ModbusLink, exchanges: Sequence[Exchange], cycle_s: float, place: str
+    bus: ModbusLink,
+    exchanges: Sequence[Exchange],
+    cycle_s: float,
+    key: str,
+    tick_s: float | None = None,
 ) -> Iterator[Flaw]:
     """Yield why the exchanges of one cycle do not fit into it, with the link's figures.
 
@@ -171,29 +156,22 @@ def cycle_flaws(
         bus: The link.
         exchanges: The exchanges of one cycle.
         cycle_s: The wanted cycle time.
-        place: Where the link stands in the configuration.
+        key: Key of the configuration that sets it, with its section.
+        tick_s: Unit of the key, None for 1 s.
     """
-    needed_s, problem = _excess(bus, exchanges, cycle_s)
-    if problem:
-        too_short = f"{cycle_s:g} s is too short; {problem}: {needed_s:.3g} s fits"
-        yield Flaw(f"{place}.cycle_s", too_short)
-    yield from _reply_flaws(bus, exchanges, place)
-
-
-def _excess(bus: ModbusLink, exchanges: Sequence[Exchange], cycle_s: float) -> tuple[float, str]:
-    """Return the shortest cycle for exchanges, and why one does not fit, empty where it does."""
-    took_s = sum(exchange_s(bus, exchange) for exchange in exchanges)
-    takes = f"{_figures(bus, exchanges)} take {took_s * 1e3:.1f} ms"
-    problem = f"{takes}, and {USABLE_SHARE:.0%} of the cycle may be used"
-    return took_s / USABLE_SHARE, problem if took_s > USABLE_SHARE * cycle_s else ""
-
-
-def _reply_flaws(bus: ModbusLink, exchanges: Sequence[Exchange], place: str) -> Iterator[Flaw]:
-    """Yield a time-out that the slowest exchange does not keep."""
-    slowest_s = max((exchange_s(bus, exchange) for exchange in exchanges), default=0.0)
+    section, _, name = key.rpartition(".")
+    took_s = [exchange_s(bus, exchange) for exchange in exchanges]
+    needed_s = sum(took_s) / USABLE_SHARE
+    if needed_s > cycle_s:
+        asked = f"asks for a cycle of {cycle_s * 1e3:.1f} ms ({1.0 / cycle_s:.3g} per second)"
+        takes = f"{_figures(bus, exchanges)} take {sum(took_s) * 1e3:.1f} ms"
+        usable = f"{USABLE_SHARE:.0%} of the cycle may be used"
+        fitting = f"{needed_s:.3g}" if tick_s is None else int(needed_s / tick_s) + 1
+        yield Flaw(key, f"{asked}; {takes}, and {usable}: {name} = {fitting} fits")
+    slowest_s = max(took_s, default=0.0)
     if bus.timeout_s <= slowest_s:
         slowest = f"the slowest exchange, {slowest_s * 1e3:.1f} ms"
-        yield Flaw(f"{place}.timeout_s", f"{bus.timeout_s} s must be above {slowest}")
+        yield Flaw(f"{section}.timeout_s", f"{bus.timeout_s} s must be above {slowest}")
 
 
 def _figures(bus: ModbusLink, exchanges: Sequence[Exchange]) -> str:

@@ -35,7 +35,6 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
     low, high = _limits(register)
     if measured and register.real:
         low, high = sensible_limits(low, high)
-    unsaid = _missing(register, measured=True)
     missing = _missing(register, measured=measured)
     words: frozenset[Raw] = frozenset() if missing is None else frozenset({missing})
     bits = register.bits is not None
@@ -45,7 +44,7 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
         low=low,
         high=high,
         integer=not register.real,
-        unavailable=math.nan if unsaid is None else unsaid,
+        unavailable=math.nan if missing is None else missing,
         blanks=words if bits else frozenset(),
         unknown=frozenset() if bits else words,
         unit=register.unit,

@@ -28,7 +28,7 @@ from adaptdrive.hardware.binding import (
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.field import Field
-from adaptdrive.hardware.polled.capacity import Block, Exchange, capacity_flaws, plan_blocks
+from adaptdrive.hardware.polled.capacity import Block, Exchange, cycle_flaws, plan_blocks
 from adaptdrive.hardware.polled.codec import (
     decode,
     decode_value,
@@ -264,7 +264,9 @@ def map_drive(
         faults=watched_words(bound),
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
-    flaws += [] if flaws else capacity_flaws(bus, [*poll.exchanges()], half_cycle_s)
+    if not flaws:
+        wanted = (bus.poll_ticks * half_cycle_s, "bus.poll_ticks", half_cycle_s)
+        flaws += cycle_flaws(bus, [*poll.exchanges()], *wanted)
     if flaws:
         raise ConfigurationError(source, flaws)
     return poll
