@@ -249,14 +249,14 @@ async def test_refused_writes_trip_a_running_drive(
         wire.peer.answer = refused_writes
         trip, after_s = await alarm(rig, "trip", began_s)
         assert trip.startswith(
-            "the drive refuses commands: exception code 3 (illegal value) at register "
+            "the drive refuses commands: exception reply 3 to function 16 (illegal value), holding "
         )
         note(f"writes-refused-{link}", after_s, 0.0)
         stop, after_s = await alarm(rig, "stop", began_s)
         assert stop.startswith("the drive does not stop: it has not taken the safe command ")
         assert after_s < ANNOUNCED_s + BUSY_s
         note(f"stop-refused-{link}", after_s, 0.0)
-        complaint = "the drive refuses commands: exception code 3"
+        complaint = "the drive refuses commands: exception reply 3"
         await until(lambda: (rig.port.complaint or "").startswith(complaint))
         with pytest.raises(RefusedError, match=complaint):
             await rig.daemon.execute(Reset())

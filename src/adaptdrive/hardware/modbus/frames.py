@@ -9,7 +9,6 @@ from pymodbus.framer import FramerRTU
 
 from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.hardware.polled.capacity import Exchange
-from adaptdrive.hardware.polled.link import EXCEPTIONS
 
 _HEADER = struct.Struct(">HHHB")
 """Head of a packet on TCP: transaction, protocol, length of all that follows it, device."""
@@ -24,6 +23,19 @@ _READS = frozenset({*_READ.values(), _READ_WRITE})
 _WRITES = frozenset({_WRITE_COIL, _WRITE_REGISTER, 15, _WRITE})
 _ERROR = 0x80
 """Bit of the function code of an exception reply."""
+
+
+_EXCEPTIONS = {
+    1: "illegal function",
+    2: "illegal address",
+    3: "illegal value",
+    4: "device failure",
+    5: "acknowledged, not done yet",
+    6: "busy",
+    10: "gateway without a path",
+    11: "gateway: no reply of the device",
+}
+"""Codes by which a device says why it does not do what it was asked for (Modbus, 7)."""
 
 
 def function_of(exchange: Exchange) -> int:
@@ -94,9 +106,8 @@ def explain_exception(code: int, exchange: Exchange) -> str:
         code: Exception code of the device.
         exchange: What was asked for.
     """
-    asked = exchange.write if exchange.read is None else exchange.read
-    name = EXCEPTIONS.get(code, "unknown")
-    return f"exception reply {code} to function {function_of(exchange)} ({name}), {asked}"
+    name = _EXCEPTIONS.get(code, "unknown")
+    return f"exception reply {code} to function {function_of(exchange)} ({name}), {exchange}"
 
 
 class TcpFrames:
@@ -205,16 +216,11 @@ def _checksum(frame: bytes) -> bytes:
 
 
 def are_alike(config: TcpLink | RtuLink, exchanges: Sequence[Exchange]) -> bool:
-    """Return whether a reply, repeated on a serial line, may pass for that to the next exchange.
+    """Return whether a reply, repeated on a serial line, may pass for that to another exchange.
 
     Args:
         config: Which link.
-        exchanges: What is asked for in turn; the first one follows the last.
+        exchanges: What is asked for, in any order.
     """
-    pairs = zip(exchanges, [*exchanges[1:], *exchanges[:1]], strict=True)
-    return not config.numbered and any(_are_alike(*pair) for pair in pairs)
-
-
-def _are_alike(one: Exchange, other: Exchange) -> bool:
-    same = (function_of(one), one.device_id) == (function_of(other), other.device_id)
-    return same and one.reply_bytes == other.reply_bytes and one.read != other.read
+    forms = [(function_of(one), one.device_id, one.reply_bytes) for one in exchanges]
+    return not config.numbered and len({*forms}) < len(forms)

@@ -79,7 +79,6 @@ class ModbusConnection(PolledLink):
         self._heard_s = 0.0
         self._suspect_s: float | None = None if self._numbered else clock()
         self._missed = 0
-        self._patience_s = _FIRST_S
         self._replied_s = clock()
 
     @property
@@ -103,7 +102,7 @@ class ModbusConnection(PolledLink):
         if void is not None:
             await self._await_silence(void)
         hasty = self.unsettled_s() > 0.0
-        self._begin(void, "the line was not silent in time")
+        self._begin(void)
         asked = request(exchange, words)
         reply = await self._reply_to(asked, exchange)
         await asyncio.sleep(silence_s(self._config))
@@ -129,7 +128,7 @@ class ModbusConnection(PolledLink):
             return reply
         self._miss(exchange)
         heard = self._stream.received
-        instead = f"; {self._frames.explain(heard)}" if heard else ""
+        instead = f"; {self._frames.explain(heard)}" if heard else f" to {exchange}"
         raise ExchangeError(f"no reply within {self._timeout_s:g} s{instead}")
 
     def _miss(self, exchange: Exchange) -> None:
@@ -146,7 +145,8 @@ class ModbusConnection(PolledLink):
             self._counts["wrong_length" if short else "wrong_checksum"] += 1
         elif isinstance(self._config, TcpLink) and self._missed >= self._patience:
             stuck = self._stream.undelivered_bytes > 0
-            if stuck or self._clock() - self._replied_s >= self._patience_s:
+            patience_s = _PATIENCE_S if self._answered else _FIRST_S
+            if stuck or self._clock() - self._replied_s >= patience_s:
                 self.lost = f"no reply to {self._missed} requests in a row"
 
     def _checked(self, reply: bytes, asked: bytes, exchange: Exchange) -> list[int]:
@@ -155,7 +155,7 @@ class ModbusConnection(PolledLink):
         Raises:
             ExchangeError: It is an exception reply, or one to another request.
         """
-        self._missed, self._replied_s, self._patience_s = 0, self._clock(), _PATIENCE_S
+        self._missed, self._replied_s = 0, self._clock()
         code = exception_code(reply)
         if code is not None:
             self._counts["exceptions"] += 1

@@ -32,9 +32,7 @@ class ModbusPort(PolledPort):
         self._config = config
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self.must_open = self._serial is not None
-        joined = [one for one in poll.exchanges() if one.read is not None]
-        apart = [Exchange(read=block) for block, _ in poll.bridge_last]
-        self._alike = any(are_alike(config, reads) for reads in (joined, apart))
+        self._alike = are_alike(config, [Exchange(read=block) for block, _ in poll.reads])
 
     def _new_link(self) -> PolledLink:
         return ModbusConnection(self._config, self._counts, self._clock, serial=self._serial)

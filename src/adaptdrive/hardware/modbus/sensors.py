@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import combinations, groupby
+from itertools import groupby
 from pathlib import Path
 
 from adaptdrive.config.modbus import RtuLink
@@ -149,8 +149,7 @@ class ModbusSensorPort(Polling[ModbusConnection, SensorListener]):
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self._config = config
         self._blocks = blocks
-        pairs = combinations([block.exchange for block in blocks], 2)
-        self._alike = any(are_alike(config, pair) for pair in pairs)  # their order may change
+        self._alike = are_alike(config, [block.exchange for block in blocks])
         self._patience = math.ceil(config.oldest_s / config.cycle_s - 1e-6)
 
     async def run(self, listener: SensorListener) -> None:

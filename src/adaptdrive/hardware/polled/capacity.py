@@ -9,7 +9,7 @@ around each. On TCP the bytes cost next to nothing; the drive's turnaround is wh
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink
@@ -78,18 +78,13 @@ def plan_blocks(
         last = blocks[-1] if blocks else None
         single = write and (register.table == "coil" or max_count == 1)
         longest = 1 if single else max_count
-        if last is not None and _reaches(last, register, max_gap, longest):
-            end = max(last.end, register.end)
-            blocks[-1] = Block(last.table, last.address, end - last.address, last.single)
-        else:
-            blocks.append(Block(register.table, register.address, register.words, single))
+        if last is not None and last.table == register.table:
+            count = max(last.end, register.end) - last.address
+            if register.address - last.end <= max_gap and count <= longest:
+                blocks[-1] = replace(last, count=count)
+                continue
+        blocks.append(Block(register.table, register.address, register.words, single))
     return tuple(blocks)
-
-
-def _reaches(block: Block, register: Register, max_gap: int, max_count: int) -> bool:
-    near = register.address - block.end <= max_gap
-    short = max(block.end, register.end) - block.address <= max_count
-    return block.table == register.table and near and short
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +100,9 @@ class Exchange:
     read: Block | None = None
     write: Block | None = None
     device_id: int | None = None
+
+    def __str__(self) -> str:
+        return " and ".join(str(block) for block in (self.read, self.write) if block is not None)
 
     @property
     def request_bytes(self) -> int:

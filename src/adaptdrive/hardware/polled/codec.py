@@ -44,7 +44,6 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
         low=low,
         high=high,
         integer=not register.real,
-        unavailable=math.nan if missing is None else missing,
         blanks=words if bits else frozenset(),
         unknown=frozenset() if bits else words,
         unit=register.unit,

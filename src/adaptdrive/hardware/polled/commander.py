@@ -21,7 +21,6 @@ class Commander:
 
     Attributes:
         safe_s: Time at which it acknowledged the safe command, infinite without one in force.
-        refused_write: Why the last command was not taken, empty if it was.
     """
 
     def __init__(
@@ -56,7 +55,11 @@ class Commander:
         self._taken_s = timing.taken_s
         self._obedience = Obedience(timing.obeyed_s(timing.reading_s), clock)
         self.safe_s = math.inf
-        self.refused_write = ""
+
+    @property
+    def refused_write(self) -> str:
+        """Why the last command was not taken, empty if it was."""
+        return f"command: {self._untaken.last}" if self._untaken.last else ""
 
     @property
     def complaint(self) -> str | None:
@@ -177,7 +180,7 @@ class Commander:
         except OvertakenError:
             return await self._read(link, exchange)
         except ExchangeError as failure:
-            self._untaken.note(both, failure, silent=self._witness.silent)
+            self._untaken.note(failure, silent=self._witness.silent)
             if failure.code is None:
                 raise
             return await self._read(link, exchange)
@@ -212,7 +215,6 @@ class Commander:
             if taken or (command == SAFE_COMMAND and link.lost is None):
                 taken &= await self._wrote(link, block, registers, void)
         if taken:
-            self.refused_write = ""
             self._confirm(command, link.asked_s, sent=sent)
 
     async def leave_safe(self, link: PolledLink) -> None:
@@ -253,16 +255,14 @@ class Commander:
     ) -> bool:
         """Write one block of a command; whether the drive has taken it."""
         self._pace.note(block)
-        exchange = Exchange(write=block)
         try:
-            await self._exchange(link, exchange, words, void)
+            await self._exchange(link, Exchange(write=block), words, void)
         except OvertakenError:
             self._count_withheld()
             return False
         except ExchangeError as failure:
             self._counts["send_drops"] += 1
-            self.refused_write = f"command: {failure.problem}"
-            self._untaken.note(exchange, failure, silent=self._witness.silent)
+            self._untaken.note(failure, silent=self._witness.silent)
             return False
         self._pace.note(block, words)
         return True

@@ -21,18 +21,6 @@ Reply = TypeVar("Reply")
 Void = Callable[[], bool]
 """Returns whether an exchange is not wanted any more."""
 
-EXCEPTIONS = {
-    1: "illegal function",
-    2: "illegal address",
-    3: "illegal value",
-    4: "device failure",
-    5: "acknowledged, not done yet",
-    6: "busy",
-    10: "gateway without a path",
-    11: "gateway: no reply of the device",
-}
-"""Codes by which a device says why it does not do what it was asked for (Modbus, 7)."""
-
 _CONNECT_S = 1.0
 """Longest time to connect: a gateway may be slower to accept than a drive is to answer."""
 
@@ -249,12 +237,11 @@ class PolledLink(ABC):
     def suspect(self) -> None:
         """Take what comes next for what is left of something else."""
 
-    def _begin(self, void: Void | None, overtaken: str) -> None:
+    def _begin(self, void: Void | None) -> None:
         """Note the time of a request, which must not be sent on a connection that is lost.
 
         Args:
             void: Whether it is not wanted any more; None where it is in any case.
-            overtaken: Why it then is not.
 
         Raises:
             ExchangeError: The connection is lost, or the request is not wanted any more.
@@ -264,7 +251,7 @@ class PolledLink(ABC):
             raise ExchangeError(self.lost)
         self.asked_s = self._clock()
         if void is not None and void():  # asked last: the process may have stood still until here
-            raise OvertakenError(f"not sent: {overtaken}")
+            raise OvertakenError("not sent: it was no longer wanted")
 
     def _note_end(self) -> None:
         """Take note that the connection has ended, if it has."""

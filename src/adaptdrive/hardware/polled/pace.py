@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable
 
 from adaptdrive.config.references import DAY_S
 from adaptdrive.hardware.binding import BRIDGE, Sink
-from adaptdrive.hardware.polled.capacity import Block, Exchange
-from adaptdrive.hardware.polled.link import EXCEPTIONS, ExchangeError
+from adaptdrive.hardware.polled.capacity import Block
+from adaptdrive.hardware.polled.link import ExchangeError
 from adaptdrive.hardware.polled.mapping import Named, Poll
 
 _REFUSED_WRITES = 2
@@ -85,8 +85,8 @@ class UntakenCommands:
 
     def __init__(self) -> None:
         self._refused = self._untaken = 0
-        self._last = ""
         self.doubtful = False
+        self.last = ""
 
     @property
     def complaint(self) -> str | None:
@@ -94,27 +94,24 @@ class UntakenCommands:
         if self._refused < _REFUSED_WRITES and self._untaken < _UNTAKEN_WRITES:
             return None
         does = "refuses" if self._refused else "does not answer"
-        return f"the drive {does} commands: {self._last}"
+        check = "check [bus.registers], its remote mode and write access"
+        return f"the drive {does} commands: {self.last}; {check}"
 
-    def note(self, exchange: Exchange, failure: ExchangeError, *, silent: bool) -> None:
+    def note(self, failure: ExchangeError, *, silent: bool) -> None:
         """Note that the drive has not taken a command, or not provably.
 
         Args:
-            exchange: What was asked for.
             failure: What came of it.
             silent: Whether the drive answers no reads either: it ignores more than commands.
         """
         self.doubtful = failure.doubtful
-        code, block = failure.code, exchange.write
-        reason = failure.problem
-        if code is not None:
-            reason = f"exception code {code} ({EXCEPTIONS.get(code, 'of its maker')})"
-        self._refused = 0 if code is None or code in _BUSY else self._refused + 1
+        refused = failure.code is not None and failure.code not in _BUSY
+        self._refused = self._refused + 1 if refused else 0
         self._untaken += not silent
-        register = "" if block is None else f" at register {block.address}"
-        self._last = f"{reason}{register}; check [bus.registers], its remote mode and write access"
+        self.last = failure.problem
 
     def clear(self) -> None:
         """Note that the drive has acknowledged a command, or begin anew on another link."""
         self._refused = self._untaken = 0
         self.doubtful = False
+        self.last = ""

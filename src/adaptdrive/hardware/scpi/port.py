@@ -97,7 +97,7 @@ class ScpiConnection(PolledLink):
         if self._stream.received:
             self._counts["foreign"] += 1
             self.suspect()
-        self._begin(void, "it was no longer wanted")
+        self._begin(void)
 
     async def _ask(self, line: str, void: Void | None) -> str:
         """Send a line, and return the line that answers it.
