@@ -58,7 +58,7 @@ class Commander:
 
     @property
     def refused_write(self) -> str:
-        """Why the last command was not taken, empty if it was."""
+        """Reason why the last command was not taken, empty if it was."""
         return f"command: {self._untaken.last}" if self._untaken.last else ""
 
     @property
