@@ -248,6 +248,15 @@ def test_a_drive_that_is_commanded_off_may_start_anew() -> None:
         assert watch.find_cause(commanded=True) is None
 
 
+def test_a_count_that_stands_is_old_though_its_drive_may_start_anew() -> None:
+    """With the bridge off, and although two of its frames arrive at once."""
+    watch = begun(256, 3)
+    for ticks in range(4, 60):
+        for _ in range(2):
+            assert watch.see(3, ticks * TICK_S, TICK_S)
+            assert watch.find_cause(commanded=False) is None
+
+
 def test_without_a_counter_nothing_is_in_doubt() -> None:
     watch = CounterWatch(None, TICK_S)
     for number in range(10):

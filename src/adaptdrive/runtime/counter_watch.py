@@ -87,9 +87,9 @@ class CounterWatch:
             return False
         self._tick_s = tick_s
         count, quiet = (counter, arrival_s), (arrival_s - self._seen_s) / tick_s
-        self._seen_s = arrival_s
+        self._seen_s, before = arrival_s, self._believed
         self._judge(count)
-        if self._newest == count:
+        if self._believed != before:
             return False
         if self._is_behind(count) and quiet < 0.5 * self._modulus:  # else it may have come round
             return True
