@@ -16,7 +16,7 @@ from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.sensors import CanSensorPort, build_can_sensors
 from adaptdrive.hardware.link.bus import open_bus
-from tests.hardware.bench import EXAMPLES, Drive, SensorEar, noted_delays, until
+from tests.hardware.bench import EXAMPLES, Drive, SensorEar, noted_delays, until, with_crc
 
 COMMON = {
     "name": "bench",
@@ -58,8 +58,8 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def bench(udp_port: int) -> AsyncIterator[Bench]:
-    config = Config.model_validate(COMMON | {"udp_port": udp_port}, strict=False)
+async def bench(udp_port: int, **changes: object) -> AsyncIterator[Bench]:
+    config = Config.model_validate(COMMON | {"udp_port": udp_port} | changes, strict=False)
     port, ear = build_can_sensors(config, "sensor_bus.0", time.monotonic), SensorEar()
     bus = open_bus(config)
     task = asyncio.create_task(port.run(ear))
@@ -104,6 +104,19 @@ async def test_what_fails_a_check_gives_nothing_and_is_counted(free_udp_port: in
         assert len(one.ear.heard) == 2
         counts = one.port.statistics
         assert (counts.wrong_checksum, counts.wrong_length, counts.counter_stuck) == (1, 1, 1)
+
+
+async def test_the_values_beside_a_refused_one_are_used(free_udp_port: int) -> None:
+    signals = {
+        "power": {"signal": "DriveStatus.LoadPower"},
+        "volts": {"signal": "DriveStatus.BoostVoltage"},
+    }
+    async with bench(free_udp_port, signals=signals) as one:
+        spoilt = one.drive.frame("DriveStatus", LoadPower=123.4)
+        one.drive.put("DriveStatus", with_crc(b"\xff\xff" + spoilt[2:]))
+        await one.ear.hears(1)
+        assert one.ear.latest == {"power": pytest.approx(123.4)}
+        assert one.port.statistics.out_of_range == 1
 
 
 async def test_silence_and_its_end_are_told(free_udp_port: int) -> None:

@@ -26,14 +26,16 @@ class StatusAssembly:
 
     def __init__(self, mapping: CanMapping) -> None:
         self._statuses = mapping.statuses
-        sources = {one.quantity: one for status in mapping.statuses for one in status.sources}
-        bridge = sources.get("bridge")
+        self._sources = {
+            one.quantity: (status, one) for status in mapping.statuses for one in status.sources
+        }
+        bridge = self._sources.get("bridge", (None, None))[1]
         self._bridge_on = 1.0 if bridge is None else bridge.on
         self.bridge_slack_s = None if bridge is None else bridge.slack_s
         self.bridge_cycle_s = 0.0
         if bridge is not None:
             self.bridge_cycle_s = bridge.cycle_s if bridge.cycle_stated else math.inf
-        slacks = {name: one.slack_s for name, one in sources.items()}
+        slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
         self._newest = NewestValues(slacks, mapping.others, mapping.faults)
         self._carried_on = self._come_on = False
         self.stop_seen = False
@@ -141,10 +143,4 @@ class StatusAssembly:
         The last item is the arrival of the newest value; an arrival is -inf before the first.
         """
         quantity, oldest_s, newest_s = self._newest.oldest()
-        status, source = next(
-            (status, source)
-            for status in self._statuses
-            for source in status.sources
-            if source.quantity == quantity
-        )
-        return status, source, oldest_s, newest_s
+        return *self._sources[quantity], oldest_s, newest_s

@@ -115,9 +115,9 @@ class CanSensorPort(CountedPort):
         self._counts["received"] += 1
         decoded = message.codec.decode(bytes(frame.data))
         self._counts["counter_lost"] += decoded.lost
-        if decoded.verdict is FrameVerdict.GOOD:
+        if decoded.values and decoded.verdict in {FrameVerdict.GOOD, FrameVerdict.OUT_OF_RANGE}:
             self._pass_on(message, decoded.values, self._clock() - self._arrivals.waited_s(frame))
-        elif decoded.verdict is not FrameVerdict.COUNTER_LOST:
+        if decoded.verdict not in {FrameVerdict.GOOD, FrameVerdict.COUNTER_LOST}:
             self._counts[decoded.verdict] += 1
 
     def hand_out(self) -> None:
