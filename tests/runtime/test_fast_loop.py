@@ -69,6 +69,18 @@ async def test_a_late_frame_replaces_the_stand_in_and_makes_no_second_tick() -> 
         assert (bench.loop.counts.held, bench.loop.counts.missed) == (1, 0)
 
 
+async def test_a_value_that_is_held_is_no_new_measurement() -> None:
+    """The drive sends one that must not be used: its bridge and its faults count, at once."""
+    async with running_bench() as bench:
+        bench.frame(whole=False)
+        assert not bench.reports[-1].measurement.fresh
+        assert bench.sent[-1].bridge
+        bench.frame()
+        assert bench.reports[-1].measurement.fresh
+        bench.frame(whole=False, fault=8)
+        assert bench.machine.state is State.TRIPPED
+
+
 async def test_a_fault_that_one_late_frame_alone_shows_trips() -> None:
     async with running_bench() as bench:
         bench.frame(after_s=1.7 * TICK_S, fault=8)

@@ -43,7 +43,6 @@ class Relink:
         self._commanded = False
         self._was_on = False
         self._reported_on = False
-        self._glimpsed_on = False
         self._stopped = False
         self._how = LOST
 
@@ -52,23 +51,18 @@ class Relink:
         """Reason not to energise the drive, None for none."""
         return f"{_STOPPED}; {self._how}" if self._stopped else None
 
-    def open(self, *, bridge: bool, how: str = LOST) -> None:
+    def open(self, *, bridge: bool, how: str = LOST, glimpsed: bool = False) -> None:
         """Begin a connection, or a silence of one.
 
         Args:
             bridge: Whether the last command that reached the drive had the bridge on.
             how: Why nothing is heard of the drive.
+            glimpsed: Whether its last report, also one that no reading carries, has it on.
         """
         if not (self._was_on and how in {UNREAD, LEAPT}):  # what was there before says more
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
-
-    def glimpse_on(self) -> None:
-        """Note a report of the bridge on that no reading carries, of a drive commanded on.
-
-        It keeps no command back. If the next reading has it off, the drive has stopped meanwhile.
-        """
-        self._glimpsed_on = self._commanded
+        self._reported_on = self._reported_on or glimpsed
 
     def hear(self, *, bridge: bool) -> None:
         """Note a reading.
@@ -76,9 +70,8 @@ class Relink:
         Args:
             bridge: Whether it has the bridge on.
         """
-        lost = self._glimpsed_on or (self._was_on and self._reported_on)
-        self._stopped = self._stopped or (lost and not bridge)
-        self._was_on, self._reported_on, self._glimpsed_on = False, bridge, False
+        self._stopped = self._stopped or (self._was_on and self._reported_on and not bridge)
+        self._was_on, self._reported_on = False, bridge
 
     def note(self, *, bridge: bool, safe: bool) -> None:
         """Note a command, sent or not; the safe one ends what was driven.
@@ -88,7 +81,6 @@ class Relink:
             safe: Whether it is the safe command.
         """
         self._commanded = bridge
-        self._glimpsed_on = self._glimpsed_on and bridge
         if safe:
             self._stopped = self._was_on = False
 

@@ -317,9 +317,7 @@ class CanPort:
         """Use the open bus until it is lost; return the reason."""
         self._newest = None
         self._obedience.forget()
-        if self._bridge_sent and self._assembly.powered:
-            self._relink.glimpse_on()
-        self._relink.open(bridge=self._bridge_sent)
+        self._relink.open(bridge=self._bridge_sent, glimpsed=self._assembly.powered)
         self._bridge_sent = False
         self._assembly.forget()
         if not self._hears_all:
