@@ -230,7 +230,7 @@ class Catalogue(ABC, Generic[Item]):
             self.note(at, self.refusal(item, use))
             field = self.field(item, use)
             value = self.resolve(field, constant, at)
-            if value is not None and self._is_sent(field, (value,), at):
+            if value is not None and self._is_sent(field, value, at):
                 found.append(Sink(reference, item, field, value, 0.0))
         return found
 
@@ -349,7 +349,7 @@ class Catalogue(ABC, Generic[Item]):
         if on is None or off is None:
             return
         self.note(place, f"on and off are both {on:g}" if on == off else None)
-        if self._is_sent(field, (off, on), place):
+        if self._is_sent(field, off, place) and self._is_sent(field, on, place):
             yield Sink(BRIDGE, item, field, off, on - off)
 
     def _value(self, name: str, entry: SignalSource, item: Item, demands: Demands) -> Sink[Item]:
@@ -358,10 +358,10 @@ class Catalogue(ABC, Generic[Item]):
         sink = Sink(name, item, field, -entry.offset / entry.scale, 1.0 / entry.scale)
         self.note(place, self.refusal(item, "command"))
         self._check_unit(entry, field, demands.unit_of(name), place)
-        if not self._is_held(field, sink.base, place):
+        sent = self._sent(field, sink.base, place)
+        if sent is None:
             return sink
-        sent = field.physical(field.raw(sink.base))
-        if not _is_same(field, sent, sink.base):
+        if sent != sink.base:
             zero = (sent - sink.base) / sink.factor
             self.note(place, f"0 would be sent as {zero:.4g}: it could not be safe")
         for wanted in demands.values(name):
@@ -370,23 +370,19 @@ class Catalogue(ABC, Generic[Item]):
             self.note(place, problem and f"{limit}: {problem}")
         return sink
 
-    def _is_sent(self, field: Field, values: Iterable[float], place: str) -> bool:
-        """Return whether values can be sent; those that are not sent as they stand are flaws."""
-        for value in values:
-            if not self._is_held(field, value, place):
-                return False
-            sent = field.physical(field.raw(value))
-            if not _is_same(field, sent, value):
-                problem = f"{field.name} = {value:.10g} would be sent as {sent:.10g}"
-                self.note(place, f"{problem}: its counts are {abs(field.scale):g} apart")
-        return True
+    def _is_sent(self, field: Field, value: float, place: str) -> bool:
+        """Return whether a value can be sent; one that is not sent as it stands is a flaw."""
+        sent = self._sent(field, value, place)
+        if sent is not None and sent != value:
+            problem = f"{field.name} = {value:.10g} would be sent as {sent:.10g}"
+            self.note(place, f"{problem}: its counts are {abs(field.scale):g} apart")
+        return sent is not None
 
-    def _is_held(self, field: Field, value: float, place: str) -> bool:
-        """Return whether a field can be a value, else there is a flaw."""
+    def _sent(self, field: Field, value: float, place: str) -> float | None:
+        """Return what is sent for a value, None and a flaw where the field cannot be it."""
         problem = field.problem(value)
         self.note(place, problem and f"the drive could not be switched: {problem}")
-        return problem is None
-
-
-def _is_same(field: Field, sent: float, value: float) -> bool:
-    return math.isclose(sent, value, rel_tol=_PRECISION, abs_tol=_ROUNDING * abs(field.scale))
+        if problem:
+            return None
+        sent, rounding = field.physical(field.raw(value)), _ROUNDING * abs(field.scale)
+        return value if math.isclose(sent, value, rel_tol=_PRECISION, abs_tol=rounding) else sent

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -32,9 +31,7 @@ class StatusAssembly:
         bridge = self._sources.get("bridge", (None, None))[1]
         self._bridge_on = 1.0 if bridge is None else bridge.on
         self.bridge_slack_s = None if bridge is None else bridge.slack_s
-        self.bridge_cycle_s = 0.0
-        if bridge is not None:
-            self.bridge_cycle_s = bridge.cycle_s if bridge.cycle_stated else math.inf
+        self.bridge_cycle_s = 0.0 if bridge is None else bridge.cycle_s
         slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
         self._newest = NewestValues(slacks, mapping.others, mapping.faults)
         self._carried_on = self._come_on = False

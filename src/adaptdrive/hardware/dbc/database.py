@@ -200,7 +200,7 @@ class SignalCatalogue(Catalogue[Located]):
     def count_problem(self, item: Located) -> str | None:
         """Return why a signal cannot count, None where it can."""
         signal = item.signal
-        if _is_plain(signal) and signal.length > 1 and compile_field(signal).low == 0:
+        if _is_count(signal) and signal.length > 1:
             return None
         return (
             f"signal {signal.name!r} cannot count: a counter is an unsigned integer of two bits"
@@ -306,7 +306,7 @@ class SignalCatalogue(Catalogue[Located]):
                 return key, None
             size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
             return key, f"signal {signal.name!r} must fill {size} of every frame"
-        if signal.length == _NIBBLE_BITS and _is_plain(signal):
+        if signal.length == _NIBBLE_BITS and _is_count(signal):
             return key, None
         return key, f"signal {signal.name!r} must be four bits of every frame"
 
@@ -384,11 +384,7 @@ def stated_cycle(message: Message) -> str:
     return f"GenMsgCycleTime {cycle_s * 1e3:g} ms" if cycle_s else "no GenMsgCycleTime"
 
 
-def is_word(signal: Signal) -> bool:
-    """Return whether the physical value of a signal is its raw integer."""
-    return not signal.is_float and signal.scale == 1 and signal.offset == 0
-
-
-def _is_plain(signal: Signal) -> bool:
-    """Return whether a signal is an unsigned integer of every frame of its message."""
-    return is_word(signal) and not signal.is_signed and not is_multiplexed(signal)
+def _is_count(signal: Signal) -> bool:
+    """Return whether a signal is an integer from 0 on in every frame of its message."""
+    field = compile_field(signal)
+    return field.is_word and field.low == 0 and not is_multiplexed(signal)

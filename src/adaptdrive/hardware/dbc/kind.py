@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -56,7 +57,9 @@ def _bridge_cautions(timing: Timing, message: str, bridge: CanSource) -> Iterato
     """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
     timeout_s, limit_s = timing.command_timeout_s, timing.silent_s
     every_s, says = bridge.cycle_s, f"comes every {bridge.cycle_s * 1e3:.4g} ms"
-    if not bridge.cycle_stated and timeout_s is None:  # it may come as seldom as it may be old
+    if math.isinf(every_s):  # it may come as seldom as it may be old
+        if timeout_s is not None:
+            return
         every_s, says = timing.stale_s + bridge.slack_s, "has no GenMsgCycleTime"
     if every_s > limit_s and (timeout_s or 0.0) <= limit_s + every_s:
         yield Flaw(

@@ -5,6 +5,7 @@ Everything that can be wrong is found here, before a bus is opened, and all of i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,9 +47,8 @@ class CanSource:
         slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
             the clock, with which they are taken, comes less often.
         cycle_by: What says so of the slower of them: GenMsgCycleTime or a key of `[bus]`.
-        cycle_s: Time from one such value to the next.
-        cycle_stated: Whether something says how often its message comes; else it is taken to come
-            as often as the clock.
+        cycle_s: Time from one such value to the next, infinite where nothing says how often its
+            message comes.
         on: Value of the signal while the bridge is on.
     """
 
@@ -59,7 +59,6 @@ class CanSource:
     slack_s: float = 0.0
     cycle_by: str = ""
     cycle_s: float = 0.0
-    cycle_stated: bool = True
     on: float = 1.0
 
 
@@ -177,6 +176,7 @@ def _source(
     if timing.stale_s + slack_s > LONGEST_STALE_S:
         age = f"age for {timing.stale_s + slack_s:.4g} s, limit {LONGEST_STALE_S:g} s"
         catalogue.note(source.place, f"bus.stale_cycles lets a value of {named} {age}")
+    stated = message.name in {bus.clock, *bus.polled} or cycle_time_s(message) > 0.0
     return CanSource(
         quantity=source.quantity,
         signal=signal.name,
@@ -184,8 +184,7 @@ def _source(
         offset=source.offset,
         slack_s=slack_s,
         cycle_by=by,
-        cycle_s=cycle_s,
-        cycle_stated=message.name in {bus.clock, *bus.polled} or cycle_time_s(message) > 0.0,
+        cycle_s=cycle_s if stated else math.inf,
         on=1.0 if source.on is None else source.on,
     )
 

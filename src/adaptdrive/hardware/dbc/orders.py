@@ -18,9 +18,9 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.binding import BRIDGE, Sink
-from adaptdrive.hardware.dbc.database import Located, SignalCatalogue, is_word
+from adaptdrive.hardware.dbc.database import Located, SignalCatalogue
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.layout import initial_value, signal_bits
+from adaptdrive.hardware.link.layout import compile_field, initial_value, signal_bits
 
 Choice = dict[str, float]
 """Values of multiplexers by name."""
@@ -175,7 +175,7 @@ def _selection_problems(
     message: Message, selector: Signal, fixed: Mapping[str, float]
 ) -> Iterator[str]:
     """Yield why a frame cannot be encoded with the value that its multiplexer has."""
-    if selector.name in fixed and not is_word(selector):
+    if selector.name in fixed and not compile_field(selector).is_word:
         yield f"its multiplexer {selector.name!r} has a factor or an offset"
     value = _selected(selector, fixed)
     paged = [one for one in message.signals if one.multiplexer_signal == selector.name]

@@ -15,7 +15,7 @@ import can
 from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.binding import sensor_entries
-from adaptdrive.hardware.counting import CountedPort
+from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.dbc.database import open_catalogue
 from adaptdrive.hardware.dbc.mapping import CanSource, StatusFrame, status_frame
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
@@ -75,7 +75,7 @@ def map_sensors(
     return tuple(status_frame(catalogue, bus, *item, bus.cycle_s) for item in found.items())
 
 
-class CanSensorPort(CountedPort):
+class CanSensorPort(CountingPort):
     """One connection to the sensors on one CAN bus.
 
     Attributes:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.counting import BusBackoff, SensingPort
+from adaptdrive.hardware.counting import BusBackoff, CountingPort
 from adaptdrive.hardware.polled.link import PolledLink
 from adaptdrive.hardware.port import Listener, SensorListener
 
@@ -20,14 +20,20 @@ _SILENT_CYCLES = 3
 """Cycles without a reading, or any reply, after which the bus is reported lost."""
 
 
-class Polling(SensingPort, ABC, Generic[Link, Hearer]):
-    """Parts that the port of a drive and that of sensors have in common."""
+class Polling(CountingPort, ABC, Generic[Link, Hearer]):
+    """Parts that the port of a drive and that of sensors have in common.
+
+    Attributes:
+        description: The bus in one phrase.
+    """
 
     def __init__(self, description: str, cycle_s: float, clock: Callable[[], float]) -> None:
-        super().__init__(description)
+        super().__init__()
+        self.description = description
         self._cycle_s = cycle_s
         self._clock = clock
         self._listener: Hearer | None = None
+        self._up: bool | None = None
         self._wake = asyncio.Event()
         self._closing = self._alike = False
         self._silent = 0
@@ -64,7 +70,7 @@ class Polling(SensingPort, ABC, Generic[Link, Hearer]):
                 return
             link, problem = await self._try()
             if link is not None:
-                self._count_reopened()
+                self._counts["reconnects"] += self._up is not None
 
     async def _try(self) -> tuple[Link | None, str]:
         """Open a link; None, and why, where that fails."""
@@ -115,6 +121,10 @@ class Polling(SensingPort, ABC, Generic[Link, Hearer]):
         return self._silent >= _SILENT_CYCLES
 
     def _note_bus(self, *, up: bool, problem: str = "") -> None:
-        """Report whether the bus answers, unless the port is being closed."""
-        if self._listener is not None and not self._closing:
-            self._report(self._listener, up=up, problem=problem)
+        """Report whether the bus answers, once it does not, unless the port is being closed."""
+        if self._listener is None or self._closing or up is self._up:
+            return
+        news, self._up = self._up is not None or not up, up
+        if news:
+            detail = self.description if up else f"{self.description}: {problem}"
+            self._listener.on_bus(up=up, detail=detail)

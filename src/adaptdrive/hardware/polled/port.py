@@ -15,7 +15,6 @@ from adaptdrive.config.modbus import ModbusBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.polled.assembly import STANDS_STILL, DriveHeartbeat, PollAssembly
 from adaptdrive.hardware.polled.capacity import Exchange
 from adaptdrive.hardware.polled.commander import Commander
@@ -31,7 +30,7 @@ _MIXED_UP = (
 )
 
 
-class PolledPort(Polling[PolledLink, Listener], CountingPort):
+class PolledPort(Polling[PolledLink, Listener]):
     """One connection to one drive that is polled."""
 
     must_open = False
