@@ -31,7 +31,7 @@ class Field:
         offset: Physical value of the raw value zero.
         unavailable: Raw value that means "not available".
         idle: Raw value of a signal that the sender does not set.
-        blanks: Values of a whole register that say nothing, where raw values are some of its bits.
+        blanks: Values of a whole register that say nothing where its bits, or off, are taken.
         unknown: Raw values within the range that say nothing.
         unit: Unit of the physical value as the description writes it, empty for none.
         names: Names of raw values, as a value table has them.

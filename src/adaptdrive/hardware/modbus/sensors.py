@@ -71,7 +71,7 @@ class Turns:
         """
         self._blocks = [replace(block) for block in blocks]
         self._patience = patience
-        self._cycle = self._retry = 0
+        self._cycle = 0
         self._missing: set[int | None] = set()
 
     def due(self, left_s: Callable[[], float], miss_s: float) -> Iterator[SensorBlock]:
@@ -87,9 +87,8 @@ class Turns:
         for block in order:
             silent = block.misses >= self._patience
             wanted = block is order[0] if silent else not self._is_doubtful(block)
-            needed_s = miss_s if silent and self._cycle < self._retry else 0.0
+            needed_s = miss_s if silent and self._cycle % SELDOM_CYCLES else 0.0
             if wanted or left_s() >= needed_s:
-                self._retry = self._cycle + SELDOM_CYCLES if silent else self._retry
                 yield block
 
     def note(self, block: SensorBlock, *, answered: bool) -> None:

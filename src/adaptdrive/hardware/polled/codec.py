@@ -23,7 +23,9 @@ _LARGEST_COUNT = 1 << 24
 """Largest number that a float holds as `not_available` names it; what is larger is its word."""
 
 
-def register_field(name: str, register: Register, *, measured: bool) -> Field:
+def register_field(
+    name: str, register: Register, *, measured: bool, switched: bool = False
+) -> Field:
     """Return how a register is coded.
 
     Args:
@@ -31,6 +33,7 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
         register: The register.
         measured: Whether the count that means `no value` is refused although the map names none;
             in a fault word all ones are as good as any other count.
+        switched: Whether such a count, and all ones, must not read as off.
     """
     low, high = _limits(register)
     if measured and register.real:
@@ -38,13 +41,16 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
     missing = _missing(register, measured=measured)
     words: frozenset[Raw] = frozenset() if missing is None else frozenset({missing})
     bits = register.bits is not None
+    blanks = words if bits else frozenset()
+    if switched and register.not_available is None and not register.real:
+        blanks = _unsaid(register)
     return Field(
         name=name,
         scale=register.scale,
         low=low,
         high=high,
         integer=not register.real,
-        blanks=words if bits else frozenset(),
+        blanks=blanks,
         unknown=frozenset() if bits else words,
         unit=register.unit,
         names={count: name for name, count in register.names.items()},
@@ -71,9 +77,9 @@ def decode(register: Register, field: Field, words: Sequence[int]) -> float | No
         words: Its registers, as many as `register.words`.
     """
     raw = count(register, words)
-    if raw in field.blanks:  # all bits of the word say that there is no value
-        return None
-    return field.value(raw if register.bits is None else _masked(int(raw), register.bits))
+    if register.bits is None:
+        return field.value(raw)
+    return None if raw in field.blanks else field.value(_masked(int(raw), register.bits))
 
 
 def _masked(raw: int, mask: int) -> int:
@@ -86,19 +92,18 @@ def _lowest(mask: int | None) -> int:
     return 1 if mask is None else mask & -mask
 
 
-def refusal(register: Register, field: Field, words: Sequence[int], *, blank: bool) -> str:
+def refusal(register: Register, field: Field, words: Sequence[int]) -> str:
     """Return what registers hold that must not be used, and why.
 
     Args:
         register: How the value is coded.
         field: The same.
         words: Its registers.
-        blank: Whether they say nothing although `decode` takes them.
     """
     found, bounds = count(register, words), register.range
     raw = " ".join(f"{word:04x}" for word in words)
     held = f"holds {raw}, {found * register.scale:.10g} {register.unit}".strip()
-    if blank or found in field.unknown or found in field.blanks:
+    if found in field.unknown or found in field.blanks:
         return f"holds {raw}, its word for no value"
     if bounds is None or not math.isfinite(found):
         return f"{held}: no finite number"
@@ -163,6 +168,16 @@ def _missing(register: Register, *, measured: bool) -> Raw | None:
         found: float = struct.unpack(">f", struct.pack(">I", given))[0]
         return found
     return given - span if _signed(register) and given >= span // 2 else given
+
+
+def _unsaid(register: Register) -> frozenset[Raw]:
+    """Return the counts for no value where the map names none, as a gateway gives them.
+
+    Of a bit all bits of its word count, as 0x8000 is a word of which one is set.
+    """
+    ones = -1 if _signed(register) else (1 << (16 * register.words)) - 1
+    missing = None if register.bits else _missing(register, measured=True)
+    return frozenset({ones} if missing is None else {ones, missing})
 
 
 def _ordered(register: Register, words: Sequence[int]) -> list[int]:

@@ -50,7 +50,6 @@ class Commander:
         self._witness = witness
         self._untaken = UntakenCommands()
         self._alive = 0
-        self._stopped_s = math.inf
         self._begun_s = -math.inf
         self._taken_s = timing.taken_s
         self._obedience = Obedience(timing.obeyed_s(timing.reading_s), clock)
@@ -79,9 +78,8 @@ class Commander:
     @property
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
-        now_s = self._clock()
         on = self._obedience.overdue_s(powered=self._witness.may_be_on) > 0.0
-        untaken_s = now_s - max(self._stopped_s, self._begun_s)
+        untaken_s = self._clock() - max(self._obedience.heard_s, self._begun_s)
         return on or (self.safe_s == math.inf and untaken_s > self._taken_s)
 
     @property
@@ -98,10 +96,7 @@ class Commander:
         for block, sinks in self._poll.writes:
             block_words(block, sinks, command, 0)
         if command != SAFE_COMMAND:
-            self._stopped_s = math.inf
             self._obedience.forget()
-        elif self._stopped_s == math.inf:
-            self._stopped_s = self._clock()
         self._witness.renew(command)
         self._command = command
         self._withheld = False
@@ -117,15 +112,12 @@ class Commander:
     def note_read(self, *, answered: bool) -> None:
         """Note the end of a poll, which gives no reading unless its bridge is noted next.
 
-        What has to wait for a reading is written after the read of a poll, not with it.
-
         Args:
             answered: Whether the drive answered.
         """
         if not answered:  # it may have started anew
             self._pace.forget()
-        if self._witness.note_read(answered=answered):
-            self._written = None
+        self._witness.note_read(answered=answered)
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.

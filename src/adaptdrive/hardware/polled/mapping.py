@@ -30,8 +30,8 @@ from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.polled.capacity import Block, Exchange, cycle_flaws, plan_blocks
 from adaptdrive.hardware.polled.codec import (
+    count,
     decode,
-    decode_value,
     encode_count,
     refusal,
     register_field,
@@ -42,8 +42,6 @@ HEARTBEAT = "bus.heartbeat"
 
 _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
-
-_ALL_ONES = 0xFFFF
 
 
 Bound = TypeVar("Bound", Source["Named"], Sink["Named"])
@@ -71,7 +69,8 @@ class RegisterCatalogue(Catalogue[Named]):
 
     def field(self, item: Named, use: Use) -> Field:
         """Return how a register is coded."""
-        return register_field(item.name, item.register, measured=use == "measured")
+        measured, switched = use == "measured", use == "state"
+        return register_field(item.name, item.register, measured=measured, switched=switched)
 
     def count_problem(self, item: Named) -> str | None:  # noqa: ARG002 - polls are counted by none
         """Return None: no tick is counted by a register."""
@@ -104,9 +103,8 @@ def value_in(source: Source[Named], block: Block, words: list[int]) -> float | N
         return None
     if source.on is not None:
         value = float(value == source.on)
-    some_bits = source.item.register.bits is not None
-    if (some_bits or not value) and _is_blank(source, taken):
-        return None
+    if not value and count(source.item.register, taken) in source.field.blanks:
+        return None  # it only reads as off
     return value * source.scale + source.offset
 
 
@@ -114,22 +112,7 @@ def explain(source: Source[Named], block: Block, words: list[int]) -> str:
     """Return why a quantity must not be used: its name, its place and what is there."""
     register, taken = source.item.register, _words(source, block, words)
     place = f"{source.quantity}: {Block(register.table, register.address, register.words)}"
-    blank = _is_blank(source, taken)
-    return f"{place} {refusal(register, source.field, taken, blank=blank)}"
-
-
-def _is_blank(source: Source[Named], taken: list[int]) -> bool:
-    """Return whether a bridge holds its count for no value, which may read as off.
-
-    All bits are set, as by a gateway for a module that it does not reach, where the map gives
-    no other count. Of a bit all bits of its word count, as 0x8000 is a word of which one is set.
-    """
-    register = source.item.register
-    if source.quantity != BRIDGE:
-        return False
-    if register.not_available is None and all(word == _ALL_ONES for word in taken):
-        return True
-    return register.bits is None and decode_value(register, taken, measured=True) is None
+    return f"{place} {refusal(register, source.field, taken)}"
 
 
 def _words(source: Source[Named], block: Block, words: list[int]) -> list[int]:

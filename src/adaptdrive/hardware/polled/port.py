@@ -158,14 +158,15 @@ class PolledPort(Polling[PolledLink, Listener]):
                 await self._ask(link, Exchange(write=block), words)
                 held = await self._ask(link, Exchange(read=block), []) if reads else words
             except ExchangeError as failure:
-                await self._commander.leave_safe(link)
-                link.lost = link.lost or f"set-up of {name!r}: {failure.problem}"
-                return
-            if held != words:
-                await self._commander.leave_safe(link)
+                problem = failure.problem
+            else:
+                if held == words:
+                    continue
                 found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
-                link.lost = f"set-up of {name!r}: {block} holds {found} after {wanted} was written"
-                return
+                problem = f"{block} holds {found} after {wanted} was written"
+            await self._commander.leave_safe(link)
+            link.lost = link.lost or f"set-up of {name!r}: {problem}"
+            return
 
     async def _ask(self, link: PolledLink, exchange: Exchange, words: list[int]) -> list[int]:
         """Exchange one part of the set-up; a safe command that is urgent goes before it."""

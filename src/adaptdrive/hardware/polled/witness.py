@@ -84,7 +84,7 @@ class PollWitness:
         self._outdated = self._outdated or self._stands_still(now_s)
         self._stepped_s = now_s
 
-    def note_read(self, *, answered: bool) -> bool:
+    def note_read(self, *, answered: bool) -> None:
         """Note the end of a poll, which reports no bridge unless that is noted next.
 
         A drive that has given none for as long as its own time-out may be, or has neither answered
@@ -93,16 +93,11 @@ class PollWitness:
 
         Args:
             answered: Whether the drive answered: a silent one ignores more than commands.
-
-        Returns:
-            Whether what energises waits.
         """
         self.silent = self.silent or not answered
-        waits = self._is_unheard
-        if waits:
+        if self._is_unheard:
             self._relink.open(bridge=self._given_on, how=UNANSWERED if self.silent else UNREAD)
         self.silent, self._blank = not answered, True
-        return waits
 
     def note_bridge(self, *, powered: bool) -> None:
         """Note whether the drive reports its bridge on, or is assumed to have it on."""
