@@ -136,6 +136,6 @@ def test_a_torque_inverter_on_can_is_described_by_a_file_with_flaws(tmp_path: Pa
     assert "line 16: a name that begins with a digit" in cautions
     assert any(one.startswith("line 16: signal '_5V_Rail' does not fit") for one in cautions)
     limits = {name for name, _, _ in bus_kind("can").time_limits(configuration, path)}
-    assert {"stale output", "stale fault.0", "stale fault.1"} <= limits
+    assert {"stale output", "stale faults.0", "stale faults.1"} <= limits
     probed = build_port(configuration, time.monotonic, path, passive=True)
     assert probed.stop_slack_s is not None

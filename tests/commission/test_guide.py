@@ -149,6 +149,15 @@ async def test_a_message_without_a_voltage_or_its_age_is_no_measurement(
         await watch(mosquitto, telemetry, 30.0)
 
 
+@pytest.mark.parametrize("device", ["maxon-epos4", "cascadia-pm", "odrive-s1"])
+def test_an_experiment_rests_the_load_at_0_where_its_drive_may_turn_it_backwards(
+    device: str,
+) -> None:
+    configuration = load_configuration(EXAMPLES.parent / "devices" / f"{device}.toml")
+    assert configuration.drive.limits.boost_reference_min_V < 0.0
+    assert build_target(configuration, 0.05).low_V == 0.0
+
+
 async def test_a_drive_that_another_operator_has_enabled_is_left_alone(mosquitto: Broker) -> None:
     name = f"taken-{uuid.uuid4()}"
     target = build_target(load_configuration(EXAMPLES / "motor.toml"), 0.05)

@@ -19,6 +19,10 @@ from tests.hardware.bench import EXAMPLES, MOTOR, TIMING, motor_bus, rewritten
 HEAD = 'VERSION ""\nBU_: A\n'
 SOUND = 'BO_ 256 Sound: 8 A\n SG_ Level : 0|16@1+ (0.1,0) [0|0.0] "V" A\n'
 FLAWS = {
+    "overlap": ' SG_ Other : 8|16@1+ (1,0) [0|0] "" A\n',
+    "twice": ' SG_ Far : 32|16@1+ (1,0) [0|0] "" A\n SG_ Far : 48|16@1+ (1,0) [0|0] "" A\n',
+    "beyond": ' SG_ Far : 60|8@1+ (1,0) [0|0] "" A\n',
+    "beyond, big": ' SG_ Far : 60|8@0+ (1,0) [0|0] "" A\n',
     "digit": ' SG_ 5V_RAIL : 16|8@1+ (1,0) [0|0] "" A\n',
     "long id": 'BO_ 123456789 Long: 8 A\n SG_ Far : 0|8@1+ (1,0) [0|0] "" A\n',
     "no id": 'BO_ 1073741825 Nowhere: 8 A\n SG_ Far : 0|8@1+ (1,0) [0|0] "" A\n',
@@ -27,15 +31,6 @@ FLAWS = {
     "spoilt message": 'BO_ 258 Spoilt 8\n SG_ Far : 0|8@1+ (1,0) [0|0] "" A\nBO_ 259 Next: 8 A\n',
     "names of nothing": 'VAL_ 256 Gone 0 "Off" 1 "On" ;\n',
 }
-
-
-BORNE = {
-    "overlap": ' SG_ Other : 8|16@1+ (1,0) [0|0] "" A\n',
-    "twice": ' SG_ Far : 32|16@1+ (1,0) [0|0] "" A\n SG_ Far : 48|16@1+ (1,0) [0|0] "" A\n',
-    "beyond": ' SG_ Far : 60|8@1+ (1,0) [0|0] "" A\n',
-    "beyond, big": ' SG_ Far : 60|8@0+ (1,0) [0|0] "" A\n',
-}
-"""Flaws that the parser bears."""
 
 
 def written(folder: Path, text: str) -> Path:
@@ -49,23 +44,13 @@ def test_a_flaw_of_a_dbc_is_a_remark_with_its_line(tmp_path: Path, flaw: str) ->
     description = read_dbc(written(tmp_path, SOUND + FLAWS[flaw]))
     remark, *others = description.remarks
     assert others == []
-    line = (HEAD + SOUND).count("\n") + 1 + (flaw == "spoilt")
+    line = (HEAD + SOUND).count("\n") + 1 + (flaw in {"spoilt", "twice"})
     assert remark.startswith(f"line {line}: ")
     level = description.database.get_message_by_name("Sound").get_signal_by_name("Level")
     expected = cantools.database.load_string(HEAD + SOUND, database_format="dbc")
     (other,) = expected.get_message_by_name("Sound").signals  # type: ignore[union-attr]
     assert (level.start, level.length, level.scale) == (other.start, other.length, other.scale)
     assert SignalCatalogue(description, fd=False).find("Sound.Level", "signals.output")
-
-
-@pytest.mark.parametrize("flaw", BORNE)
-def test_a_signal_is_used_whatever_else_its_message_holds(tmp_path: Path, flaw: str) -> None:
-    description = read_dbc(written(tmp_path, SOUND + BORNE[flaw]))
-    catalogue = SignalCatalogue(description, fd=False)
-    found = catalogue.find("Sound.Level", "signals.output")
-    assert found is not None
-    assert (found.signal.start, found.signal.length, found.signal.scale) == (0, 16, 0.1)
-    assert (description.remarks, catalogue.flaws) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -94,9 +79,7 @@ def test_what_nobody_reads_may_be_spoilt(tmp_path: Path, text: str) -> None:
 def test_a_flaw_is_an_error_for_who_uses_it(
     tmp_path: Path, flaw: str, named: str, words: str
 ) -> None:
-    catalogue = SignalCatalogue(
-        read_dbc(written(tmp_path, SOUND + (FLAWS | BORNE)[flaw])), fd=False
-    )
+    catalogue = SignalCatalogue(read_dbc(written(tmp_path, SOUND + FLAWS[flaw])), fd=False)
     catalogue.find(named, "signals.output")
     (problem,) = catalogue.flaws
     assert problem.place == "signals.output"
@@ -142,7 +125,7 @@ def test_no_line_of_a_parser_reaches_the_log(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.DEBUG):
-        read_dbc(written(tmp_path, SOUND + SOUND + "".join((FLAWS | BORNE).values())))
+        read_dbc(written(tmp_path, SOUND + SOUND + "".join(FLAWS.values())))
     assert [one for one in caplog.records if one.name.startswith("cantools")] == []
 
 

@@ -42,7 +42,7 @@ class Target:
     """Limits of an experiment, and the structure of its load.
 
     Attributes:
-        low_V: Lowest V_c.
+        low_V: Lowest V_c, at which the load rests: not below 0.
         high_V: Highest V_c.
         output_max: Highest output that the experiment leads to.
         move: Movement of the output that the experiment aims at.
@@ -96,15 +96,13 @@ def build_target(
         patience_s: Shortest wait for a response; that of the kind of load when None.
     """
     section, limits = configuration.load, configuration.drive.limits
-    load = build_load(configuration)
-    ends = [
-        to_input(voltage_V, load.input_gain, load.input_exponent)
-        for voltage_V in (limits.boost_reference_min_V, limits.boost_reference_max_V)
-    ]
+    load, high_V = build_load(configuration), limits.boost_reference_max_V
+    low_V = max(limits.boost_reference_min_V, 0.0)  # a negative one would drive the load backwards
+    ends = [to_input(one, load.input_gain, load.input_exponent) for one in (low_V, high_V)]
     span = section.reference_max - section.reference_min
     return Target(
-        low_V=limits.boost_reference_min_V,
-        high_V=limits.boost_reference_max_V,
+        low_V=low_V,
+        high_V=high_V,
         output_max=section.reference_max,
         move=move_share * span,
         first_gain=span / (ends[1] - ends[0]),

@@ -37,7 +37,7 @@ class _Rig:
         self._share = -math.expm1(-self._step_s / _LAG_S)
         self._taken = 0
         self.time_s = 0.0
-        self.boost_V = configuration.drive.limits.boost_reference_min_V
+        self.boost_V = max(configuration.drive.limits.boost_reference_min_V, 0.0)
 
     def sample(self, wanted_V: float) -> tuple[float, float, float]:
         """Advance by a sample under V_c; return its time, boost voltage and output."""

@@ -155,7 +155,8 @@ def _described(text: str) -> Description:
             whole.leave_out(int(line[1]) - 1, "it cannot be read")
         else:
             assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
-            return Description(database, whole.remarks)
+            remarks = _place_remarks(database.messages, whole.places)
+            return Description(database, [*whole.remarks, *remarks])
     raise ValueError(f"more than {_MOST_LEFT_OUT} lines cannot be read; {whole.remarks[-1]}")
 
 
@@ -355,6 +356,29 @@ def _form_flaws(message: Message, integrity: FrameIntegrity) -> Iterator[tuple[s
     if crc.check is not None and crc.check != found:
         problem = f"{crc.check:#x} is not what these parameters give, {found:#x}"
         yield ".crc.check", f"{problem}: one of them is copied wrongly"
+
+
+def _place_remarks(
+    messages: Iterable[Message], places: Mapping[tuple[str, str], int]
+) -> Iterator[str]:
+    """Yield the signals that cannot be used, and those on bits of another one of their frame."""
+    for message in messages:
+        key = str(frame_key(message.frame_id, extended=message.is_extended_frame))
+        before: dict[str, tuple[Signal, int]] = {}
+        for signal in message.signals:
+            problem = _signal_problem(message, [signal])
+            bits = 0 if problem else signal_bits(signal)
+            shared = (n for n, (one, own) in before.items() if own & bits and _meet(one, signal))
+            problem = problem or next((f"has bits of {name!r}" for name in shared), None)
+            before[signal.name] = signal, bits
+            if problem:
+                yield f"line {places.get((key, signal.name), 0)}: signal {signal.name!r} {problem}"
+
+
+def _meet(one: Signal, other: Signal) -> bool:
+    """Return whether a frame may carry two signals: it has no pages, or one has both."""
+    pages = one.multiplexer_ids, other.multiplexer_ids
+    return not all(pages) or one.multiplexer_ids == other.multiplexer_ids
 
 
 def _signal_problem(message: Message, found: Sequence[Signal]) -> str | None:

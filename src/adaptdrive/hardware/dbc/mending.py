@@ -39,10 +39,12 @@ class MendedText:
     Attributes:
         lines: Its lines.
         remarks: What is wrong in it, each with its line.
+        places: Line of each signal, from 1, by the id of its message as written and its name.
     """
 
     lines: list[str]
     remarks: list[str] = field(default_factory=list)
+    places: dict[tuple[str, str], int] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
@@ -76,12 +78,12 @@ def mended(text: str) -> MendedText:
     result = MendedText(bare.split("\n"))
     for number, line in enumerate(result.lines):
         result.lines[number] = _renamed(result, number, _renumbered(result, number, line))
-    known, without_frame = _read_messages(result)
+    without_frame = _read_messages(result)
     for number, line in enumerate(result.lines):
         found = _OF_SIGNAL.match(line)
         if found and found[1] == without_frame:
             result.lines[number] = ""
-        elif found and (found[1], found[2]) not in known:
+        elif found and (found[1], found[2]) not in result.places:
             result.leave_out(number, f"message {found[1]} has no signal {found[2]!r}")
     return result
 
@@ -110,9 +112,9 @@ def _renamed(result: MendedText, number: int, line: str) -> str:
     return _BARE_POINT.sub(r"\g<1>0.", line) if line.lstrip().startswith("SG_") else line
 
 
-def _read_messages(result: MendedText) -> tuple[set[tuple[str, str]], str]:
-    """Return every message and signal, and the message without a frame; others without go."""
-    known, without_frame, frame = set(), "", ""
+def _read_messages(result: MendedText) -> str:
+    """Note the line of each signal; return the message without a frame, others without go."""
+    without_frame = frame = ""
     for number, line in enumerate(result.lines):
         message, found = _MESSAGE.match(line), _SIGNAL.match(line)
         if message:
@@ -121,6 +123,6 @@ def _read_messages(result: MendedText) -> tuple[set[tuple[str, str]], str]:
                 without_frame = frame
             elif int(frame) & ~_EXTENDED > _LARGEST_ID:
                 result.leave_out(number, f"no frame has the id {int(frame):#x}")
-        elif found:
-            known.add((frame, found[1]))
-    return known, without_frame
+        elif found and result.places.setdefault((frame, found[1]), number + 1) <= number:
+            result.remarks.append(f"line {number + 1}: a signal {found[1]!r} is there before")
+    return without_frame
