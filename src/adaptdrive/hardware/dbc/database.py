@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cantools
 from can.util import CAN_FD_DLC
@@ -160,6 +160,9 @@ def _described(text: str) -> Description:
     raise ValueError(f"more than {_MOST_LEFT_OUT} lines cannot be read; {whole.remarks[-1]}")
 
 
+Named = TypeVar("Named", Message, Signal)
+
+
 class Located(NamedTuple):
     """A signal and the message that carries it."""
 
@@ -214,15 +217,13 @@ class SignalCatalogue(Catalogue[Located]):
 
     def message(self, name: str, place: str) -> Message | None:
         """The message called `name`, or None and a flaw at `place`."""
-        known = {message.name: message for message in self._messages}
-        message = known.get(name) or known.get(f"_{name}")
-        if message is None:
-            problem = f"the database has no message {name!r}{nearest(name, known)}"
-            self.note(place, f"{problem}{self.remark(name)}")
+        found = self._named(self._messages, name, place, "the database has no message")
+        if not found:
             return None
-        ids = [f"{one.frame_id:#x}" for one in self._messages if one.name == name]
-        if len(ids) > 1:
-            self.note(place, f"message {name!r} is the name of {' and '.join(ids)}: rename one")
+        message, *others = found
+        if others:
+            ids = " and ".join(f"{one.frame_id:#x}" for one in found)
+            self.note(place, f"message {name!r} is the name of {ids}: rename one")
         if needs_fd(message) and not self._fd:
             self.note(place, f"message {name!r} is one of CAN FD: it needs bus.fd = true")
             return None
@@ -233,28 +234,26 @@ class SignalCatalogue(Catalogue[Located]):
 
     def find(self, reference: str, place: str) -> Located | None:
         """The message and signal that `Message.Signal` names, or None and a flaw at `place`."""
-        name, dot, signal = reference.partition(".")
-        if not (name and dot and signal):
+        name, _, signal = reference.partition(".")
+        if not (name and signal):
             self.note(place, f"{reference!r} must be written Message.Signal")
             return None
         message = self.message(name, place)
         if message is None:
             return None
-        found = self.signal_of(message, signal, place)
-        return Located(message, found) if found else None
+        missing = f"message {message.name!r} has no signal"
+        found = self._named(message.signals, signal, place, missing)
+        problem = _signal_problem(message, found) if found else None
+        self.note(place, problem and f"signal {signal!r} {problem}")
+        return Located(message, found[0]) if found and not problem else None
 
-    def signal_of(self, message: Message, name: str, place: str) -> Signal | None:
-        """The signal called `name` of `message`, or None and a flaw at `place`."""
-        known = [signal.name for signal in message.signals]
-        held = name if name in known else f"_{name}"
-        found = [signal for signal in message.signals if signal.name == held]
-        if not found:
-            hint = f"{nearest(name, known)}{self.remark(name)}"
-            self.note(place, f"message {message.name!r} has no signal {name!r}{hint}")
-            return None
-        problem = _signal_problem(message, found)
-        self.note(place, problem and f"signal {name!r} {problem}")
-        return None if problem else found[0]
+    def _named(self, known: Sequence[Named], name: str, place: str, missing: str) -> list[Named]:
+        """Return what has a name, or the name with which a digit at its begin was mended."""
+        names: list[str] = [one.name for one in known]
+        if not {name, f"_{name}"} & {*names}:
+            self.note(place, f"{missing} {name!r}{nearest(name, names)}{self.remark(name)}")
+        held = name if name in names else f"_{name}"
+        return [one for one in known if one.name == held]
 
     def check_uses(self, uses: Mapping[str, Iterable[str]]) -> None:
         """Gather a flaw for each id that is used twice, at the second place.
@@ -283,33 +282,29 @@ class SignalCatalogue(Catalogue[Located]):
         if integrity.data_id_mode == "nibble":
             wanted["nibble"] = integrity.nibble
         for key, proof in wanted.items():
-            signal = self.signal_of(message, proof, f"{place}.{key}") if proof else None
-            if signal is not None:
-                at, problem = self._proof_flaw(key, Located(message, signal), integrity)
-                self.note(f"{place}.{at}", problem)
+            item = self.find(f"{name}.{proof}", f"{place}.{key}") if proof else None
+            if item is None:
+                continue
+            self.note(f"{place}.{key}", self._proof_problem(key, item, integrity))
+            modulus, jump = counter_modulus(compile_field(item.signal)), integrity.max_jump
+            if key == "counter" and jump >= modulus:
+                self.note(f"{place}.max_jump", f"{jump} must be below its {modulus} values")
         for key, problem in _form_flaws(message, integrity):
             self.note(f"{place}{key}", problem)
 
-    def _proof_flaw(
-        self, key: str, item: Located, integrity: FrameIntegrity
-    ) -> tuple[str, str | None]:
-        """Return why a signal is no such proof of a message, None where it is, and at which key."""
+    def _proof_problem(self, key: str, item: Located, integrity: FrameIntegrity) -> str | None:
+        """Return why a signal is no such proof of a message, None where it is."""
         message, signal = item
         if key == "counter":
-            modulus, problem = counter_modulus(compile_field(signal)), self.count_problem(item)
-            if problem or integrity.max_jump < modulus:
-                return key, problem
-            return "max_jump", f"{integrity.max_jump} must be below the counter's {modulus} values"
+            return self.count_problem(item)
         if key == "checksum":
             bits = integrity.crc.width if integrity.crc else 8
             span = checksum_span(message, signal.name)
-            if span and 8 * span.length == bits and not is_multiplexed(signal):
-                return key, None
+            fits = span and 8 * span.length == bits and not is_multiplexed(signal)
             size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
-            return key, f"signal {signal.name!r} must fill {size} of every frame"
-        if signal.length == _NIBBLE_BITS and _is_count(signal):
-            return key, None
-        return key, f"signal {signal.name!r} must be four bits of every frame"
+            return None if fits else f"signal {signal.name!r} must fill {size} of every frame"
+        fits = signal.length == _NIBBLE_BITS and _is_count(signal)
+        return None if fits else f"signal {signal.name!r} must be four bits of every frame"
 
 
 def open_catalogue(bus: CanDescription, source: Path | str, place: str = "bus") -> SignalCatalogue:
