@@ -397,12 +397,6 @@ def cycle_time_s(message: Message) -> float:
     return 1e-3 * cycle_ms if isinstance(cycle_ms, int | float) else 0.0
 
 
-def stated_cycle(message: Message) -> str:
-    """Return the cycle time of a message in words."""
-    cycle_s = cycle_time_s(message)
-    return f"GenMsgCycleTime {cycle_s * 1e3:g} ms" if cycle_s else "no GenMsgCycleTime"
-
-
 def _is_count(signal: Signal) -> bool:
     """Return whether a signal is an integer from 0 on in every frame of its message."""
     field = compile_field(signal)

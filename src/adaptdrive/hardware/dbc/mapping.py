@@ -23,7 +23,6 @@ from adaptdrive.hardware.dbc.database import (
     SignalCatalogue,
     cycle_time_s,
     open_catalogue,
-    stated_cycle,
 )
 from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
@@ -168,7 +167,7 @@ def _source(
         cycle = max(cycle, _cycle(clock, bus, timing), key=lambda one: one[0])
     cycle_s, by, slowest = cycle
     slack_s = max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
-    named = f"message {slowest.name!r} ({stated_cycle(slowest)})"
+    named = f"message {slowest.name!r} ({by}: every {cycle_s * 1e3:.4g} ms)"
     seldom = slack_s > 0.0 or cycle_s > VOLTAGE_TICKS * timing.half_cycle_s
     if seldom and source.quantity in timing.voltage_parts:
         problem = f"{named} comes too seldom for voltage_loop.where = 'daemon'"

@@ -6,6 +6,7 @@ on the loopback interface: a drive must not be commanded by, nor shown to, the n
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import ipaddress
@@ -17,8 +18,7 @@ from pathlib import Path
 import can
 from can.interfaces.udp_multicast.utils import pack_message
 
-from adaptdrive.config.bus import CanBus, CanDescription, CanLink
-from adaptdrive.config.sensors import CanSensorSection
+from adaptdrive.config.bus import CanDescription, CanLink
 from adaptdrive.errors import BusError, Flaw
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.multicast import LoopbackMulticast, parse
@@ -126,7 +126,7 @@ def _request(codec: MessageCodec, own: int, *, remote: bool) -> can.Message:
 
 def _has_fd(config: CanLink) -> bool:
     """Return whether the bus carries CAN FD frames; CANopen's are classic."""
-    return isinstance(config, CanBus | CanSensorSection) and config.fd
+    return isinstance(config, CanDescription) and config.fd
 
 
 def _is_group(channel: str) -> bool:
@@ -139,7 +139,6 @@ def _is_group(channel: str) -> bool:
 def _open_socketcan(config: CanLink, listen: Iterable[int]) -> can.BusABC:
     for problem in _obstacles(config):
         raise BusError(describe_bus(config), problem)
-    _check_on_the_bus(config)
     filters = [_filter(key) for key in listen]
     return can.Bus(
         interface="socketcan",
@@ -157,7 +156,11 @@ def _filter(key: int) -> can.typechecking.CanFilter:
 
 
 def _obstacles(config: CanLink) -> Iterator[str]:
-    """Yield why a kernel's interface cannot be used: one that is down opens but carries nothing."""
+    """Yield why a kernel's interface cannot be used.
+
+    One that is down can be opened, and carries nothing. So can one whose controller is bus-off: it
+    has no carrier until it restarts.
+    """
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as problem:
@@ -176,15 +179,8 @@ def _obstacles(config: CanLink) -> Iterator[str]:
     else:
         if not struct.unpack_from("h", answer, _IFNAMSIZ)[0] & _IFF_UP:
             yield f"the interface is down; try: ip link set {config.channel} up"
-
-
-def _check_on_the_bus(config: CanLink) -> None:
-    """A controller that is bus-off can be opened too, and loses its carrier until it restarts."""
-    try:
+    with contextlib.suppress(OSError):
         carrier = (_INTERFACES / config.channel / "carrier").read_text(encoding="ascii")
-    except OSError:
-        return
-    if carrier.strip() == "0":
-        advice = f"ip link set {config.channel} type can restart-ms 100"
-        problem = f"the controller is bus-off; to have it come back by itself: {advice}"
-        raise BusError(describe_bus(config), problem)
+        if carrier.strip() == "0":
+            advice = f"ip link set {config.channel} type can restart-ms 100"
+            yield f"the controller is bus-off; to have it come back by itself: {advice}"
