@@ -61,6 +61,12 @@ class NewestValues:
         if refused or self.refused:
             self.refused = (self.refused - values.keys()).union(refused)
 
+    def doubt(self, values: Mapping[str, float]) -> None:
+        """Keep faults, and a bridge that is on, of a frame that may be old: no value is newer."""
+        self.see_faults(values)
+        if values.get("bridge"):
+            self._values["bridge"] = 1.0
+
     def see_faults(self, values: Mapping[str, float]) -> None:
         """Keep the faults among some values for the next reading."""
         for word in self._words:

@@ -73,13 +73,13 @@ class StatusAssembly:
     def doubt(self, status: StatusFrame, found: Mapping[str, float]) -> None:
         """Look at a message that may be an old one: its alive counter leapt, or stands.
 
-        It shows a fault, and that a drive which is driven may have stopped; no value becomes newer.
+        It shows a fault, a bridge that is on, and that a drive which is driven may have stopped.
 
         Args:
             status: The message.
             found: Good values by signal.
         """
-        self._newest.see_faults(self._quantities(status, found))
+        self._newest.doubt(self._quantities(status, found))
 
     def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
         """Return the values of a message by quantity, and note its report of the bridge."""
