@@ -24,11 +24,11 @@ WORDS = {
 def test_the_trip_names_signal_and_bit() -> None:
     latch = FaultLatch(WORDS)
     assert latch.complaint is None
-    latch.see(float(0x100), "fault.0")
+    latch.see({"fault.0": float(0x100)})
     assert latch.complaint == "drive fault: Post_Lo bit 8 hw_overcurrent (word 0x100)"
-    latch.see(float(0xF2), "fault.1")
-    latch.see(5.0, "fault.2")
-    latch.see(3.0, "fault.2")
+    latch.see({"fault.1": float(0xF2)})
+    latch.see({"fault.2": 5.0})
+    latch.see({"fault.2": 3.0})
     assert latch.name == "Post_Lo bit 8 hw_overcurrent, Run_Hi bit 1, Code over-current"
     latch.clear(latch.word)
     assert (latch.word, latch.name) == (0, "")
@@ -36,20 +36,20 @@ def test_the_trip_names_signal_and_bit() -> None:
 
 def test_bits_outside_the_mask_are_no_faults() -> None:
     latch = FaultLatch(WORDS)
-    latch.see(float(0xF0), "fault.1")
+    latch.see({"fault.1": float(0xF0)})
     assert latch.word == 0
 
 
 def test_a_value_that_is_healthy_is_no_fault_and_each_other_one_is_a_code() -> None:
     latch = FaultLatch({"fault": FaultWord("state", -1, {61: "None", 65: "Open"}, frozenset({61}))})
-    latch.see(61.0, "fault")
+    latch.see({"fault": 61.0})
     assert latch.complaint is None
-    latch.see(65.0, "fault")
-    latch.see(61.0, "fault")
-    latch.see(64.0, "fault")
+    latch.see({"fault": 65.0})
+    latch.see({"fault": 61.0})
+    latch.see({"fault": 64.0})
     assert latch.complaint == "drive fault: state Open (word 0x41)"
     latch.clear(latch.word)
-    latch.see(64.0, "fault")
+    latch.see({"fault": 64.0})
     assert latch.complaint == "drive fault: state 0x40 (word 0x40)"
 
 
@@ -88,8 +88,8 @@ def test_what_cannot_be_healthy_is_refused() -> None:
 
 def test_a_fault_that_was_not_carried_stays() -> None:
     latch = FaultLatch(WORDS)
-    latch.see(1.0, "fault.0")
-    latch.see(2.0, "fault.1")
+    latch.see({"fault.0": 1.0})
+    latch.see({"fault.1": 2.0})
     latch.clear(1)
     assert latch.name == "Run_Hi bit 1"
 
@@ -139,7 +139,7 @@ def test_a_fault_and_a_warning_share_a_word() -> None:
         }
     )
     for quantity in ("fault", "warning"):
-        latch.see(float(0x30), quantity)
+        latch.see({quantity: float(0x30)})
     assert (latch.word, latch.name, latch.complaint) == (0, "", None)
     assert latch.warning == "Word bit 4 derating, bit 5"
     latch.clear(0)
@@ -202,9 +202,9 @@ def test_what_cannot_be_watched_is_refused(changes: dict[str, str], place: str, 
 def test_a_file_names_the_values_of_a_code() -> None:
     code = {"signal": "0x603F", "healthy": [0], "names": {"8880": "over-current", "5": "hot"}}
     latch = FaultLatch(plan_objects({"signals/fault": code}).faults)
-    latch.see(float(0), "fault")
+    latch.see({"fault": float(0)})
     assert latch.complaint is None
-    latch.see(float(0x22B0), "fault")
+    latch.see({"fault": float(0x22B0)})
     assert latch.complaint == "drive fault: 0x603F over-current (word 0x22b0)"
 
 

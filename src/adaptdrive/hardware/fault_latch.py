@@ -63,18 +63,14 @@ class FaultLatch:
             found |= word
         return found
 
-    def see(self, word: float | None, quantity: str) -> None:
-        """Keep a watched word, None where a frame carries none.
-
-        Args:
-            word: The word.
-            quantity: Which of the drive's words it is.
-        """
-        known = self._words[quantity]
-        seen = self._warned if known.warns else self._seen
-        found = int(word or 0) & known.mask
-        if found not in known.healthy and not (quantity in self._codes and seen[quantity]):
-            seen[quantity] |= found
+    def see(self, values: Mapping[str, float]) -> None:
+        """Keep the watched words among some values, by quantity."""
+        for name, known in self._words.items():
+            value = values.get(name)
+            if value:
+                word, seen = int(value) & known.mask, self._warned if known.warns else self._seen
+                if word not in known.healthy and not (name in self._codes and seen[name]):
+                    seen[name] |= word
 
     def clear(self, carried: int) -> None:
         """Forget what a reading has carried; a fault seen after it was composed stays.

@@ -34,7 +34,6 @@ class NewestValues:
         self._slacks = dict(slacks)
         self._is_patient = any(self._slacks.values())
         self._others = tuple(others)
-        self._words = tuple(faults)
         self._values: dict[str, float] = {}
         self._taken_s: dict[str, float] = {}
         self.faults = FaultLatch(faults)
@@ -57,21 +56,15 @@ class NewestValues:
         """
         self._values.update(values)
         self._taken_s.update(dict.fromkeys(values, taken_s))
-        self.see_faults(values)
+        self.faults.see(values)
         if refused or self.refused:
             self.refused = (self.refused - values.keys()).union(refused)
 
     def doubt(self, values: Mapping[str, float]) -> None:
         """Keep faults, and a bridge that is on, of a frame that may be old: no value is newer."""
-        self.see_faults(values)
+        self.faults.see(values)
         if values.get("bridge"):
             self._values["bridge"] = 1.0
-
-    def see_faults(self, values: Mapping[str, float]) -> None:
-        """Keep the faults among some values for the next reading."""
-        for word in self._words:
-            if values.get(word):
-                self.faults.see(values[word], word)
 
     def forget(self, quantity: str) -> None:
         """Make no reading until a quantity has come again."""
@@ -90,7 +83,7 @@ class NewestValues:
         values, taken_s, slacks = self._values, self._taken_s, self._slacks
         if len(taken_s) < len(slacks):
             return None
-        self.see_faults(values)
+        self.faults.see(values)
         oldest_s, slack_s = min(taken_s.values()), 0.0
         if self._is_patient:
             due_s, slack_s = min([(taken_s[name] + slack, slack) for name, slack in slacks.items()])

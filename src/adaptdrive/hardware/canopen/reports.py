@@ -147,7 +147,7 @@ class Reports:
             for one in status.sources
             if one.item.label in found
         }
-        self._values.see_faults(values)
+        self.faults.see(values)
         statusword = found.get(_STATUSWORD)
         if statusword is not None:
             self._control.hear(int(statusword))

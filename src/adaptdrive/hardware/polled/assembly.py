@@ -66,7 +66,7 @@ class PollAssembly:
                 self._values[source.quantity] = value
             else:
                 self._refused[source.quantity] = explain(source, block, words)
-        self._newest.see_faults(self._values)
+        self.faults.see(self._values)
 
     def bridge(self, sent: bool) -> bool | None:
         """Return the bridge of this poll, None where it must not be used.
