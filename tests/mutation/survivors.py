@@ -78,6 +78,12 @@ RUNTIME: dict[str, str] = {
     f"{_RATE}FrameRate.add: self._extend((arrival_s - self._began_s) / self._tick_s) -> "
     "self._extend((arrival_s + self._began_s) / self._tick_s)": _DIFFERENCES,
     f"{_COUNTER}__init__: self._tick_s = tick_s -> pass": _SET_BEFORE_USE,
+    f"{_COUNTER}__init__: self._seen_s = -math.inf -> self._seen_s = math.inf": _SET_BEFORE_USE,
+    f"{_COUNTER}__init__: self._newest: _Count = (0, -math.inf) -> "
+    "self._newest: _Count = (1, -math.inf)": _SET_BEFORE_USE,
+    f"{_COUNTER}__init__: self._newest: _Count = (0, -math.inf) -> "
+    "self._newest: _Count = (0, math.inf)": _SET_BEFORE_USE,
+    f"{_COUNTER}see: return False -> return None": _FALSE,
     f"{_COUNTER}_judge: if self._off(believed, count) <= SLACK_TICKS: -> "
     "if self._off(believed, count) < SLACK_TICKS:": _DOUBT_BOUND,
     f"{_COUNTER}_judge: if doubted is not None and self._off(doubted, count) <= _PACE_TICKS: -> "

@@ -257,6 +257,31 @@ def test_a_count_that_stands_is_old_though_its_drive_may_start_anew() -> None:
             assert watch.find_cause(commanded=False) is None
 
 
+@pytest.mark.parametrize(("late", "doubted"), [(7, False), (8, True)])
+def test_a_line_may_be_off_by_four_percent_beside_the_jitter(late: int, *, doubted: bool) -> None:
+    watch = begun(128, 130)
+    watch.see((230 - late) % 128, 230 * TICK_S, TICK_S)
+    assert watch.in_doubt is doubted
+
+
+@pytest.mark.parametrize(("ahead", "repeated"), [(6, True), (7, False)])
+def test_a_count_that_is_too_late_to_keep_step_is_the_newest_unless_it_has_leapt(
+    ahead: int, *, repeated: bool
+) -> None:
+    watch = begun(65536, 1000)
+    assert not watch.see(1001, 1020 * TICK_S, TICK_S)
+    assert not watch.see(1001 + ahead, 1023 * TICK_S, TICK_S)
+    assert watch.see(1002, 1024 * TICK_S, TICK_S) is repeated
+
+
+@pytest.mark.parametrize(("quiet", "old"), [(7, True), (8, False)])
+def test_a_count_that_had_the_time_for_half_its_range_may_have_come_round(
+    quiet: int, *, old: bool
+) -> None:
+    watch = begun(16, 3)
+    assert watch.see(3, (3 + quiet) * TICK_S, TICK_S) is old
+
+
 def test_without_a_counter_nothing_is_in_doubt() -> None:
     watch = CounterWatch(None, TICK_S)
     for number in range(10):

@@ -88,12 +88,11 @@ class Started:
         if confirmed:
             off = replace(CALM, arrival_s=STOP_S + 0.25, oldest_s=STOP_S + 0.25, bridge=False)
             assert self.watch.judge(off, STOP_S, STOP_S + 0.25) is Stop.CONFIRMED
-        self.watch.release()
 
     def judge(self, after_s: float, *, bridge: bool) -> Stop:
         now_s = STOP_S + after_s
         reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, bridge=bridge)
-        return self.watch.judge_start(reading, now_s)
+        return self.watch.judge(reading, -math.inf, now_s)
 
 
 def test_a_bridge_that_was_off_before_the_start_denies_it_by_its_second_reading() -> None:
@@ -125,6 +124,6 @@ def test_an_off_in_the_start_is_its_stop_and_a_bridge_that_is_on_after_it_denies
 
 def test_an_off_from_the_moment_of_the_stop_is_none_of_it() -> None:
     started = Started(confirmed=False)
-    assert started.judge(0.0, bridge=False) is Stop.CONFIRMED
+    assert started.judge(0.0, bridge=False) is Stop.AWAITED
     assert started.judge(0.25, bridge=True) is Stop.AWAITED
     assert started.judge(0.375, bridge=True) is Stop.AWAITED

@@ -270,10 +270,8 @@ class FastLoop:
     def _watch_interlocks(self, now_s: float) -> None:
         machine, reading, interlocks = self._machine, self.reading, self._interlocks
         stage = machine.stage
-        if stage is _OFF:
+        if stage is _OFF or (stage is _PRECHARGE and not self.command.bridge):
             self._stopping.judge(reading, now_s)
-        elif stage is _PRECHARGE and reading is not None and not self.command.bridge:
-            self._stopping.judge_start(reading, now_s)
         else:
             self._stopping.release(reading, bridge=self.command.bridge)
         if not machine.energised:
@@ -289,7 +287,7 @@ class FastLoop:
             voltage_V = math.nan if reading is None else reading.boost_voltage_V
             machine.advance(self.tick, voltage_V, rate_known=known, now_s=now_s)
             if stage is _OFF and machine.stage is not _OFF:
-                self._stopping.release()
+                self._stopping.start()
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._machine.order(tick)

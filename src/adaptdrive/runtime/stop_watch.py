@@ -40,7 +40,6 @@ class StopWatch:
         self._confirmed = False
         self._coming = self._been_on = False
         self._come_s = -math.inf
-        self._was_off, self._off_s = False, math.inf
         self._on: list[float] = []
 
     def release(self, reading: Reading | None = None, *, bridge: bool = False) -> None:
@@ -52,7 +51,6 @@ class StopWatch:
         """
         self._been_on = bridge and (self._been_on or (reading is not None and reading.bridge))
         self._coming = bridge and not self._been_on
-        self._was_off, self._off_s = self._confirmed, self._commanded_s
         self._commanded_s, self._confirmed = math.inf, False
 
     def command(self, now_s: float) -> None:
@@ -76,32 +74,12 @@ class StopWatch:
             return self._denied(reading, now_s)
         elif reading is not None and not reading.bridge:
             self._on.clear()
+            self._been_on = False
             due_s = max(safe_s, self._commanded_s, self._come_s)
             self._confirmed = self._confirmed or reading.bridge_reported_s > due_s
         if self._confirmed:
             return Stop.CONFIRMED
         return Stop.OVERDUE if now_s - self._commanded_s > self.limit_s else Stop.AWAITED
-
-    def judge_start(self, reading: Reading, now_s: float) -> Stop:
-        """Return what is known of the bridge of a drive that only raises its boost voltage.
-
-        It is commanded off as it was before, which a report of that time may have confirmed.
-
-        Args:
-            reading: The latest reading.
-            now_s: Monotonic time.
-        """
-        if not reading.bridge:
-            self._on.clear()
-            off_s = max(self._off_s, self._come_s)
-            self._was_off = self._was_off or reading.bridge_reported_s > off_s
-            return Stop.CONFIRMED
-        if self._was_off:
-            return self._denied(reading, now_s)
-        if now_s - self._off_s <= self.limit_s:
-            return Stop.AWAITED
-        self.doubt(self._off_s)
-        return Stop.OVERDUE
 
     def _denied(self, reading: Reading, now_s: float) -> Stop:
         """The bridge is on after a confirmed stop: denied by the second such reading.

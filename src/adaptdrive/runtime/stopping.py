@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import Stage
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, StopWord
@@ -41,7 +42,12 @@ class Stopping:
         self.watch = StopWatch(timing, port.stop_slack_s)
         self._report = report
         self._settled_s = -math.inf
+        self._starting = False
         self.word = StopWord.AWAITED
+
+    def start(self) -> None:
+        """Note that the boost voltage rises: a stop that ends it begins anew."""
+        self._starting = True
 
     def release(self, reading: Reading | None = None, *, bridge: bool = False) -> None:
         """Note that the drive is energised: its word of the stop before says nothing any more.
@@ -51,12 +57,19 @@ class Stopping:
             bridge: Whether the last command had the bridge on.
         """
         self.watch.release(reading, bridge=bridge)
+        self._starting = False
         self._settled_s = -math.inf
         self.word = StopWord.AWAITED
 
     def judge(self, reading: Reading | None, now_s: float) -> None:
-        """Compare what the drive reports of its bridge with the stop that it was commanded."""
-        watch, machine, safe_s = self.watch, self._machine, self._port.safe_s
+        """Compare what the drive reports of its bridge with the stop that it was commanded.
+
+        While only its boost voltage rises, its bridge is commanded off as it was before.
+        """
+        watch, machine = self.watch, self._machine
+        if self._starting and machine.stage is not Stage.PRECHARGE:
+            self.release()
+        safe_s = -math.inf if self._starting else self._port.safe_s
         watch.command(now_s)
         verdict = watch.judge(reading, safe_s, now_s)
         settled = self._is_settled(verdict, now_s)
@@ -74,14 +87,6 @@ class Stopping:
             self._miss(f"the drive does not stop: {watch.why_not(reading, safe_s, now_s)}")
         elif verdict is Stop.AWAITED and settled:
             self.word = StopWord.AWAITED
-
-    def judge_start(self, reading: Reading, now_s: float) -> None:
-        """Trip for a bridge that is on while the drive only raises its boost voltage."""
-        verdict = self.watch.judge_start(reading, now_s)
-        if verdict is Stop.DENIED:
-            self._miss(_SWITCHED_ON)
-        elif verdict is Stop.OVERDUE:
-            self._miss(f"the drive does not stop: {self.watch.why_not(reading, now_s, now_s)}")
 
     def _confirmation(self, reading: Reading | None, now_s: float) -> StopWord:
         """Return the word on a stop that is complete.
