@@ -114,6 +114,12 @@ class MotorSection(LoadSection):
     boost_course: Literal["held", "impulse"] = "held"
     model: MotorModel
 
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield a course that only the paper's design has."""
+        yield from super().flaws()
+        if self.boost_course == "impulse" and self.design != "paper":
+            yield Flaw("boost_course", "'impulse' needs load.design 'paper'")
+
 
 class BathModel(Section):
     """`[load.model]` of a bath: what the fixed controller is designed for."""

@@ -28,13 +28,23 @@ _HEARD = "bus.heartbeat.drive"
 _CODING = operator.attrgetter("address", "type", "word_order", "byte_order", "scale")
 
 
-def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
-    """Yield the contradictions to the profile that need no EDS to detect.
+def reference_flaws(whole: Configuration) -> Iterator[Flaw]:
+    """Yield the signals that do not fit the bus; those of CAN are compared with the DBC.
 
     Args:
-        bus: `[bus]`.
-        signals: `[signals]`.
+        whole: The configuration.
     """
+    bus, signals = whole.bus, whole.signals
+    if isinstance(bus, CanOpenBus):
+        yield from _canopen_flaws(bus, signals)
+    elif isinstance(bus, ScpiBus):
+        yield from scpi_flaws(bus, signals)
+    elif isinstance(bus, ModbusBus):
+        yield from _modbus_flaws(bus, signals)
+
+
+def _canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
+    """Yield the contradictions to the profile that need no EDS to detect."""
     if bus.own_node_id == bus.node_id:
         yield Flaw("bus.own_node_id", f"{bus.own_node_id} is the drive's own node id")
     if signals.bridge is not None:
@@ -42,9 +52,8 @@ def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
     if signals.command.bridge is not None:
         yield Flaw("signals.command.bridge", "the controlword 0x6040 carries it: leave it out")
     if signals.counter is not None and bus.sync == "daemon":
-        yield Flaw(
-            "signals.counter", "bus.sync = 'daemon' makes the daemon the clock: leave it out"
-        )
+        clock = "bus.sync = 'daemon' makes the daemon the clock"
+        yield Flaw("signals.counter", f"{clock}: leave it out")
 
 
 def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
@@ -64,7 +73,7 @@ def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
                 yield Flaw(place, f"bus.values.{name} has no `{line}`")
 
 
-def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
+def _modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     """Yield the errors in a register map, and in references to it."""
     registers, beats = bus.registers, bus.heartbeat
     yield from map_flaws("bus.registers", registers, zero_based=bus.zero_based)

@@ -19,14 +19,13 @@ from adaptdrive.config.load import (
     Supervisor,
 )
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
-from adaptdrive.config.references import canopen_flaws, modbus_flaws, pace_flaws, scpi_flaws
+from adaptdrive.config.references import pace_flaws, reference_flaws
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.section import Section, misfit
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import Derived, link_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
-from adaptdrive.config.units import WANTED, stated_problem
 from adaptdrive.errors import Flaw
 
 AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu | ScpiBus
@@ -85,26 +84,6 @@ def _rate_flaws(whole: Configuration) -> Iterator[Flaw]:
     yield from misfit("load.latency_ticks", load.latency_ticks, "below", ticks, period)
 
 
-def _bus_flaws(whole: Configuration) -> Iterator[Flaw]:
-    """Yield the signals that do not fit the bus; those of CAN are compared with the DBC."""
-    bus, signals = whole.bus, whole.signals
-    if isinstance(bus, CanOpenBus):
-        yield from canopen_flaws(bus, signals)
-    elif isinstance(bus, ScpiBus):
-        yield from scpi_flaws(bus, signals)
-    elif not isinstance(bus, CanBus):
-        yield from modbus_flaws(bus, signals)
-
-
-def _converted_flaws(whole: Configuration) -> Iterator[Flaw]:
-    """Yield the derived quantities whose `unit` does not lead to theirs."""
-    for name, wanted in {**WANTED, "output": whole.load.output_unit}.items():
-        source = whole.derived.get(name)
-        problem = None if source is None else stated_problem(source, wanted)
-        if problem:
-            yield Flaw(f"derived.{name}", problem)
-
-
 def _command_flaws(whole: Configuration) -> Iterator[Flaw]:
     where = whole.voltage_loop.where
     needed = ["current_scale_S" if where == "daemon" else "boost_reference_V"]
@@ -145,16 +124,8 @@ def _lag_flaws(whole: Configuration) -> Iterator[Flaw]:
     else:
         longest = f"load.period_s = {period_s} s: choose a longer period"
         yield from misfit("voltage_loop.lag_s", lag_s, "at most", period_s, longest)
-
-
-def _course_flaws(whole: Configuration) -> Iterator[Flaw]:
-    load = whole.load
-    if not isinstance(load, MotorSection) or load.boost_course == "held":
-        return
-    if load.design != "paper":
-        yield Flaw("load.boost_course", "'impulse' needs load.design 'paper'")
-    elif (whole.voltage_loop.lag_s or 0.0) > 0.25 * load.period_s:
-        lag_s = whole.voltage_loop.lag_s
+    impulse = isinstance(whole.load, MotorSection) and whole.load.boost_course == "impulse"
+    if impulse and lag_s > 0.25 * period_s:
         yield Flaw("load.boost_course", f"'impulse' needs voltage_loop.lag_s = {lag_s} s shorter")
 
 
@@ -171,9 +142,8 @@ def _trip_flaws(whole: Configuration) -> Iterator[Flaw]:
 
 _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     _rate_flaws: "drive load",
-    _bus_flaws: "bus signals",
+    reference_flaws: "bus signals",
     link_flaws: "bus sensor_bus",
-    _converted_flaws: "derived load",
     pace_flaws: "drive bus signals load interlocks voltage_loop",
     supply_flaws: "bus signals sensor_bus derived load voltage_loop",
     _lowest_flaws: "drive voltage_loop load",
@@ -181,7 +151,6 @@ _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     _command_flaws: "bus signals voltage_loop drive",
     _lag_flaws: "voltage_loop load",
     _trip_flaws: "drive load interlocks",
-    _course_flaws: "load voltage_loop",
 }
 """Checks between sections, and the sections that each one reads."""
 

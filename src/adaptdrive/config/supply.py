@@ -15,7 +15,7 @@ from pydantic import Field
 from adaptdrive.config.bus import MEASURED, WORDS
 from adaptdrive.config.modbus import ModbusLink, RtuLink
 from adaptdrive.config.section import misfit
-from adaptdrive.config.units import Converted
+from adaptdrive.config.units import WANTED, Converted, stated_problem
 from adaptdrive.errors import Flaw
 
 if TYPE_CHECKING:
@@ -70,10 +70,13 @@ def in_order(derived: Mapping[str, Derived]) -> list[str]:
     return [name for name in order if name in derived]
 
 
-def _derived_flaws(derived: Mapping[str, Derived], given: Collection[str]) -> Iterator[Flaw]:
-    """Yield rules that do not fit their values, and values made of nothing or of themselves."""
-    for name, one in derived.items():
+def _derived_flaws(whole: Configuration, given: Collection[str]) -> Iterator[Flaw]:
+    """Yield units and rules that do not fit, and values made of nothing or of themselves."""
+    wanted = {**WANTED, "output": whole.load.output_unit}
+    for name, one in whole.derived.items():
         place = f"derived.{name}"
+        if problem := stated_problem(one, wanted.get(name, "")):
+            yield Flaw(place, problem)
         if one.rule in _PAIRS and len(one.of) != 2:
             yield Flaw(f"{place}.of", f"{one.rule!r} takes two values, not {len(one.of)}")
         for part in one.follows or ():
@@ -83,9 +86,9 @@ def _derived_flaws(derived: Mapping[str, Derived], given: Collection[str]) -> It
             if part not in given:
                 yield Flaw(f"{place}.of", f"no source gives {part!r}")
     try:
-        in_order(derived)
-    except CycleError as problem:
-        names = problem.args[1]
+        in_order(whole.derived)
+    except CycleError as cycle:
+        names = cycle.args[1]
         yield Flaw(f"derived.{names[-1]}.of", f"is made of itself: {' from '.join(names[::-1])}")
 
 
@@ -109,7 +112,7 @@ def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
                 f"signals.{name}",
                 "Field required: neither [signals], nor a [[sensor_bus]], nor [derived] gives it",
             )
-    yield from _derived_flaws(whole.derived, names)
+    yield from _derived_flaws(whole, names)
     period_s = whole.load.period_s
     for number, bus in enumerate(whole.sensor_bus):
         place, period = f"sensor_bus.{number}", f"load.period_s = {period_s}"
