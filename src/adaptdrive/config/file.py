@@ -148,11 +148,15 @@ def _tables(text: str, source: Path) -> dict[str, Any]:
 
 
 def _examine(tables: dict[str, Any], folder: Path) -> Findings:
-    """Validate tables; what is wrong is taken out of them, and the rest is examined further."""
+    """Validate tables; what is wrong is taken out of them, and the rest is examined further.
+
+    A section with a wrong value is not compared with others: a default stands in for that value.
+    """
     wrong = dict(_value_flaws(tables))
     for place in wrong:
         _take_out(tables, place)
     flaws = [Flaw(".".join(map(str, place)), message) for place, message in wrong.items()]
+    doubtful: set[str] = set()
     try:
         whole, valid = Configuration.model_validate(tables, context=folder), _ALL
     except ValidationError as problem:
@@ -161,9 +165,10 @@ def _examine(tables: dict[str, Any], folder: Path) -> Findings:
         flaws += [flaw for flaw in map(_flaw, errors) if flaw.place not in known]
         for error in errors:
             _take_out(tables, _location(error["loc"]))
+        doubtful = {str(error["loc"][0]) for error in errors if error["type"] != _UNKNOWN}
         sections = _valid_sections(tables, folder)
         whole, valid = Configuration.model_construct(None, **sections), frozenset(sections)
-    return Findings(whole, valid, (*flaws, *consistency_flaws(whole, valid)))
+    return Findings(whole, valid, (*flaws, *consistency_flaws(whole, valid - doubtful)))
 
 
 def _valid_sections(tables: dict[str, Any], folder: Path) -> dict[str, Any]:

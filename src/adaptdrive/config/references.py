@@ -77,8 +77,8 @@ def _modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     """Yield the errors in a register map, and in references to it."""
     registers, beats = bus.registers, bus.heartbeat
     yield from map_flaws("bus.registers", registers, zero_based=bus.zero_based)
-    seen = [(_HEARD, beats.drive)] if beats.drive else []
-    beaten = [("bus.heartbeat.daemon", beats.daemon)] if beats.daemon else []
+    seen = [] if beats.drive is None else [(_HEARD, beats.drive)]
+    beaten = [] if beats.daemon is None else [("bus.heartbeat.daemon", beats.daemon)]
     setup = [(f"bus.setup.{name}", name) for name in bus.setup]
     written = [*commanded_names(signals), *beaten, *setup]
     references = [*measured_names(signals), *seen, *written]
@@ -225,7 +225,7 @@ def _loop_flaws(whole: Configuration, reading: str) -> Iterator[Flaw]:
     polled = isinstance(whole.bus, PolledBus)
     if whole.voltage_loop.where == "daemon":
         if polled or stride > 1:
-            seldom = f"one with {reading} must hold its own boost voltage: 'drive'"
+            seldom = f"with {reading} it must hold its own boost voltage: 'drive'"
             needed = f"'daemon' needs a drive that sends each half cycle; {seldom}"
             yield Flaw("voltage_loop.where", needed)
     elif polled and signals.command.current_scale_S is not None:
