@@ -12,7 +12,7 @@ from adaptdrive.app.ports import build_port, build_sensor_port
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
-from adaptdrive.config.file import Findings, find_flaws, read_text
+from adaptdrive.config.file import Findings, added, find_flaws, read_text
 from adaptdrive.config.load import AnyLoad, BatterySection
 from adaptdrive.config.modbus import ModbusBus
 from adaptdrive.config.scpi import ScpiBus
@@ -48,11 +48,9 @@ def examine_text(text: str, path: Path) -> Configuration:
         ConfigurationError: There are flaws; those of every kind are listed.
     """
     findings = find_flaws(text, path)
-    known = {flaw.place for flaw in findings.flaws}
-    described = [flaw for flaw in _description_flaws(findings, path) if flaw.place not in known]
-    flaws = [*findings.flaws, *described]
+    flaws = added(findings.flaws, _description_flaws(findings, path))
     if not findings.flaws:
-        flaws += implausible(findings.configuration)
+        flaws = (*flaws, *implausible(findings.configuration))
     if flaws:
         raise ConfigurationError(path, flaws)
     return findings.configuration

@@ -7,7 +7,7 @@ import hashlib
 import os
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -155,20 +155,30 @@ def _examine(tables: dict[str, Any], folder: Path) -> Findings:
     wrong = dict(_value_flaws(tables))
     for place in wrong:
         _take_out(tables, place)
-    flaws = [Flaw(".".join(map(str, place)), message) for place, message in wrong.items()]
+    flaws = tuple(Flaw(".".join(map(str, place)), why) for place, why in wrong.items())
     doubtful: set[str] = set()
     try:
         whole, valid = Configuration.model_validate(tables, context=folder), _ALL
     except ValidationError as problem:
         errors: list[dict[str, Any]] = [{**error} for error in problem.errors(include_url=False)]
-        known = {flaw.place for flaw in flaws}
-        flaws += [flaw for flaw in map(_flaw, errors) if flaw.place not in known]
+        flaws = added(flaws, map(_flaw, errors))
         for error in errors:
             _take_out(tables, _location(error["loc"]))
         doubtful = {str(error["loc"][0]) for error in errors if error["type"] != _UNKNOWN}
         sections = _valid_sections(tables, folder)
         whole, valid = Configuration.model_construct(None, **sections), frozenset(sections)
-    return Findings(whole, valid, (*flaws, *consistency_flaws(whole, valid - doubtful)))
+    return Findings(whole, valid, added(flaws, consistency_flaws(whole, valid - doubtful)))
+
+
+def added(flaws: Sequence[Flaw], more: Iterable[Flaw]) -> tuple[Flaw, ...]:
+    """Return flaws and those of more places; a second one of a place follows from the first.
+
+    Args:
+        flaws: What is known to be wrong.
+        more: What was found then.
+    """
+    known = {flaw.place for flaw in flaws}
+    return (*flaws, *(one for one in more if one.place not in known))
 
 
 def _valid_sections(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
