@@ -162,6 +162,11 @@ def test_every_contradiction_between_sections_is_listed() -> None:
     }
 
 
+def test_the_default_of_a_key_with_a_wrong_value_contradicts_nothing() -> None:
+    assert set(flaws(load__period_s="20.0", load__samples="600")) == set()
+    assert set(flaws(load__period_s='"20 s"', load__samples="600")) == {"load.period_s"}
+
+
 def test_a_drive_that_holds_its_own_voltage_needs_its_reference() -> None:
     assert set(flaws(voltage_loop__where='"drive"')) == {"signals.command.boost_reference_V"}
     given = '"DriveCommand.BoostReference"'

@@ -146,6 +146,7 @@ def test_a_name_of_a_can_bus_is_none_of_a_register() -> None:
             "bus.heartbeat.daemon",
             "'alive' lies in the same register as 'control'",
         ),
+        ({"bus__heartbeat__daemon": '""'}, "bus.heartbeat.daemon", "has no register ''"),
         ({"bus__timeout_s": "0.1"}, "bus.timeout_s", "must be below one poll"),
         ({"interlocks__stale_s": "0.149"}, "interlocks.stale_s", "at least 0.15 s"),
         ({"load__latency_ticks": "2"}, "load.latency_ticks", "a multiple of one poll"),

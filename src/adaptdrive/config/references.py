@@ -175,12 +175,11 @@ _LABELS_OF_A_TABLE = 9999
 def _label_flaws(place: str, register: Register) -> Iterator[Flaw]:
     """An address that is probably copied from a manual as it is printed there."""
     for table, first in _LABELS.items():
-        if not first <= register.address < first + _LABELS_OF_A_TABLE:
-            continue
-        label = f"{register.address} looks like a label of the {table} table in a manual"
-        meant = f"address = {register.address - first}, table = {table!r}"
-        advice = "or zero_based = true with the bus where the address is meant as it stands"
-        yield Flaw(place, f"{label}; zero-based that is {meant}; {advice}")
+        if first <= register.address < first + _LABELS_OF_A_TABLE:
+            label = f"{register.address} looks like a label of the {table} table in a manual"
+            meant = f"address = {register.address - first}, table = {table!r}"
+            advice = "or zero_based = true with the bus where the address is meant as it stands"
+            yield Flaw(place, f"{label}; zero-based that is {meant}; {advice}")
 
 
 def pace_flaws(whole: Configuration) -> Iterator[Flaw]:

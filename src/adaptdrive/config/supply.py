@@ -146,13 +146,9 @@ def needed_names(derived: Mapping[str, Derived], names: Iterable[str] = MEASURED
         derived: `[derived]`.
         names: Names of the values, the quantities when left out.
     """
-    needed: set[str] = set()
-    wanted = list(names)
-    while wanted:
-        name = wanted.pop()
-        if name not in needed:
-            needed.add(name)
-            wanted += derived[name].of if name in derived else []
+    needed = set(names)
+    while more := {part for name in needed & derived.keys() for part in derived[name].of} - needed:
+        needed |= more
     return needed
 
 
