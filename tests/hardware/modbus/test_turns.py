@@ -27,12 +27,12 @@ def cycle(turns: Turns, dead: AbstractSet[int | None]) -> Asked:
     asked: Asked = []
     left_s = [0.5]
     for turn in turns.due(lambda: left_s[-1], 1.0):
-        answered = turn.device_id not in dead
+        answered = turn.exchange.device_id not in dead
         left_s.append(left_s[-1] if answered else -1.0)
         turns.note(turn, answered=answered)
         read = turn.exchange.read
         assert read is not None
-        asked.append((turn.device_id, read.address))
+        asked.append((turn.exchange.device_id, read.address))
     return asked
 
 

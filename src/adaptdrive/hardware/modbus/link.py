@@ -10,6 +10,7 @@ anything is read again.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import Counter
 from collections.abc import Callable
 
@@ -75,11 +76,10 @@ class ModbusConnection(PolledLink):
         self._numbered = config.numbered
         self._frames = TcpFrames() if config.numbered else SerialFrames()
         self._stream.heard = self._hear
-        self._waiting = False
-        self._heard_s = 0.0
-        self._suspect_s: float | None = None if self._numbered else clock()
+        self._settled_s = -math.inf
         self._missed = 0
         self._replied_s = clock()
+        self.suspect()
 
     @property
     def miss_s(self) -> float:
@@ -108,6 +108,7 @@ class ModbusConnection(PolledLink):
         await asyncio.sleep(silence_s(self._config))
         registers = self._checked(reply, asked, exchange)
         if hasty:
+            self.suspect()
             raise ExchangeError("a reply that may be one to an earlier request", doubtful=True)
         return registers
 
@@ -118,11 +119,7 @@ class ModbusConnection(PolledLink):
             ExchangeError: There is none.
         """
         device = self._config.device_id if exchange.device_id is None else exchange.device_id
-        self._waiting = True
-        try:
-            reply = await self._reply(self._frames.framed(asked, device), self._frames.reply)
-        finally:
-            self._waiting = False
+        reply = await self._reply(self._frames.framed(asked, device), self._frames.reply)
         self._counts["foreign"] += self._frames.foreign
         if reply is not None:
             return reply
@@ -135,9 +132,7 @@ class ModbusConnection(PolledLink):
         """Count a missing reply, and what came in its place."""
         self.suspect()
         self._missed += 1
-        self._counts["timeouts"] += 1
         heard = len(self._stream.received)
-        self._note_end()
         if self.lost is not None:
             return
         if not self._numbered and heard:
@@ -182,25 +177,17 @@ class ModbusConnection(PolledLink):
 
     def unsettled_s(self) -> float:
         """Return how much longer a serial line must be silent before a reply is its request's."""
-        if self._suspect_s is None:
-            return 0.0
-        silent_s = _SILENT_TIMEOUTS * self._timeout_s
-        left_s = max(self._suspect_s, self._heard_s) + silent_s - self._clock()
-        if left_s <= 0.0:
-            self._suspect_s = None
-        return left_s
+        return max(0.0, self._settled_s - self._clock())
 
     def suspect(self) -> None:
         """Take what comes next on a serial line for what is left of something else."""
         if not self._numbered:
-            self._suspect_s = self._clock()
+            self._settled_s = self._clock() + _SILENT_TIMEOUTS * self._timeout_s
 
     def _hear(self) -> None:
         """Count what no request waits for: noise, a late reply, another transaction."""
-        self._heard_s = self._clock()
-        if not self._waiting:
-            self.suspect()
-            self._counts["foreign"] += 1
+        self.suspect()
+        self._counts["foreign"] += 1
 
 
 def describe_bus(config: TcpLink | RtuLink) -> str:

@@ -53,11 +53,6 @@ class SensorBlock:
     sources: tuple[Source[Named], ...]
     misses: int = 0
 
-    @property
-    def device_id(self) -> int | None:
-        """The device that has the block."""
-        return self.exchange.device_id
-
 
 class Turns:
     """The blocks of one open link, those with the fewest missing replies first."""
@@ -85,8 +80,9 @@ class Turns:
         self._missing.clear()
         order = sorted(self._blocks, key=lambda one: one.misses)
         for block in order:
-            silent = block.misses >= self._patience
-            wanted = block is order[0] if silent else not self._is_doubtful(block)
+            silent, device = block.misses >= self._patience, block.exchange.device_id
+            doubtful = device in self._missing or (block.misses and self._missing)
+            wanted = block is order[0] if silent else not doubtful
             needed_s = miss_s if silent and self._cycle % SELDOM_CYCLES else 0.0
             if wanted or left_s() >= needed_s:
                 yield block
@@ -96,14 +92,10 @@ class Turns:
         found = answered and block.misses >= self._patience
         block.misses = 0 if answered else block.misses + 1
         if not answered:
-            self._missing.add(block.device_id)
+            self._missing.add(block.exchange.device_id)
         for one in self._blocks:
-            if found and one.device_id == block.device_id:
+            if found and one.exchange.device_id == block.exchange.device_id:
                 one.misses = 0
-
-    def _is_doubtful(self, block: SensorBlock) -> bool:
-        """Return whether a reply is missing in this cycle and may be missing here, too."""
-        return bool(self._missing) and (block.misses > 0 or block.device_id in self._missing)
 
 
 def build_modbus_sensors(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from adaptdrive.config.modbus import Heartbeat
 from adaptdrive.hardware.binding import BRIDGE, Source
@@ -23,8 +23,9 @@ class PollAssembly:
         raw: Registers of each block that was read last.
     """
 
-    def __init__(self, poll: Poll) -> None:
+    def __init__(self, poll: Poll, explain: Callable[..., str] = explain) -> None:
         self._poll = poll
+        self._explain = explain
         sources = (one.quantity for _, read in poll.reads for one in read)
         slacks = {name: 0.0 for name in sources if name != HEARTBEAT}
         self._newest = NewestValues(slacks, poll.other, poll.faults)
@@ -65,7 +66,7 @@ class PollAssembly:
             if value is not None:
                 self._values[source.quantity] = value
             else:
-                self._refused[source.quantity] = explain(source, block, words)
+                self._refused[source.quantity] = self._explain(source, block, words)
         self.faults.see(self._values)
 
     def bridge(self, sent: bool) -> bool | None:

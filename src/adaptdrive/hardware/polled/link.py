@@ -66,12 +66,14 @@ class Stream(asyncio.Protocol):
     Attributes:
         received: Bytes that nobody has taken yet.
         transport: Of the connection, None without one.
-        heard: Called when something has come, before it can be taken.
+        waiting: Whether something that comes may be the reply to a request.
+        heard: Called when something has come that is none.
     """
 
     def __init__(self) -> None:
         self.received = b""
         self.transport: asyncio.Transport | None = None
+        self.waiting = False
         self.heard: Callable[[], None] = lambda: None
         self._ended = False
         self._news = asyncio.Event()
@@ -153,7 +155,8 @@ class Stream(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         """Keep what comes, and wake whoever waits for it."""
         self.received = (self.received + data)[-_LONGEST:]
-        self.heard()
+        if not self.waiting:
+            self.heard()
         self._news.set()
 
     def connection_lost(self, _: Exception | None) -> None:
@@ -263,11 +266,16 @@ class PolledLink(ABC):
         """Send a request; return what is found in what comes, None where that is not in time."""
         stream, reply = self._stream, None
         stream.send(packet)
+        stream.waiting = True
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self._timeout_s):
                 while (reply := found(stream.received)) is None and stream.is_open:
                     await stream.more()
         if reply is None:  # it may have come with the end of the time: the process stood still
             reply = found(stream.received)
+        stream.waiting = False
+        if reply is None:
+            self._counts["timeouts"] += 1
+            self._note_end()
         self._answered = self._answered or reply is not None
         return reply

@@ -19,7 +19,7 @@ from adaptdrive.hardware.polled.assembly import STANDS_STILL, DriveHeartbeat, Po
 from adaptdrive.hardware.polled.capacity import Exchange
 from adaptdrive.hardware.polled.commander import Commander
 from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink
-from adaptdrive.hardware.polled.mapping import Poll, written
+from adaptdrive.hardware.polled.mapping import Poll, explain, written
 from adaptdrive.hardware.polled.polling import Polling
 from adaptdrive.hardware.polled.witness import PollWitness, look_limit_s
 from adaptdrive.hardware.port import Listener
@@ -33,6 +33,7 @@ _MIXED_UP = (
 class PolledPort(Polling[PolledLink, Listener]):
     """One connection to one drive that is polled."""
 
+    _explain = staticmethod(explain)
     must_open = False
     """True where a link that cannot be opened at the first attempt is an error."""
 
@@ -52,7 +53,7 @@ class PolledPort(Polling[PolledLink, Listener]):
         self._witness = PollWitness(poll.bridge_block is not None, timing, look_s, clock)
         self._commander = Commander(poll, self._witness, self._counts, clock, timing)
         self._link: PolledLink | None = None
-        self._assembly = PollAssembly(poll)
+        self._assembly = PollAssembly(poll, self._explain)
         self._heartbeat = DriveHeartbeat(bus.heartbeat)
         self._failure = ""
 

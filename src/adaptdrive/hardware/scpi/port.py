@@ -13,11 +13,12 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.timing import Timing
+from adaptdrive.hardware.binding import Source
 from adaptdrive.hardware.bus_kind import BusKind, bus_of, polled_cautions, tcp_locks
 from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.codec import count, encode_count
 from adaptdrive.hardware.polled.link import ExchangeError, PolledLink, Void, never
-from adaptdrive.hardware.polled.mapping import Poll, planned
+from adaptdrive.hardware.polled.mapping import Named, Poll, planned
 from adaptdrive.hardware.polled.port import PolledPort
 from adaptdrive.hardware.port import Port
 
@@ -109,8 +110,6 @@ class ScpiConnection(PolledLink):
         stream = self._stream
         reply = await self._reply(f"{line}\n".encode(), _first_line)
         if reply is None:
-            self._counts["timeouts"] += 1
-            self._note_end()
             asked = " and ".join(map(repr, line.split("\n")))
             self.lost = self.lost or f"no reply within {self._timeout_s:g} s to {asked}"
             raise ExchangeError(self.lost)
@@ -152,15 +151,11 @@ class ScpiPort(PolledPort):
         refused = [line for line in super().details() if line.startswith("refused")]
         return [*(f"{question} {reply}" for question, reply in self._replies.items()), *refused]
 
-    async def _read(self, link: PolledLink) -> None:
-        """Read every value, and name the reply that is refused."""
-        await super()._read(link)
-        refused = self._failure.partition(":")[0]
-        for source in (one for _, sources in self._poll.reads for one in sources):
-            if source.quantity == refused:
-                question = self._supply.values[source.item.name].query or ""
-                reply = self._replies[question]
-                self._failure = f"{refused}: {question} gives {reply!r}, no number in its range"
+    def _explain(self, source: Source[Named], *_: object) -> str:
+        """Name the reply that is refused."""
+        question = self._supply.values[source.item.name].query or ""
+        reply = self._replies[question]
+        return f"{source.quantity}: {question} gives {reply!r}, no number in its range"
 
     def _new_link(self) -> PolledLink:
         return ScpiConnection(self._supply, self._counts, self._clock, self._replies)
