@@ -54,8 +54,8 @@ class NewestValues:
             taken_s: Their time by the monotonic clock.
             refused: Quantities whose values in it must not be used.
         """
-        self._values.update(values)
-        self._taken_s.update(dict.fromkeys(values, taken_s))
+        for name, value in values.items():
+            self._values[name], self._taken_s[name] = value, taken_s
         self.faults.see(values)
         if refused or self.refused:
             self.refused = (self.refused - values.keys()).union(refused)
