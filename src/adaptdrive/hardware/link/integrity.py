@@ -154,14 +154,14 @@ class AliveCounter:
         self._max_jump = max_jump
         self._back = max(0, min(_BUFFERED_FRAMES, modulus // 2 - 1, modulus - 1 - max_jump))
         most = _RECENT_FRAMES if cycle_s <= 0.0 else max(1, int(_RECENT_S / cycle_s))
-        self._recent = min(most, _RECENT_FRAMES, modulus // _RECENT_SHARE, self._back + 1)
+        self._recent = min(most, _RECENT_FRAMES, modulus // _RECENT_SHARE, self._back + 1) - 1
         self._newest = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget the past: the next counter is the first one."""
         self._last: int | None = None
-        self._old, self._below = self._recent, -1
+        self._below = -1  # how far the newest counter is below the highest one, none above it: -1
         self._leapt = self._resumed = False
 
     def check(self, value: int) -> tuple[FrameVerdict, int]:
@@ -180,33 +180,18 @@ class AliveCounter:
         if jump == 0:
             return FrameVerdict.COUNTER_STUCK, 0
         self._last = value
-        if self._is_old(value):
+        behind = (self._newest - value) % self._modulus
+        if behind <= (self._recent if self._below < 0 else self._back):
             self._leapt = True
             return FrameVerdict.COUNTER_LOST, jump - 1
-        self._advance(value)
+        first = behind <= self._back  # the first one that falls back
+        self._below = behind if first else max(-1, self._below - self._modulus + behind)
+        self._newest = value
         if self._resumed:
             self._leapt = self._resumed = False
             return _GOOD, 0
         self._leapt = jump > (1 if self._leapt else self._max_jump)
         return FrameVerdict.COUNTER_LOST if self._leapt else _GOOD, jump - 1
-
-    def _is_old(self, value: int) -> bool:
-        """Return whether a counter has been there; one that falls back twice makes more of them."""
-        behind = (self._newest - value) % self._modulus
-        if self._below >= 0 and behind <= self._back:
-            self._old = max(self._old, behind + 1)
-        return behind < self._old
-
-    def _advance(self, value: int) -> None:
-        """Go on from a counter, and note how far it is below the highest one; -1 if ahead of it."""
-        behind = (self._newest - value) % self._modulus
-        if behind <= self._back:  # for the first time
-            self._below = behind
-        else:
-            self._below = max(-1, self._below - (value - self._newest) % self._modulus)
-        if self._below < 0:
-            self._old = self._recent
-        self._newest = value
 
     def resume(self) -> None:
         """Accept any next counter but the newest ones: a repeated frame stays one after a pause."""
