@@ -75,7 +75,7 @@ class Seen:
 
     @property
     def awaits_report(self) -> bool:
-        return self._watch.awaits_report
+        return self._watch.must_report(0.0)
 
     def awaits_from(self, limit: float, of: str) -> None:
         """A report is waited for from a time on, and not before, in which none has come."""

@@ -85,25 +85,17 @@ class BridgeWatch:
             return None
         return f"drive stopped: its bridge is off although it was commanded on{self._hidden}"
 
-    @property
-    def awaits_report(self) -> bool:
-        """True while a drive that was on may have stopped by itself, and has not reported since.
-
-        Never for one that does not report its bridge: the wait itself would let it stop.
-        """
-        if self._bounced_s is not None:
-            return True
-        unheard_s = max(self._gap_s, self._silent_s) if self._reported else 0.0
-        return self._been_on and unheard_s > self._on_s
-
     def must_report(self, unwatched_s: float) -> bool:
-        """Return whether a drive must report before a command that this process has come late with.
+        """Return whether a drive that may have stopped by itself must report before a command.
+
+        Never one that does not report its bridge: the wait itself would let it stop.
 
         Args:
             unwatched_s: Time since the last look.
         """
-        late = self._reported and self._been_on and unwatched_s > self._on_s
-        return late or self.awaits_report
+        unheard_s = max(self._gap_s, self._silent_s, unwatched_s)
+        hidden = self._reported and self._been_on and unheard_s > self._on_s
+        return hidden or self._bounced_s is not None
 
     def hides_stop(self, unwatched_s: float) -> bool:
         """Return whether a command that was late on the bus may have hidden a stop.

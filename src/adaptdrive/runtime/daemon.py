@@ -261,14 +261,10 @@ class Daemon:
         if decision.fault:
             self._machine.latch(decision.fault)
             self._fast.send_safe()
-        elif decision.complete:
-            self._complete()
+        elif decision.complete:  # the load has what it needs: a safe state without a trip
+            self._announcer.publish_event("complete", Severity.INFO, "charging is complete")
+            self._stopper.stop()
         self._announcer.publish_state()
-
-    def _complete(self) -> None:
-        """The load has what it needs: end in the safe state, without a trip."""
-        self._announcer.publish_event("complete", Severity.INFO, "charging is complete")
-        self._stopper.stop()
 
     def not_stopped(self, detail: str) -> None:
         """Report that the drive has not confirmed its stop in time, for any first cause."""

@@ -95,11 +95,12 @@ class RefusedShare:
         while len(marks) > 1 and now_s - marks[1][0] >= WINDOW_S:
             marks.popleft()
         since_s, first = marks[0]
-        judged = _judged(first, counts)
+        grown = {name: counts[name] - first[name] for name in counts}
+        judged = _judged(grown)
         if now_s - since_s < WINDOW_S or judged < _LEAST_FRAMES:
             self.cause = None
             return None
-        refused = _refused(first, counts)
+        refused = _refused(grown)
         share = min(1.0, sum(refused.values()) / judged)
         text = self._text(share, judged, refused)
         trips = self._limit and share >= self._limit
@@ -116,12 +117,11 @@ class RefusedShare:
         )
 
 
-def _judged(before: Mapping[str, int], after: Mapping[str, int]) -> int:
-    """Return the frames since that were meant for this port; for one that polls, its requests.
+def _judged(grown: Mapping[str, int]) -> int:
+    """Return the frames that were meant for this port; for one that polls, its requests.
 
     A port that receives nothing refuses nothing: its values age.
     """
-    grown = {name: after[name] - before[name] for name in after}
     asked = grown["exceptions"] + grown["timeouts"]
     if not asked:
         return grown["received"] - grown["foreign"]
@@ -129,9 +129,9 @@ def _judged(before: Mapping[str, int], after: Mapping[str, int]) -> int:
     return heard + grown["timeouts"] if heard else 0
 
 
-def _refused(before: Mapping[str, int], after: Mapping[str, int]) -> dict[str, int]:
-    """Return the frames refused since, by reason."""
-    refused = {name: after[name] - before[name] for name in _CAUSES}
+def _refused(grown: Mapping[str, int]) -> dict[str, int]:
+    """Return the frames that were refused, by reason."""
+    refused = {name: grown[name] for name in _CAUSES}
     # a disturbed reply on a serial line is a missing one, too
     disturbed = refused["wrong_checksum"] + refused["wrong_length"]
     refused["timeouts"] = max(0, refused["timeouts"] - disturbed)
