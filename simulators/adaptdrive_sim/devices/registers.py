@@ -119,7 +119,7 @@ def _switching(given: int | str | None, usual: int, register: Register) -> int:
 
 def bounded(register: Register, value: float) -> float:
     """Like a converter's, a value ends at the range of its register."""
-    field = register_field("", register, measured=True)
+    field = register_field("", register, "measured")
     low, high = sorted(field.physical(end) for end in _without(field))
     if register.range is not None:
         low, high = max(low, register.range.low), min(high, register.range.high)

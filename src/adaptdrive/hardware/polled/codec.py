@@ -7,6 +7,7 @@ import struct
 from collections.abc import Sequence
 
 from adaptdrive.config.modbus import Register
+from adaptdrive.hardware.binding import Use
 from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limits, sensible_limits
 
 _FORMATS = {
@@ -23,18 +24,17 @@ _LARGEST_COUNT = 1 << 24
 """Largest number that a float holds as `not_available` names it; what is larger is its word."""
 
 
-def register_field(
-    name: str, register: Register, *, measured: bool, switched: bool = False
-) -> Field:
+def register_field(name: str, register: Register, use: Use) -> Field:
     """Return how a register is coded.
 
     Args:
         name: Its name.
         register: The register.
-        measured: Whether the count that means `no value` is refused although the map names none;
-            in a fault word all ones are as good as any other count.
-        switched: Whether such a count, and all ones, must not read as off.
+        use: Its role. The count that means `no value` is refused of a measurement although the map
+            names none, and must not read as off in a state; in a fault word all ones are as good
+            as any other count.
     """
+    measured = use == "measured"
     low, high = _limits(register)
     if measured and register.real:
         low, high = sensible_limits(low, high)
@@ -42,7 +42,7 @@ def register_field(
     words: frozenset[Raw] = frozenset() if missing is None else frozenset({missing})
     bits = register.bits is not None
     blanks = words if bits else frozenset()
-    if switched and register.not_available is None and not register.real:
+    if use == "state" and register.not_available is None and not register.real:
         blanks = _unsaid(register)
     return Field(
         name=name,
@@ -63,9 +63,9 @@ def decode_value(register: Register, words: Sequence[int], *, measured: bool) ->
     Args:
         register: How the value is coded.
         words: Its registers, as many as `register.words`.
-        measured: As for `register_field`.
+        measured: Whether it is a measurement, and no word.
     """
-    return decode(register, register_field("", register, measured=measured), words)
+    return decode(register, register_field("", register, "measured" if measured else "word"), words)
 
 
 def decode(register: Register, field: Field, words: Sequence[int]) -> float | None:
@@ -116,7 +116,7 @@ def encode_value(register: Register, value: float) -> list[int]:
     Raises:
         ValueError: The value is not finite, out of range, or the registers cannot hold it.
     """
-    field = register_field("the value", register, measured=False)
+    field = register_field("the value", register, "command")
     return encode_count(register, field.raw(value))
 
 

@@ -278,8 +278,8 @@ class Commander:
         newest = self._command
         if command == SAFE_COMMAND or newest is None:
             return True
-        fits = self._witness.may_join if joined else self._witness.may_follow
-        return newest != SAFE_COMMAND and self._witness.admits(newest) and fits(command)
+        valid = newest != SAFE_COMMAND and self._witness.admits(newest)
+        return valid and self._witness.may_go(command, joined=joined)
 
     def _words(self, command: Command) -> list[list[int]]:
         """The registers of every block that is written, with the next heartbeat.

@@ -69,8 +69,7 @@ class RegisterCatalogue(Catalogue[Named]):
 
     def field(self, item: Named, use: Use) -> Field:
         """Return how a register is coded."""
-        measured, switched = use == "measured", use == "state"
-        return register_field(item.name, item.register, measured=measured, switched=switched)
+        return register_field(item.name, item.register, use)
 
     def count_problem(self, item: Named) -> str | None:  # noqa: ARG002 - polls are counted by none
         """Return None: no tick is counted by a register."""

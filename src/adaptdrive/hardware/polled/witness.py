@@ -124,19 +124,19 @@ class PollWitness:
         void = self._outdated or self._stands_still(self._clock()) or self._is_unheard
         return not void and self._relink.admits(bridge=command.bridge)
 
-    def may_join(self, command: Command) -> bool:
-        """Return whether a valid command may be written with the read that would show a stop."""
-        if not (command.bridge and self._reported):
-            return True
-        timing = self._timing  # joined now and then, commands would be far apart
-        usual = self._clock() - self._seen_s <= timing.usual_s and not self._may_have_timed_out
-        return usual and timing.silent_s >= timing.reading_s
+    def may_go(self, command: Command, *, joined: bool) -> bool:
+        """Return whether a valid command may be written: the poll has a report still good.
 
-    def may_follow(self, command: Command) -> bool:
-        """Return whether a valid command may be written: the poll has a report still good."""
+        Args:
+            command: The command.
+            joined: Whether it goes with the read that would show a stop, before its reply.
+        """
         if not (command.bridge and self._reported):
             return True
-        age_s = self._clock() - self._seen_s
+        age_s, timing = self._clock() - self._seen_s, self._timing
+        if joined:  # now and then, commands would be far apart
+            usual = age_s <= timing.usual_s and timing.silent_s >= timing.reading_s
+            return usual and not self._may_have_timed_out
         return age_s < math.inf and (age_s <= self._look_s or not self._may_have_timed_out)
 
     @property
