@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from functools import partial
@@ -91,16 +90,20 @@ class CanConnection(Generic[Hearer]):
         self.listener, ids = listener, tuple(ids)
         # error frames are received, too: a shorted bus that restarts by itself carries nothing else
         backoff = BusBackoff(lambda: self._counts["received"] - self._counts["foreign"])
-        try:
-            problem = await self._use(self._open(ids), serve, opened or (lambda: None))
-        except BusError as missing:
-            if opened is not None:
-                raise
-            problem = missing.problem
+        announce, missed = opened or (lambda: None), False
         while True:
-            self.report(up=False, detail=problem)
-            bus = await self._reopen(ids, backoff)
-            problem = await self._use(bus, serve, self._return)
+            try:
+                bus = self._open(ids)
+            except BusError as missing:
+                if announce is opened:
+                    raise
+                problem = missing.problem
+            else:
+                problem, missed = await self._use(bus, serve, announce), False
+            if not missed:
+                self.report(up=False, detail=problem)
+            announce, missed = self._return, True
+            await asyncio.sleep(backoff.next_s())
 
     async def read_after(self, announce: Callable[[], None], farewell: Callable[[], object]) -> str:
         """Announce that the bus is in use, and read it until it is lost; return the reason.
@@ -182,9 +185,3 @@ class CanConnection(Generic[Hearer]):
         self._arrivals.begin_drain()
         self._arrivals.end_drain()
         return open_bus(self._config, ids)
-
-    async def _reopen(self, ids: Iterable[int], backoff: BusBackoff) -> can.BusABC:
-        while True:
-            await asyncio.sleep(backoff.next_s())
-            with contextlib.suppress(BusError):
-                return self._open(ids)
