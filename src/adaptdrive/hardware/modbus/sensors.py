@@ -157,17 +157,13 @@ class ModbusSensorPort(Polling[ModbusConnection, SensorListener]):
             self._config, self._counts, self._clock, len(self._blocks), serial=self._serial
         )
 
-    async def _serve(self, link: ModbusConnection) -> str:
+    async def _serve(self, link: ModbusConnection) -> None:
         next_s = self._clock()
         turns = Turns(self._blocks, self._patience)
-        try:
-            while link.lost is None and not self._closing:
-                await self._poll(link, turns)
-                next_s = self._next(next_s)
-                await self._sleep(next_s - self._clock())
-        finally:
-            link.close()
-        return link.lost or "closed"
+        while link.lost is None and not self._closing:
+            await self._poll(link, turns)
+            next_s = self._next(next_s)
+            await self._sleep(next_s - self._clock())
 
     async def _poll(self, link: ModbusConnection, turns: Turns) -> None:
         """Ask for the blocks that are due; one that does not come leaves the others wanted."""

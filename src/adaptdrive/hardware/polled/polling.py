@@ -60,7 +60,11 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
         backoff = BusBackoff(lambda: self._counts["received"])
         while True:
             if link is not None:
-                problem = await self._serve(link)
+                try:
+                    await self._serve(link)
+                finally:
+                    link.close()
+                problem = link.lost or "closed"
             if self._closing:
                 return
             self._note_bus(up=False, problem=problem)
@@ -86,8 +90,8 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
         """Return a link that is not open yet."""
 
     @abstractmethod
-    async def _serve(self, link: Link) -> str:
-        """Poll over an open link until it is lost or the port is closed, and close it; why."""
+    async def _serve(self, link: Link) -> None:
+        """Poll over an open link until it is lost or the port is closed."""
 
     def _next(self, last_s: float) -> float:
         """The next point of the grid, or the last one that was missed: that poll begins at once."""

@@ -120,8 +120,8 @@ class PolledPort(Polling[PolledLink, Listener]):
         problems = (self._failure, self._commander.refused_write)
         return [*read, *(f"refused: {one}" for one in problems if one)]
 
-    async def _serve(self, link: PolledLink) -> str:
-        """Poll over an open link until it is lost or the port is closed; why it was lost."""
+    async def _serve(self, link: PolledLink) -> None:
+        """Poll over an open link until it is lost or the port is closed; leave the drive safe."""
         self._link = link
         self._heartbeat.forget()
         self._commander.begin()
@@ -146,8 +146,6 @@ class PolledPort(Polling[PolledLink, Listener]):
             raise
         finally:
             self._link = None
-            link.close()
-        return link.lost or "closed"
 
     async def _set_up(self, link: PolledLink) -> None:
         """Write what the drive needs before it is commanded; a link without that is lost."""
