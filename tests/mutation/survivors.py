@@ -75,8 +75,8 @@ RUNTIME: dict[str, str] = {
     f"{_RATE}_fits: return abs(late[0] - early[0]) <= _TOLERANCE * (late[1] - early[1]) + "
     "_JITTER_TICKS -> return abs(late[0] - early[0]) < _TOLERANCE * (late[1] - early[1]) + "
     "_JITTER_TICKS": _BOUND,
-    f"{_RATE}FrameRate.add: self._extend((arrival_s - self._began_s) / self._tick_s) -> "
-    "self._extend((arrival_s + self._began_s) / self._tick_s)": _DIFFERENCES,
+    f"{_RATE}FrameRate.add: passed = (arrival_s - self._began_s) / self._tick_s -> "
+    "passed = (arrival_s + self._began_s) / self._tick_s": _DIFFERENCES,
     f"{_COUNTER}__init__: self._tick_s = tick_s -> pass": _SET_BEFORE_USE,
     f"{_COUNTER}__init__: self._seen_s = -math.inf -> self._seen_s = math.inf": _SET_BEFORE_USE,
     f"{_COUNTER}__init__: self._newest: _Count = (0, -math.inf) -> "

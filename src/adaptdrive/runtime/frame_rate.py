@@ -54,21 +54,8 @@ _Ends = tuple[_Least, _Least]
 
 _UNKNOWN: _Least = (math.inf, 0)
 
-
-class _Block:
-    """Some readings in a row, by the one of them that was least late.
-
-    Attributes:
-        counted: Least lateness against the half cycles that the drive has counted.
-        sent: Least lateness against the readings that it has sent.
-        thin: Readings that came only after a stand-in tick.
-    """
-
-    __slots__ = ("counted", "sent", "thin")
-
-    def __init__(self) -> None:
-        self.counted = self.sent = _UNKNOWN
-        self.thin = 0
+_Levels = deque[_Least]
+"""Those of the last blocks of readings, the present one last."""
 
 
 def verdict_ticks(stride: int) -> int:
@@ -106,8 +93,8 @@ class FrameRate:
         self._stride = stride
         self._counted = counted
         self._block_size = _block_size(stride)
-        self._blocks: deque[_Block] = deque(maxlen=_BLOCKS)
-        self._block = _Block()
+        self._by_count, self._by_reading = _levels(), _levels()
+        self._thin: deque[bool] = deque(maxlen=_BLOCKS * self._block_size)
         self._began_s: float | None = None
         self._ticks = self._readings = 0
         self._wrong_since_s: float | None = None
@@ -133,31 +120,22 @@ class FrameRate:
             self._began_s = arrival_s
             return
         self._readings += 1
-        if steps is None:
-            self._forget_count()
+        if steps is None:  # half cycles that nobody has counted
+            self._by_count = _levels()
         else:
             self._ticks += steps
-        self._extend((arrival_s - self._began_s) / self._tick_s)
-        self._block.thin += stood_in and (steps is None or steps > self._stride)
+        passed = (arrival_s - self._began_s) / self._tick_s
+        _extend(self._by_count, passed, self._ticks)
+        _extend(self._by_reading, passed, self._readings * self._stride)
+        self._thin.append(stood_in and (steps is None or steps > self._stride))
         if self._readings % self._block_size == 0:
-            self._blocks.append(self._block)
-            self._block = _Block()
             self._judge(arrival_s)
-
-    def _forget_count(self) -> None:
-        """Compare no count with those from before half cycles that nobody has counted."""
-        for block in (*self._blocks, self._block):
-            block.counted = _UNKNOWN
-
-    def _extend(self, passed: float) -> None:
-        block, sent = self._block, self._readings * self._stride
-        block.counted = min(block.counted, (passed - self._ticks, self._ticks))
-        block.sent = min(block.sent, (passed - sent, sent))
+            self._by_count.append(_UNKNOWN)
+            self._by_reading.append(_UNKNOWN)
 
     def _judge(self, now_s: float) -> None:
         """Name a rate that has been wrong for long enough."""
-        counted = _ends([b.counted for b in self._blocks if b.counted != _UNKNOWN])
-        sent = _ends([b.sent for b in self._blocks])
+        counted, sent = _ends(self._by_count), _ends(self._by_reading)
         if sent is None:
             return
         wrong = self._problem(counted, sent)
@@ -174,8 +152,7 @@ class FrameRate:
             fits = not _is_fast(*sent)
         else:
             fits = _fits(*counted) or (not self._counted and _fits(*sent))
-        readings = len(self._blocks) * self._block_size
-        thin = sum(b.thin for b in self._blocks) > _THIN_SHARE * readings
+        thin = sum(self._thin) > _THIN_SHARE * len(self._thin)
         if fits and not thin:
             return None
         expected_Hz = 1.0 / (self._stride * self._tick_s)
@@ -189,10 +166,18 @@ class FrameRate:
         )
 
 
-def _ends(levels: list[_Least]) -> _Ends | None:
+def _levels() -> _Levels:
+    return deque([_UNKNOWN], maxlen=_BLOCKS)
+
+
+def _extend(levels: _Levels, passed: float, count: int) -> None:
+    levels[-1] = min(levels[-1], (passed - count, count))
+
+
+def _ends(levels: _Levels) -> _Ends | None:
     """Return the least of the earlier and of the later half; None of fewer than two."""
-    half = len(levels) // 2
-    return (min(levels[:half]), min(levels[-half:])) if half else None
+    ordered, half = list(levels), len(levels) // 2
+    return (min(ordered[:half]), min(ordered[-half:])) if half else None
 
 
 def _fits(early: _Least, late: _Least) -> bool:
