@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import shorten
 from typing import TypeVar
 
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -16,15 +17,6 @@ _LARGEST_BYTES = 16 * 1024 * 1024
 
 _LONGEST_PROBLEM = 300
 """A parser quotes the line at fault, and a file that is no text may be one line."""
-
-
-def _content(path: Path) -> bytes:
-    """Return the bytes of a regular file of a size that can be parsed."""
-    if not path.is_file():  # a pipe or a terminal would be waited for
-        raise OSError("there is no such file" if not path.exists() else "it is no regular file")
-    if path.stat().st_size > _LARGEST_BYTES:
-        raise OSError(f"it has more than {_LARGEST_BYTES} bytes")
-    return path.read_bytes()
 
 
 def description_text(path: Path) -> str:
@@ -39,7 +31,11 @@ def description_text(path: Path) -> str:
         OSError: It cannot be read, is no regular file, or is too large.
         ValueError: No file can have such a name, or the bytes contradict the byte order mark.
     """
-    content = _content(path)
+    if not path.is_file():  # a pipe or a terminal would be waited for
+        raise OSError("there is no such file" if not path.exists() else "it is no regular file")
+    if path.stat().st_size > _LARGEST_BYTES:
+        raise OSError(f"it has more than {_LARGEST_BYTES} bytes")
+    content = path.read_bytes()
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
     try:
@@ -65,10 +61,7 @@ def read_description(
     try:
         return parse(description_text(path))
     except Exception as problem:  # parsers raise errors of many kinds
-        flaw = Flaw(place, f"{path} cannot be used: {_problem_text(problem)}")
-        raise ConfigurationError(source, [flaw]) from problem
-
-
-def _problem_text(problem: Exception) -> str:
-    text = " ".join(str(problem).split()) or type(problem).__name__
-    return text if len(text) <= _LONGEST_PROBLEM else text[:_LONGEST_PROBLEM] + "…"
+        text = shorten(str(problem) or type(problem).__name__, _LONGEST_PROBLEM, placeholder="…")
+        raise ConfigurationError(
+            source, [Flaw(place, f"{path} cannot be used: {text}")]
+        ) from problem

@@ -225,15 +225,11 @@ class SensoredPort:
         try:
             await bus.port.run(bus)
         except Exception:
-            await self._say_farewell()
+            self._ends = True  # no other command goes out from now on
+            for _ in range(FAREWELLS):
+                self._drive.send(SAFE_COMMAND)
+                await asyncio.sleep(FAREWELL_GAP_S)
             raise
-
-    async def _say_farewell(self) -> None:
-        """Send the safe command more than once, and no other from now on."""
-        self._ends = True
-        for _ in range(FAREWELLS):
-            self._drive.send(SAFE_COMMAND)
-            await asyncio.sleep(FAREWELL_GAP_S)
 
     def send(self, command: Command) -> bool:
         """Send one command to the drive now, the safe one once a sensor bus has failed."""
