@@ -88,7 +88,7 @@ def _asked(settings: Realtime, held: ExitStack) -> Iterator[Grant]:
         yield _schedule(settings.priority)
 
 
-def _attempt(asked: str, do: Callable[[], None], granted: str, refused: str) -> Grant:
+def _attempt(asked: str, do: Callable[[], object], granted: str, refused: str) -> Grant:
     try:
         do()
     except OSError as problem:
@@ -100,13 +100,9 @@ def _attempt(asked: str, do: Callable[[], None], granted: str, refused: str) -> 
 def _schedule(priority: int) -> Grant:
     """Schedule this thread in real time; threads that it starts have ordinary priority."""
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-
-    def do() -> None:
-        os.sched_setscheduler(0, policy, os.sched_param(priority))
-
     return _attempt(
         f"priority = {priority}",
-        do,
+        lambda: os.sched_setscheduler(0, policy, os.sched_param(priority)),
         "ordinary processes cannot delay a tick",
         "any busy process can delay a tick; grant CAP_SYS_NICE or LimitRTPRIO",
     )
@@ -123,14 +119,10 @@ def _pin(cpus: tuple[int, ...]) -> Grant:
 
 def _keep_awake(latency_us: int, held: ExitStack) -> Grant:
     """The kernel's quality of service for idle CPUs: it lasts as long as its file stays open."""
-
-    def do() -> None:
-        request = held.enter_context(_CPU_LATENCY.open("wb", buffering=0))
-        request.write(struct.pack("i", latency_us))
-
+    wanted = struct.pack("i", latency_us)
     return _attempt(
         f"cpu_latency_us = {latency_us}",
-        do,
+        lambda: held.enter_context(_CPU_LATENCY.open("wb", buffering=0)).write(wanted),
         "all CPUs of this machine sleep less deeply, and draw more power",
         f"an idle CPU takes its time to wake up; grant writing to {_CPU_LATENCY}",
     )
