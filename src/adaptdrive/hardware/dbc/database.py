@@ -11,7 +11,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
-import cantools
 from can.util import CAN_FD_DLC
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
@@ -144,17 +143,15 @@ def _described(text: str) -> Description:
     """Return what the parser finds; a line that it cannot read is left out."""
     whole = mended(text)
     for _ in range(_MOST_LEFT_OUT):
+        database = Database(strict=False)
         try:
-            database = cantools.database.load_string(
-                whole.text, database_format="dbc", strict=False
-            )
-        except (cantools.Error, ValueError) as problem:
+            database.add_dbc_string("\n".join(whole.lines))
+        except Exception as problem:  # parsers raise errors of many kinds
             line = _UNREADABLE.search(str(problem))
             if line is None or not whole.lines[int(line[1]) - 1].strip():
                 raise
             whole.leave_out(int(line[1]) - 1, "it cannot be read")
         else:
-            assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
             remarks = _place_remarks(database.messages, whole.places)
             return Description(database, [*whole.remarks, *remarks])
     raise ValueError(f"more than {_MOST_LEFT_OUT} lines cannot be read; {whole.remarks[-1]}")

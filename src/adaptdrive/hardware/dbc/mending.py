@@ -46,11 +46,6 @@ class MendedText:
     remarks: list[str] = field(default_factory=list)
     places: dict[tuple[str, str], int] = field(default_factory=dict)
 
-    @property
-    def text(self) -> str:
-        """The lines as one text."""
-        return "\n".join(self.lines)
-
     def leave_out(self, number: int, why: str) -> None:
         """Leave out a line, and the signals of a message with it.
 
