@@ -25,13 +25,10 @@ _POLL_S = 0.001
 """Poll interval of a bus without a file descriptor."""
 
 _HEALTH_S = 0.25
-"""Interval of checks of an idle bus: a socket that is closed under the reader never wakes it."""
+"""Interval of looks at an idle bus: a socket that is closed under the reader never wakes it."""
 
 _BUS_OFF = 0x40
 """Linux: the error class, in the id of an error frame, of a controller that left the bus."""
-
-_CLOSED = -1
-_NO_FILE = -2
 
 
 class FrameTaker(Protocol):
@@ -76,13 +73,8 @@ class FrameReader:
             self._loop.add_reader(fileno, self.drain)
         try:
             while not lost.done():
-                if fileno == _NO_FILE:
-                    await asyncio.sleep(_POLL_S)
-                    self.drain()
-                    continue
-                await asyncio.wait([lost], timeout=_HEALTH_S)
-                if not lost.done() and _fileno(self._bus) == _CLOSED:
-                    return "closed"
+                await asyncio.wait([lost], timeout=_HEALTH_S if fileno >= 0 else _POLL_S)
+                self.drain()
             return lost.result()
         finally:
             if fileno >= 0:
@@ -132,7 +124,7 @@ def _fileno(bus: can.BusABC) -> int:
     try:
         return bus.fileno()
     except NotImplementedError:
-        return _NO_FILE
+        return -1
 
 
 def _is_garbage(problem: can.CanOperationError) -> bool:
