@@ -37,7 +37,7 @@ _FALSE = "None is as false as False, and nobody sees which"
 _VOLTAGE = (
     "start_V=self.manual.value(tick), target_V=value, since_tick=tick, hold_s=hold_s, hold_ticks="
 )
-_HOLD = " if hold_s is None else math.ceil(hold_s / limits.tick_s))"
+_HOLD = " if hold_s is None else math.ceil(hold_s / self._limits.tick_s))"
 _MACHINE = "runtime.machine:Machine.__init__: "
 _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.half_cycles:HalfCycles."

@@ -197,19 +197,18 @@ class Machine:
 
     def _set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
         """Set V_c in mode manual, until the next one or for so long at most."""
-        limits = self._limits
         if self.mode is not Mode.MANUAL:
             raise RefusedError(f"voltage needs mode manual; mode is {self.mode}")
         if self.state is not State.RUNNING:
             raise RefusedError(f"voltage needs a running drive; state is {self.state}")
-        limits.require_voltage(value, hold_s)
+        self._limits.require_voltage(value, hold_s)
         self.manual = replace(
             self.manual,
             start_V=self.manual.value(tick),
             target_V=value + 0.0,
             since_tick=tick,
             hold_s=hold_s,
-            hold_ticks=0 if hold_s is None else math.ceil(hold_s / limits.tick_s),
+            hold_ticks=0 if hold_s is None else math.ceil(hold_s / self._limits.tick_s),
         )
         if self.coasting:
             self._start()
