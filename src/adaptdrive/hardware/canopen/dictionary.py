@@ -194,7 +194,8 @@ def _entry(variable: ODVariable) -> Entry | None:
     low, high = natural_limits(bits, signed=variable.data_type in SIGNED_TYPES, real=real)
     if real:
         low, high = sensible_limits(low, high)
-    low = low if variable.min is None else max(low, variable.min)
-    high = high if variable.max is None else min(high, variable.max)
+    if (variable.min, variable.max) != (0, 0):  # as many editors write no range
+        low = low if variable.min is None else max(low, variable.min)
+        high = high if variable.max is None else min(high, variable.max)
     coded = Field(variable.qualname, low, high, integer=not real)
     return Entry((variable.index, variable.subindex), bits, variable, coded)

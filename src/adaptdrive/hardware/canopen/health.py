@@ -1,19 +1,14 @@
-"""Conditions that prevent a node from being energised: its emergencies, its state, other senders.
+"""Conditions that prevent a node from being energised: its emergencies and its state.
 
 Emergency (EMCY) frames in words: classes of CiA 301 by the library, single codes of CiA 402.
 """
 
 from __future__ import annotations
 
-import can
 from canopen.emcy import EmcyError
 
-from adaptdrive.config.bus import CanOpenBus
-from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.master import Master
 from adaptdrive.hardware.canopen.profile import DriveControl, DriveState
-from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
-from adaptdrive.hardware.doubts import Rival
 
 LENGTH = 8
 
@@ -32,9 +27,6 @@ _SINGLE = {
 }
 
 _UNFIT = frozenset({None, DriveState.UNKNOWN, DriveState.NOT_READY})
-
-_SDO_WRITES = frozenset({0, 1, 6})
-"""Client command specifiers of SDO frames that write: segment, initiate and block download."""
 
 
 class Emergency(EmcyError):  # noqa: N818 - never raised
@@ -105,44 +97,3 @@ class Health:
     def forgive(self) -> None:
         """Forget an emergency: the node was restarted, or the operator has reset it."""
         self._emergency = None
-
-
-class ForeignCommands:
-    """Detects commands of another sender; no bus returns the frames that this port sends.
-
-    Attributes:
-        names: Name of each frame that commands the drive, by id.
-    """
-
-    def __init__(self, mapping: CanOpenMapping, config: CanOpenBus, rival: Rival) -> None:
-        self._sdo = 0x600 + config.node_id
-        self._rival = rival
-        names = {order.codec.frame_id: order.codec.name for order in mapping.orders}
-        names[self._sdo] = "SDO write"
-        names[0x700 + config.own_node_id] = "heartbeat of another node with bus.own_node_id"
-        if config.sync == "daemon":
-            names[SYNC_COB_ID] = "SYNC of another node"
-        self.names = {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
-
-    def hear(self, frame: can.Message) -> bool:
-        """Report a foreign frame that commands this drive; return whether it does.
-
-        A heartbeat under the daemon's own id does, too: the drive would obey its last command for
-        as long as that node lives, however long ago this daemon has died. Nor may another node send
-        SYNC where this daemon does: control would run too fast. A frame that reads objects is no
-        command. Nor is NMT: a node that it stops or restarts reports that itself.
-        """
-        can_id, data = frame.arbitration_id, frame.data
-        reads = can_id == self._sdo and not (data and data[0] >> 5 in _SDO_WRITES)
-        if can_id not in self.names or reads:
-            return False
-        self._rival.hear(self.names[can_id])
-        return True
-
-    def writes_objects(self, frame: can.Message) -> bool:
-        """Return whether a foreign frame that commands this drive writes one of its objects.
-
-        Args:
-            frame: A frame that `hear` has reported.
-        """
-        return frame.arbitration_id == self._sdo

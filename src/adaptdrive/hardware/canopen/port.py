@@ -20,7 +20,7 @@ from adaptdrive.clock.tick_timer import pulsing
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.canopen.health import ForeignCommands, Health
+from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
@@ -36,6 +36,9 @@ from adaptdrive.hardware.port import Listener
 
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
+
+_SDO_WRITES = frozenset({0, 1, 6})
+"""Client command specifiers of SDO frames that write: segment, initiate and block download."""
 
 _LOOK_S = 0.005
 """Time between two looks whether the fault is gone: short compared with the longest wait."""
@@ -83,7 +86,6 @@ class CanOpenPort(CountingPort):
         self._been_up = False
         self._takers = self._make_takers()
         self._rival = Rival(clock)
-        self._foreign = ForeignCommands(mapping, config, self._rival)
 
     @property
     def complaint(self) -> str | None:
@@ -113,8 +115,7 @@ class CanOpenPort(CountingPort):
         Raises:
             BusError: The bus cannot be opened at the first attempt.
         """
-        ids = [*self._takers, *self._foreign.names]
-        await self._connection.run(ids, self._serve, listener, opened)
+        await self._connection.run(self._takers, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:
         """Send one command now, and the daemon's heartbeat when it is due.
@@ -181,28 +182,50 @@ class CanOpenPort(CountingPort):
         self._counts["received"] += 1
         odd = frame.is_extended_id or frame.is_error_frame or frame.is_remote_frame
         taker = None if odd else self._takers.get(frame.arbitration_id)
-        if taker is not None:
+        if taker is None:
+            self._counts["foreign"] += 1
+        else:
             taker(frame)
-            return
-        self._counts["foreign"] += 1
-        if not odd and self._foreign.hear(frame):
-            self._counts["foreign_commands"] += 1
-            if self._foreign.writes_objects(frame):
-                self._master.doubt()
 
     def _make_takers(self) -> dict[int, Callable[[can.Message], None]]:
-        """Return the handler of each frame."""
-        node = self._config.node_id
+        """Return the handler of each frame.
+
+        No bus returns the frames that this port sends: another sender commands the drive with the
+        same. Its heartbeat under the daemon's own id does, too: the drive would obey its last
+        command for as long as that node lives, however long ago this daemon has died. Its SYNC
+        would let control run too fast. NMT is no command: a node that it stops or restarts reports
+        that itself.
+        """
+        node, own, taken_by = self._config.node_id, self._config.own_node_id, functools.partial
+        another = taken_by(self._take_rival, "SYNC of another node")
         takers: dict[int, Callable[[can.Message], None]] = {
+            SYNC_COB_ID: self._take_sync if self._config.sync == "drive" else another,
             0x080 + node: self._take_emergency,
             0x580 + node: self._sdo.take_reply,
+            0x600 + node: self._take_sdo_request,
             0x700 + node: self._take_heartbeat,
+            0x700 + own: taken_by(
+                self._take_rival, "heartbeat of another node with bus.own_node_id"
+            ),
         }
-        if self._config.sync == "drive":
-            takers[SYNC_COB_ID] = self._take_sync
         for status in self._mapping.statuses:
-            takers[status.codec.frame_id] = functools.partial(self._take_pdo, status)
+            takers[status.codec.frame_id] = taken_by(self._take_pdo, status)
+        for order in self._mapping.orders:
+            takers[order.codec.frame_id] = taken_by(self._take_rival, order.codec.name)
         return takers
+
+    def _take_rival(self, name: str, frame: can.Message) -> None:
+        self._counts["foreign"] += 1
+        self._counts["foreign_commands"] += 1
+        self._rival.hear(f"0x{frame.arbitration_id:03X} ({name})")
+
+    def _take_sdo_request(self, frame: can.Message) -> None:
+        """Note that another sender writes an object; one that reads objects does no harm."""
+        if frame.data and frame.data[0] >> 5 in _SDO_WRITES:
+            self._take_rival("SDO write", frame)
+            self._master.doubt()
+        else:
+            self._counts["foreign"] += 1
 
     def _take_sync(self, frame: can.Message) -> None:
         self._reports.begin(self._clock() - self._arrivals.waited_s(frame))
