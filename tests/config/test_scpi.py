@@ -44,6 +44,7 @@ def test_the_values_of_the_page_are_valid_and_set_in_two_lines() -> None:
             "has no `query`",
         ),
         ('V = "voltage_set"', 'V = "voltage"', "signals.command.boost_reference_V", "no `write`"),
+        ("{:.3f}", "12", "signals.command.boost_reference_V", "has no {} for the value"),
         ("clear = 1", "voltage = 1", "bus.setup.voltage", "no `write`"),
         ("clear = 1", "cler = 1", "bus.setup.cler", "no value 'cler'"),
         ("{:.3f}", "{:d}", "bus.values.voltage_set", "takes no value: Unknown format code"),

@@ -69,8 +69,11 @@ def scpi_flaws(bus: ScpiBus, signals: Signals) -> Iterator[Flaw]:
     for line, references in (("query", measured_names(signals)), ("write", written)):
         yield from unknown_flaws(references, bus.values, "[bus.values] has no value")
         for place, name in references:
-            if name in bus.values and getattr(bus.values[name], line) is None:
+            text = getattr(bus.values[name], line) if name in bus.values else "{}"
+            if text is None:
                 yield Flaw(place, f"bus.values.{name} has no `{line}`")
+            elif line == "write" and place.rpartition(".")[2] in COMMANDED and "{" not in text:
+                yield Flaw(place, f"bus.values.{name}.write = {text!r} has no {{}} for the value")
 
 
 def _modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
