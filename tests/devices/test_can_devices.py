@@ -8,9 +8,10 @@ import time
 
 import pytest
 
-from adaptdrive.app.ports import build_port, derivations
+from adaptdrive.app.ports import build_port
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.dbc.port import CanPort
+from adaptdrive.hardware.sensors import derived_value
 from tests.devices.can_node import CanNode
 from tests.devices.described import DEVICES, described, running
 from tests.hardware.canopen import peer as canopen_peer
@@ -41,8 +42,8 @@ async def test_the_cascadia_pm() -> None:
         assert reading.boost_voltage_V == pytest.approx(48.2)
         assert reading.output == pytest.approx(955 * math.pi / 30)
         assert reading.bridge
-        (power,) = derivations(configuration)
-        assert power.value(reading.other) == pytest.approx(360.0 * 25.0)
+        (power,) = configuration.derived.values()
+        assert derived_value(power, reading.other) == pytest.approx(360.0 * 25.0)
         run = bytes((0x22, 0xFD, 0, 0, 1, 1, 0, 0))  # -73.4 Nm, forward, enabled
         await bench.commands(command(-73.4), lambda: node.heard.get(192) == run)
         rest = bytes((0, 0, 0, 0, 1, 0, 0, 0))
@@ -66,8 +67,8 @@ async def test_the_vesc() -> None:
         reading = await bench.reading()
         assert reading.boost_voltage_V == pytest.approx(12.3)
         assert reading.output == pytest.approx(1000 * math.pi / 30)
-        (power,) = derivations(configuration)
-        assert power.value(reading.other) == pytest.approx(48.4 * 10.5)
+        (power,) = configuration.derived.values()
+        assert derived_value(power, reading.other) == pytest.approx(48.4 * 10.5)
         asked = struct.pack(">i", 18250)
         await bench.commands(command(18.25), lambda: node.heard.get(0x0101) == asked)
         await bench.commands(SAFE_COMMAND, lambda: node.heard[0x0101] == bytes(4))

@@ -13,10 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.app.ports import publish_samples
+from adaptdrive.config.supply import Derived
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import PortStatistics, Reading, SensorListener
-from adaptdrive.hardware.sensors import RULES, Derivation, SensorBus, SensoredPort
+from adaptdrive.hardware.sensors import RULES, SensorBus, SensoredPort, derived_value
 from adaptdrive.runtime.accounts import sensor_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
@@ -56,7 +57,7 @@ class Bench:
         self.drive = LoopbackPort(self.sent.append)
         self.sensors = ScriptedSensors()
         self.bus = SensorBus("thermo", self.sensors, STALE_s, ("hot", "cold"))
-        rules = [Derivation("output", RULES["difference"], ("hot", "cold"))]
+        rules = {"output": Derived(rule="difference", of=["hot", "cold"])}
         self.port = SensoredPort(self.drive, [self.bus], rules, self.around.now_s)
         self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
         settings = replace(FAST, timer_standin=False, drive_clocks=False)
@@ -273,8 +274,8 @@ def test_pairs(first: float, second: float) -> None:
 
 
 def test_a_power_is_made_of_voltage_and_current_and_a_speed_of_a_tachometer() -> None:
-    power = Derivation("load_power_W", math.prod, ("volts", "amperes"))
-    assert power.value({"volts": 80.0, "amperes": 2.5}) == 200.0
-    assert math.isnan(power.value({"volts": 80.0}))
-    speed = Derivation("speed", sum, ("tachometer",), scale=1000.0 / 7.0 * math.pi / 30.0)
-    assert speed.value({"tachometer": 7.0}) == pytest.approx(104.72, abs=0.01)
+    power = Derived(rule="product", of=["volts", "amperes"])
+    assert derived_value(power, {"volts": 80.0, "amperes": 2.5}) == 200.0
+    assert math.isnan(derived_value(power, {"volts": 80.0}))
+    speed = Derived(rule="sum", of=["tachometer"], scale=1000.0 / 7.0 * math.pi / 30.0)
+    assert derived_value(speed, {"tachometer": 7.0}) == pytest.approx(104.72, abs=0.01)

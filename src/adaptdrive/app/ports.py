@@ -12,7 +12,7 @@ from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.bus_kind import BusKind
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.hardware.port import Port, SensorPort
-from adaptdrive.hardware.sensors import RULES, Derivation, SensorBus, SensoredPort
+from adaptdrive.hardware.sensors import SensorBus, SensoredPort
 from adaptdrive.runtime.accounts import sensor_report, sensor_sample
 from adaptdrive.runtime.reports import SensorReport, SensorSample
 
@@ -102,7 +102,8 @@ def build_whole_port(
     stated = configuration.signals.stated
     if not (buses or configuration.derived or stated):
         return port
-    return SensoredPort(port, buses, derivations(configuration), clock, stated)
+    derived = {name: configuration.derived[name] for name in in_order(configuration.derived)}
+    return SensoredPort(port, buses, derived, clock, stated)
 
 
 def build_sensor_port(
@@ -127,15 +128,6 @@ def build_sensor_port(
     build = bus_kind(bus.type, source).build_sensors
     assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
     return build(bus, place, clock, source, demands)
-
-
-def derivations(configuration: Configuration) -> list[Derivation]:
-    """Return the rules of `[derived]`, each after those that it depends on."""
-    given = configuration.derived
-    return [
-        Derivation(name, RULES[one.rule], tuple(one.of), one.scale, one.offset)
-        for name, one in ((name, given[name]) for name in in_order(given))
-    ]
 
 
 def sensor_reports(

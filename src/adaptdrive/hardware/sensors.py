@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from adaptdrive.config.supply import Rule
+from adaptdrive.config.supply import Derived, Rule
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import (
     FAREWELL_GAP_S,
@@ -25,30 +25,6 @@ from adaptdrive.hardware.port import (
     Reading,
     SensorPort,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Derivation:
-    """A value that is made of others.
-
-    Attributes:
-        name: Its name.
-        rule: What is made of the others.
-        of: Names of the others.
-        scale: Factor of the result.
-        offset: Added to the scaled result.
-    """
-
-    name: str
-    rule: Callable[[Sequence[float]], float]
-    of: tuple[str, ...]
-    scale: float = 1.0
-    offset: float = 0.0
-
-    def value(self, values: Mapping[str, float]) -> float:
-        """The value, NaN while one of the others is not there."""
-        parts = [values.get(name, math.nan) for name in self.of]
-        return self.rule(parts) * self.scale + self.offset
 
 
 @dataclass(slots=True)
@@ -126,6 +102,18 @@ RULES: Mapping[Rule, Callable[[Sequence[float]], float]] = {
 }
 """Functions of the rules of `[derived]`, each from the values that it names to the derived one."""
 
+
+def derived_value(one: Derived, values: Mapping[str, float]) -> float:
+    """Return a value that is made of others, NaN while one of them is not there.
+
+    Args:
+        one: How it is made of them.
+        values: By name.
+    """
+    parts = [values.get(name, math.nan) for name in one.of]
+    return RULES[one.rule](parts) * one.scale + one.offset
+
+
 QUANTITIES = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 
 
@@ -147,7 +135,7 @@ class SensoredPort:
         self,
         drive: Port,
         buses: Sequence[SensorBus],
-        derivations: Sequence[Derivation],
+        derived: Mapping[str, Derived],
         clock: Callable[[], float],
         stated: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
@@ -156,7 +144,7 @@ class SensoredPort:
         Args:
             drive: The drive's own port.
             buses: Its sensor buses.
-            derivations: Values made of others, each after those that it is made of.
+            derived: Values made of others, each after those that it is made of.
             clock: Monotonic clock in seconds.
             stated: Values that nobody measures.
         """
@@ -171,7 +159,7 @@ class SensoredPort:
         self.details = drive.details
         self.reset_fault = drive.reset_fault
         self.buses = tuple(buses)
-        self._derivations = tuple(derivations)
+        self._derived = derived
         self._clock = clock
         self._listener: Listener | None = None
         self._ends = False
@@ -263,7 +251,7 @@ class SensoredPort:
         values.update(self._stated)
         for bus in self.buses:
             values.update(bus.values)
-        for one in self._derivations:
-            values[one.name] = one.value(values)
+        for name, one in self._derived.items():
+            values[name] = derived_value(one, values)
         found = {name: values.get(name, math.nan) for name in QUANTITIES}
         return replace(reading, other=values, **found)
