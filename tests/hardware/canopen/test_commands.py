@@ -93,5 +93,6 @@ def test_a_probe_of_nobody_says_so_once(tmp_path: Path, spawn: Spawn, free_udp_p
     probe.terminate()
     probe.wait(timeout=PATIENCE_S)
     told = [line for line in shown.read_text().splitlines() if "no reading yet" not in line]
-    assert told[1] == "bus lost: node 5: no answer when asked to read 0x6079"
+    assert told[1].startswith("bus lost: udp_multicast 239.")
+    assert told[1].endswith(" node 5: no answer when asked to read 0x6079")
     assert len([line for line in told if "no answer" in line or "abort" in line]) == 1

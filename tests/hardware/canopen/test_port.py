@@ -559,7 +559,7 @@ async def test_looking_at_a_drive_that_does_not_answer_says_so(tmp_path: Path) -
         task = tasks.create_task(watch.run(ear, lambda: None))
         await until(lambda: bool(ear.bus))
         task.cancel()
-    assert ear.bus == [(False, f"node {NODE}: no answer when asked to read 0x6079")]
+    assert ear.bus == [(False, f"{watch.description}: no answer when asked to read 0x6079")]
 
 
 @pytest.mark.parametrize(

@@ -92,26 +92,22 @@ class Master:
         """Bring the node up whenever it is lost, until cancelled.
 
         Args:
-            report: Called when the node is ready, and when it is not, with each new reason.
+            report: Called when the node is ready, and whenever it is not, with the reason.
             others_quiet: Returns whether other senders leave the node alone: only then is one that
                 they have written to set up again.
         """
-        reported = ""
         while True:
             try:
                 await self._bring_up()
             except BusError as refusal:
-                self.problem = refusal.problem
-                if reported != self.problem:
-                    reported = self.problem
-                    report(up=False, detail=reported)
+                self._lose(refusal.problem)
+                report(up=False, detail=self.problem)
                 await self._await(_RETRY_S, lambda: self._booted)
                 continue
             self.ready = True
             report(up=True, detail="operational")
-            self._lose(await self._watch(others_quiet))
-            reported = self.problem
-            report(up=False, detail=reported)
+            await self._watch(others_quiet)
+            report(up=False, detail=self.problem)
             if self.mapped:
                 await asyncio.sleep(_TAKING_S)
 
@@ -122,7 +118,8 @@ class Master:
         if state == NodeState.BOOT_UP:
             self._booted, self.mapped = True, False
         if self.ready and state != NodeState.OPERATIONAL:
-            self._lose(self._departure())
+            left = f"is not operational any more (state {state})"
+            self._lose("has been restarted" if self._booted else left)
         self._heard.set()
 
     def doubt(self) -> None:
@@ -137,11 +134,6 @@ class Master:
     def _lose(self, problem: str) -> None:
         self.ready, self.problem = False, problem
 
-    def _departure(self) -> str:
-        if self._booted:
-            return "has been restarted"
-        return f"is not operational any more (state {self._state})"
-
     async def _bring_up(self) -> None:
         """Set the node up and start it.
 
@@ -155,30 +147,28 @@ class Master:
             raise BusError(describe_node(self._bus), "was restarted while it was set up")
         self.mapped = True
         self._command(_START)
-        started_s = _STARTED_S + self._bus.heartbeat_s
-        await self._await(started_s, lambda: self._state == NodeState.OPERATIONAL)
-        if self._state != NodeState.OPERATIONAL:
+        await self._await(_STARTED_S + self._bus.heartbeat_s, self._has_started)
+        if not self._has_started():
             raise BusError(describe_node(self._bus), "does not become operational")
 
-    async def _watch(self, others_quiet: Callable[[], bool]) -> str:
-        """Wait until the node is lost; why it is."""
+    def _has_started(self) -> bool:
+        return self._state == NodeState.OPERATIONAL and not self._booted
+
+    async def _watch(self, others_quiet: Callable[[], bool]) -> None:
+        """Wait until the node is lost."""
         timeout_s = self._bus.heartbeat_timeout_s
-        while True:
-            if not self.ready:  # lost by a heartbeat, whatever the node reports now
-                return self.problem
-            if self._booted or self._state != NodeState.OPERATIONAL:
-                return self._departure()
-            if self.overwritten and others_quiet():
-                return "is set up again: another sender has written its objects"
+        while self.ready:
             heard_s = self._heard_s
             silent_s = self._clock() - heard_s
-            if silent_s <= timeout_s:
+            if self.overwritten and others_quiet():
+                self._lose("is set up again: another sender has written its objects")
+            elif silent_s <= timeout_s:
                 self._heard.clear()
                 await self._await(timeout_s - silent_s + 0.001, self._heard.is_set)
-                continue
-            await asyncio.sleep(_LOOK_AGAIN_S)
-            if heard_s == self._heard_s:
-                return f"heartbeat lost for {1e3 * silent_s:.0f} ms"
+            else:
+                await asyncio.sleep(_LOOK_AGAIN_S)
+                if heard_s == self._heard_s:
+                    self._lose(f"heartbeat lost for {1e3 * silent_s:.0f} ms")
 
     async def _await(self, limit_s: float, done: Callable[[], bool]) -> None:
         """Wait for heartbeats until something is done, no longer than a limit in s."""

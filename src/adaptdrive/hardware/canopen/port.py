@@ -23,16 +23,13 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
+from adaptdrive.hardware.canopen.node import NodePort
 from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
 from adaptdrive.hardware.canopen.reports import Reports
-from adaptdrive.hardware.canopen.sdo import SdoThread, describe_node
+from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID, set_up
-from adaptdrive.hardware.counting import CountingPort
 from adaptdrive.hardware.doubts import Obedience, Rival
-from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
-from adaptdrive.hardware.link.bus import describe_bus
-from adaptdrive.hardware.link.connection import CanConnection
-from adaptdrive.hardware.port import Listener
+from adaptdrive.hardware.link.arrival import PROMPT_S
 
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
@@ -44,12 +41,8 @@ _LOOK_S = 0.005
 """Time between two looks whether the fault is gone: short compared with the longest wait."""
 
 
-class CanOpenPort(CountingPort):
-    """One connection to one drive on CANopen.
-
-    Attributes:
-        description: The bus in one phrase, such as `socketcan can0 node 5`.
-    """
+class CanOpenPort(NodePort):
+    """One connection to one drive on CANopen."""
 
     def __init__(
         self,
@@ -66,26 +59,19 @@ class CanOpenPort(CountingPort):
             timing: Times of the drive.
             clock: Monotonic clock, in seconds.
         """
-        super().__init__()
-        self.description = f"{describe_bus(config)} {describe_node(config)}"
+        super().__init__(config, mapping, clock)
         self.counter_modulus = mapping.counter_modulus
-        self._config = config
-        self._mapping = mapping
-        self._clock = clock
-        self._arrivals = ArrivalClock(clock)
-        self._connection = CanConnection[Listener](config, self, self._arrivals, self._counts)
         self._control = DriveControl()
         self._unseen = UnseenStop(self._control, timing)
         self._reports = Reports(mapping, self._control, self._unseen, self._counts)
-        self._sdo = SdoThread(config, self._connection.put)
         self._master = Master(config, self._set_up, self._connection.put, clock)
         self._health = Health(self._control, self._master)
         self._half_cycle_s = timing.half_cycle_s
         self._obedience = Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
         self._been_up = False
-        self._takers = self._make_takers()
         self._rival = Rival(clock)
+        self._takers |= self._make_takers()
 
     @property
     def complaint(self) -> str | None:
@@ -102,20 +88,6 @@ class CanOpenPort(CountingPort):
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
         return self._obedience.heard_s
-
-    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
-        """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
-
-        A drive that is not there yet is waited for, like one that is switched off.
-
-        Args:
-            listener: Receiver of readings and of the state of the bus.
-            opened: Called once, when the bus is open.
-
-        Raises:
-            BusError: The bus cannot be opened at the first attempt.
-        """
-        await self._connection.run(self._takers, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:
         """Send one command now, and the daemon's heartbeat when it is due.
@@ -177,16 +149,6 @@ class CanOpenPort(CountingPort):
         if not self._control.faulty:
             self._health.forgive()
 
-    def take(self, frame: can.Message) -> None:
-        """Take one frame from the bus."""
-        self._counts["received"] += 1
-        odd = frame.is_extended_id or frame.is_error_frame or frame.is_remote_frame
-        taker = None if odd else self._takers.get(frame.arbitration_id)
-        if taker is None:
-            self._counts["foreign"] += 1
-        else:
-            taker(frame)
-
     def _make_takers(self) -> dict[int, Callable[[can.Message], None]]:
         """Return the handler of each frame.
 
@@ -201,7 +163,6 @@ class CanOpenPort(CountingPort):
         takers: dict[int, Callable[[can.Message], None]] = {
             SYNC_COB_ID: self._take_sync if self._config.sync == "drive" else another,
             0x080 + node: self._take_emergency,
-            0x580 + node: self._sdo.take_reply,
             0x600 + node: self._take_sdo_request,
             0x700 + node: self._take_heartbeat,
             0x700 + own: taken_by(

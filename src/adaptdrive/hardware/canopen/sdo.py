@@ -42,43 +42,6 @@ def describe_node(bus: CanOpenBus) -> str:
     return f"node {bus.node_id}"
 
 
-class SdoLink(Network):
-    """The bus as the canopen library sees it; frames are handed over, never sent from here."""
-
-    def __init__(self, send: Callable[[int, bytes], object]) -> None:
-        """See nothing yet; an event loop must be running.
-
-        Args:
-            send: Puts a frame on the bus; called in the event loop.
-        """
-        super().__init__()
-        self._loop = asyncio.get_running_loop()
-        self._send = send
-        self._closed = False
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: FBT002 - canopen's
-        """Hand one frame over.
-
-        Raises:
-            BusError: The link is closed, which ends the set-up under way.
-        """
-        if self._closed or remote:
-            raise BusError("set-up", "given up")
-        self._loop.call_soon_threadsafe(self._send, can_id, bytes(data))
-
-    def close(self) -> None:
-        """End whatever uses the link, at its next request."""
-        self._closed = True
-
-    def client(self, bus: CanOpenBus) -> SdoClient:
-        """Return a client of the drive's SDO server."""
-        client = SdoClient(0x600 + bus.node_id, 0x580 + bus.node_id, ObjectDictionary())
-        client.RESPONSE_TIMEOUT = bus.sdo_timeout_s
-        client.network = self
-        self.subscribe(client.tx_cobid, client.on_response)
-        return client
-
-
 class Server:
     """The drive's object dictionary, with the errors of this package."""
 
@@ -193,24 +156,43 @@ def holds(found: bytes, wanted: bytes) -> bool:
     return found[: len(wanted)] == wanted if short else found == wanted
 
 
-class SdoThread:
-    """Threads that work with the drive's object dictionary, one after the other."""
+class SdoLink(Network):
+    """Threads that work with the drive's object dictionary, one after the other.
+
+    It is the bus as the canopen library sees it; frames are handed over, never sent from here.
+    """
 
     def __init__(self, bus: CanOpenBus, send: Callable[[int, bytes], object]) -> None:
-        """Start none yet.
+        """Start no thread yet.
 
         Args:
             bus: `[bus]`.
             send: Puts a frame on the bus; called in the event loop.
         """
-        self._bus = bus
+        super().__init__()
         self._send = send
-        self._link: SdoLink | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        client = SdoClient(0x600 + bus.node_id, 0x580 + bus.node_id, ObjectDictionary())
+        client.RESPONSE_TIMEOUT = bus.sdo_timeout_s
+        client.network = self
+        self.subscribe(client.tx_cobid, client.on_response)
+        self._server = Server(client, describe_node(bus))
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: FBT002 - canopen's
+        """Hand one frame over.
+
+        Raises:
+            BusError: No more work is wanted, which ends what is under way.
+        """
+        loop = self._loop
+        if loop is None or remote:
+            raise BusError("set-up", "given up")
+        loop.call_soon_threadsafe(self._send, can_id, bytes(data))
 
     def take_reply(self, frame: can.Message) -> None:
         """Take a frame of the node's SDO server."""
-        if self._link is not None:
-            self._link.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
+        if self._loop is not None:
+            self.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
 
     async def run(self, work: Callable[[Server], T]) -> T:
         """Let a thread work; it has ended when this returns or is cancelled.
@@ -221,14 +203,12 @@ class SdoThread:
         Raises:
             BusError: The drive does not answer, or refuses.
         """
-        self._link = link = SdoLink(self._send)
-        server = Server(link.client(self._bus), describe_node(self._bus))
-        future = asyncio.ensure_future(asyncio.to_thread(work, server))
+        self._loop = asyncio.get_running_loop()
+        future = asyncio.ensure_future(asyncio.to_thread(work, self._server))
         try:
             return await asyncio.shield(future)
         finally:
-            link.close()
+            self._loop = None
             await asyncio.wait([future])
-            self._link = None
             if not future.cancelled():
                 future.exception()  # it was raised above, or is not needed any more

@@ -65,6 +65,7 @@ class CanConnection(Generic[Hearer]):
         self._reader: FrameReader | None = None
         self.bus: can.BusABC | None = None
         self.listener: Hearer | None = None
+        self._reported = True, ""
         self.uptake = Uptake()
         self.asked: tuple[Sequence[can.Message], float] = (), 0.0
 
@@ -163,8 +164,9 @@ class CanConnection(Generic[Hearer]):
         return True
 
     def report(self, *, up: bool, detail: str = "") -> None:
-        """Report the state of the bus to the listener."""
-        if self.listener is not None:
+        """Report the state of the bus to the listener, where it is another than before."""
+        before, self._reported = self._reported, (up, detail)
+        if self.listener is not None and before != self._reported:
             parts = [self._user.description, detail]
             self.listener.on_bus(up=up, detail=": ".join(filter(None, parts)))
 
