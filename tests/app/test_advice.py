@@ -263,6 +263,17 @@ def test_check_names_warnings_and_the_contradiction_that_they_explain(
     assert "load.pole: 0.7: the fixed controller must keep a load stable" in shown
 
 
+def test_no_slow_period_is_proposed_that_the_polls_do_not_allow() -> None:
+    device = EXAMPLES.parent / "devices" / "siemens-v20.toml"
+    text = device.read_text(encoding="utf-8").replace("tau_motor_s = 6.0", "tau_motor_s = 1.0")
+    fast = text.replace("tau_filter_s = 1.0", "tau_filter_s = 0.1")
+    for period, proposals in (("1.5", ["0.9…0.9 s"]), ("0.9", [])):
+        written = fast.replace("period_s = 1.5", f"period_s = {period}")
+        flaws = list(advice(parse_configuration(written, device)))
+        texts = [flaw.message for flaw in flaws if flaw.place == "load.period_s"]
+        assert [text.rpartition(": ")[2] for text in texts] == proposals
+
+
 def test_a_power_limit_that_nobody_stated_for_an_inverter_is_no_warning() -> None:
     device = EXAMPLES.parent / "devices" / "siemens-v20.toml"
     text = device.read_text(encoding="utf-8")

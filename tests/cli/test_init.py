@@ -11,9 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.app.examine import load_examined
+from adaptdrive.app.starter import device_names
 from adaptdrive.cli import main
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, CanOpenBus, Signals
+from adaptdrive.config.load import LoadName
+from adaptdrive.errors import ConfigurationError, Flaw
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 DEVICES = EXAMPLES.parent / "devices"
@@ -116,6 +120,36 @@ def test_a_register_map_takes_no_eds(tmp_path: Path, capsys: pytest.CaptureFixtu
     given = ("--device", "delta-ms300", "--eds", EXAMPLES / "cia402.eds")
     assert init("motor", *given, "--directory", tmp_path) == 2
     assert "delta-ms300: has no bus.eds" in capsys.readouterr().err
+
+
+ABOUT_THE_LOAD = r"""(?x)
+    load\.model | (signals|derived|sensor_bus\.\d+\.signals)\.output
+    | drive\.limits\.boost_reference_min_V: .* has \s no \s direction
+    | signals\.load_power_W: \s Field \s required"""
+
+
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("device", device_names())
+def test_a_device_with_another_load_lacks_only_what_the_load_needs(
+    device: str, load: LoadName, tmp_path: Path
+) -> None:
+    init(load, "--device", device, "--name", "mine", "--directory", tmp_path)
+    path = tmp_path / "mine.toml"
+    text = path.read_text()
+    described = tomllib.loads((DEVICES / f"{device}.toml").read_text())["load"]["type"]
+    assert ("it must give the output of the" in text) is (load != described)
+    assert tomllib.loads(text)["load"]["type"] == load
+    found = [str(flaw) for flaw in _flaws(path)]
+    assert load != described or not found
+    assert [one for one in found if not re.match(ABOUT_THE_LOAD, one)] == []
+
+
+def _flaws(path: Path) -> tuple[Flaw, ...]:
+    try:
+        load_examined(path)
+    except ConfigurationError as error:
+        return tuple(error.flaws)
+    return ()
 
 
 def test_an_eds_without_what_every_drive_needs_is_refused_before_a_question(

@@ -44,8 +44,6 @@ def test_init_writes_a_configuration_that_check_accepts(
     assert "next:" in capsys.readouterr().out
 
 
-def test_an_unknown_device_and_another_load_are_refused() -> None:
+def test_an_unknown_device_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="did you mean 'delta-ms300'"):
         of_device("motor", "delta-ms30", "mine")
-    with pytest.raises(ConfigurationError, match="is described with a motor, not with a bath"):
-        of_device("bath", "vesc", "mine")

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import bus_kind
-from adaptdrive.app.settings import controller_settings
+from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanDescription, SignalSource
 from adaptdrive.config.load import BathSection, BatterySection
@@ -25,6 +25,9 @@ _LEAST_LAMBDA, _MOST_LAMBDA = 0.2, 5.0
 
 _LEAST_PERIODS, _MOST_PERIODS = 2.0, 100.0
 """Slow periods in the mean time constant of the load; the examples have 10 to 22."""
+
+_LEAST_READINGS = 3
+"""Readings of the drive in a slow period, however fast the load is."""
 
 _DELAY_SHARE = 0.5
 """Dead time of the loop, over the time constant of the closed loop."""
@@ -152,11 +155,13 @@ def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The λ filters and the slow period suit the load."""
     mean_s = load.lag_s / load.order
     lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
+    least_s = _LEAST_READINGS * configuration.bus.ticks_per_reading * tick_s(configuration)
+    shortest_s, longest_s = mean_s / _MOST_PERIODS, mean_s / _LEAST_PERIODS
     for place, value_s, low_s, high_s in (
         ("estimator.tau_lambda_s", lambda_s, _LEAST_LAMBDA * mean_s, _MOST_LAMBDA * mean_s),
-        ("load.period_s", period_s, mean_s / _MOST_PERIODS, mean_s / _LEAST_PERIODS),
+        ("load.period_s", period_s, max(shortest_s, least_s), max(longest_s, least_s)),
     ):
-        if not low_s <= value_s <= high_s:
+        if not (low_s <= value_s <= high_s or math.isclose(value_s, high_s)):
             known = f"lags of {load.lag_s:.4g} s in all, a mean time constant of {mean_s:.4g} s"
             text = f"{value_s:g} s does not suit {known}: {low_s:.3g}…{high_s:.3g} s"
             yield Flaw(place, text)

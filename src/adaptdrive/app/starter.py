@@ -6,6 +6,7 @@ configurations that no example shows; every one of them passes `check` as it sta
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -85,7 +86,8 @@ def compose(load: LoadName, bus: BusName, name: str, bus_part: str | None = None
             _named(_between(load_text, "[drive]", "[bus]"), name),
             bus_part or _between(bus_text, "[bus]", "[load]"),
             _with_output_unit(
-                _load_part(load_text, _POLL_TICKS if bus in _POLLED else stride), bus_part or ""
+                _load_part(load_text, _POLL_TICKS if bus in _POLLED else stride, _TICK_S),
+                bus_part or "",
             ),
             _with_stale_limit(load_text[load_text.index("[interlocks]") :], bus_text, stride),
         )
@@ -101,17 +103,17 @@ def device_names() -> list[str]:
 
 
 def of_device(load: LoadName, device: str, name: str, own: str | None = None) -> Starter:
-    """Return the configuration of a device, which passes `check`.
+    """Return the configuration of a device, which passes `check` with the load of its description.
 
     Args:
-        load: Kind of load.
+        load: Kind of load; one that the device is not described with is that of the example, whose
+            output the signals of the device do not give yet.
         device: Name of the device.
         name: Name of the drive.
         own: Path of a DBC or EDS of the user, in place of the one that comes with the device.
 
     Raises:
-        ConfigurationError: There is no such device, it is described with another kind of load, or
-            it has no such file.
+        ConfigurationError: There is no such device, or it has no such file.
     """
     known = device_names()
     if device not in known:
@@ -120,8 +122,7 @@ def of_device(load: LoadName, device: str, name: str, own: str | None = None) ->
     text = _read(f"{device}.toml", "devices").decode("utf-8")
     tables = tomllib.loads(text)
     if tables["load"]["type"] != load:
-        problem = f"is described with a {tables['load']['type']}, not with a {load}"
-        raise ConfigurationError("--device", [Flaw(device, problem)])
+        text = _with_load(text, load)
     text = answered(_named(text, name), dict.fromkeys(_MARKED - {"bus.command_timeout_s"}, ""))
     if own is None:
         return _starter(text, "devices")
@@ -130,6 +131,23 @@ def of_device(load: LoadName, device: str, name: str, own: str | None = None) ->
         raise ConfigurationError("--device", [Flaw(device, f"has no bus.{key}, as {own} is")])
     line = f"{key} = {quoted(own)}"
     return Starter(re.sub(rf"(?m)^{key} = .*$", lambda _: line, text), None, b"")
+
+
+def _with_load(text: str, load: LoadName) -> str:
+    """Return the description of a device with the load and the highest output of an example."""
+    device, example = tomllib.loads(text), _example(f"{load}.toml")
+    stride = device["bus"].get("poll_ticks") or device["bus"].get("clock_ticks", 1)
+    part = _load_part(example, stride, 0.5 / device["drive"]["line_frequency_Hz"])
+    highest = re.search(r"(?m)^output_max = .*$", example)[0]  # type: ignore[index]
+    interlocks = re.sub(r"(?m)^output_max = .*$", highest, text[text.index("[interlocks]") :])
+    text = text[: text.index("[load]")] + part + interlocks
+    remark = f"# {_MARK} it must give the output of the {load}"
+    outputs = {
+        key: f"{found['value']}  {remark}"
+        for key, _, found in _lines(text)
+        if found and key in _OUTPUT_KEYS
+    }
+    return answered(text, outputs)
 
 
 def _starter(text: str, folder: str) -> Starter:
@@ -187,14 +205,16 @@ def _named(section: str, name: str) -> str:
     return re.sub(r'(?m)^name = "[^"]*"', f'name = "{name}"', section, count=1)
 
 
-def _load_part(load_text: str, stride: int) -> str:
+def _load_part(load_text: str, stride: int, tick_s: float) -> str:
+    """Return `[load]` and what follows, with a slow period of whole readings."""
     section = _between(load_text, "[load]", "[interlocks]")
     if stride == 1:
         return section
     period_s = float(re.search(r"(?m)^period_s = ([\d.]+)", section)[1])  # type: ignore[index]
-    if period_s < _LEAST_READINGS * stride * _TICK_S:
-        longer = f"{_LEAST_READINGS * stride * _TICK_S:.4g}"
-        section = _with(section, "period_s", longer, "ten readings")
+    readings = max(_LEAST_READINGS, round(period_s / (stride * tick_s)))
+    if not math.isclose(readings * stride * tick_s, period_s):
+        whole = f"{readings * stride * tick_s:.6g}"
+        section = _with(section, "period_s", whole, f"{readings} readings")
     latency = f"latency_ticks = {stride:<20}# one reading from the slow sample to its effect"
     return section.replace("\nreference_min", f"\n{latency}\nreference_min", 1)
 
@@ -239,6 +259,8 @@ _MARKED = QUESTIONS.keys() - {"mqtt.host"} | {
     "interlocks.boost_voltage_max_V",
 }
 """Keys whose value in the example is that of one drive alone."""
+
+_OUTPUT_KEYS = ("signals.output", "sensor_bus.signals.output", "derived.output.of")
 
 _LINE = re.compile(r"(?P<key>\w+) = (?P<value>[^#\n]*?)(?P<gap>\s*)(# (?P<comment>.*))?$")
 _MARK = "example:"
@@ -292,6 +314,6 @@ def _lines(text: str) -> Iterator[tuple[str, str, re.Match[str] | None]]:
     section = ""
     for line in text.splitlines():
         if line.startswith("["):
-            section = line.strip("[] ")
+            section = line.partition("#")[0].strip("[] ")
         found = _LINE.match(line)
         yield (f"{section}.{found['key']}" if found else ""), line, found
