@@ -96,7 +96,7 @@ def test_a_reply_may_be_longer_than_its_entry(command: int) -> None:
 
 def test_another_value_is_refused_all_the_same() -> None:
     server = expedited(STATED, b"\x15\0\0\0")[1]
-    with pytest.raises(BusError, match="0x1017 is 0x00000015 after 0x0014 was written"):
+    with pytest.raises(BusError, match="0x1017 is 0x0015 after 0x0014 was written"):
         server.write_surely(SENT, b"\x14\0")
 
 

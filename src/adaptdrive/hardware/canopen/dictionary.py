@@ -24,13 +24,6 @@ from adaptdrive.hardware.field import Field, natural_limits, sensible_limits
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
 
-_EXPEDITED_BITS = 32
-_FIRST_OF_DEVICE = 0x2000
-"""Objects below are communication parameters (CiA 301)."""
-
-_WORDS = (0x6040, 0x6041)
-"""Controlword and statusword, which the profile itself uses (CiA 402)."""
-
 VENDOR = (0x1018, 1)
 PRODUCT = (0x1018, 2)
 _ERROR_CODE = 0x603F
@@ -61,15 +54,18 @@ class Entry:
         """Its usual notation, such as `0x2001.2`."""
         return label(self.address)
 
+    @property
+    def size(self) -> int:
+        """Its bytes."""
+        return (self.bits + 7) // 8
+
     def decode(self, data: bytes) -> float:
         """The raw value of some bytes.
 
         Raises:
             ValueError: They are not as long as the entry.
         """
-        if self.bits < 8 * len(data) <= _EXPEDITED_BITS:
-            data = data[: self.bits // 8]  # a reply in one frame that does not state its length
-        if 8 * len(data) != self.bits:
+        if len(data) != self.size:
             raise ValueError(f"{len(data)} bytes are not the {self.bits} bits of {self.label}")
         return float(self.variable.decode_raw(data))
 

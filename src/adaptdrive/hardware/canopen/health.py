@@ -84,15 +84,11 @@ class Health:
             return f"the drive's state is {state or 'not known yet'}"
         return None
 
-    def take_emergency(self, data: bytes) -> bool:
-        """Take an emergency frame; False when it has not its eight bytes."""
-        emergency = parse_emergency(data)
-        if emergency is None:
-            return False
+    def take(self, emergency: Emergency) -> None:
+        """Take an emergency, or the end of all."""
         self._emergency = None if emergency.over else emergency
         if self._emergency is not None:
             self._control.fall(str(emergency))
-        return True
 
     def forgive(self) -> None:
         """Forget an emergency: the node was restarted, or the operator has reset it."""

@@ -42,8 +42,7 @@ _NEEDED = {
     STATUSWORD: "it is no CiA 402 drive",
 }
 _WORD_BITS = 16
-_WATCHED = (HEARTBEATS_HEARD, HEARTBEAT_SENT, ABORT_OPTION, QUICK_STOP_OPTION)
-_OURS = frozenset(index for index, _ in (SYNC_ID, SYNC_PERIOD, *_WATCHED))
+_OURS = frozenset(index for index, _ in (*_NEEDED, *_OPTIONAL))
 _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
 _FIRST_OF_DEVICE = 0x2000
 """Objects below are communication parameters (CiA 301)."""
@@ -148,7 +147,7 @@ def map_drive(
         )
         advice = "when the heartbeat stops; see in its manual that it does, and try it"
         catalogue.cautions.append(Flaw("bus.eds", f"{lacks} {advice}"))
-    setup = tuple(_setup(catalogue, bus, {CONTROLWORD, *(one.item.address for one in sinks)}))
+    setup = tuple(_setup(catalogue, bus, {one.item.address for one in sinks}))
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     counters = (one for one in sources if one.quantity == "counter")

@@ -58,7 +58,8 @@ class Master:
     Attributes:
         ready: Whether the node is set up and operational.
         mapped: Whether it has been set up on this bus and not restarted since: its RPDOs are known.
-        overwritten: Whether another sender has written an object of it since its set-up began.
+        overwritten: Whether another sender has written an object of it since its set-up began: it
+            may have changed what was set up.
         problem: Why it is not.
     """
 
@@ -121,10 +122,6 @@ class Master:
             left = f"is not operational any more (state {state})"
             self._lose("has been restarted" if self._booted else left)
         self._heard.set()
-
-    def doubt(self) -> None:
-        """Note that another sender has written an object: it may have changed what was set up."""
-        self.overwritten = True
 
     def leave(self, problem: str) -> None:
         """The bus is gone, and the node with it."""

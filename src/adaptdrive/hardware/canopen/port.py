@@ -20,7 +20,7 @@ from adaptdrive.clock.tick_timer import pulsing
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.canopen.health import Health
+from adaptdrive.hardware.canopen.health import Health, parse_emergency
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.node import NodePort
@@ -184,7 +184,7 @@ class CanOpenPort(NodePort):
         """Note that another sender writes an object; one that reads objects does no harm."""
         if frame.data and frame.data[0] >> 5 in _SDO_WRITES:
             self._take_rival("SDO write", frame)
-            self._master.doubt()
+            self._master.overwritten = True
         else:
             self._counts["foreign"] += 1
 
@@ -201,8 +201,11 @@ class CanOpenPort(NodePort):
         self._master.hear(state)
 
     def _take_emergency(self, frame: can.Message) -> None:
-        if not self._health.take_emergency(bytes(frame.data)):
+        emergency = parse_emergency(bytes(frame.data))
+        if emergency is None:
             self._counts["wrong_length"] += 1
+        else:
+            self._health.take(emergency)
 
     def _take_pdo(self, status: StatusPdo, frame: can.Message) -> None:
         if not self._master.ready:

@@ -12,6 +12,7 @@ A fault is reset by an edge of bit 7, and only when that is asked for.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from enum import IntEnum, StrEnum
 from functools import cache
 from typing import Final
@@ -29,8 +30,9 @@ ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
 CONTROLWORDS = (DISABLE_VOLTAGE, SHUTDOWN, SWITCH_ON, ENABLE_OPERATION, FAULT_RESET)
 
-_RESET_COMMANDS = 30
-"""Commands for which the reset bit stays up: a drive that takes its words with SYNC must see it."""
+_RESET = (DISABLE_VOLTAGE, *[FAULT_RESET] * 30)
+"""Words that reset a fault: an edge, and a bit that stays up until a drive that takes its words
+with SYNC has seen it."""
 
 
 class DriveState(StrEnum):
@@ -113,7 +115,7 @@ class DriveControl:
         self._goal = Goal.REST
         self._rested = False
         self._reached = 0
-        self._reset_left = 0
+        self._resets: Iterator[int] = iter(())
 
     @property
     def faulty(self) -> bool:
@@ -145,7 +147,7 @@ class DriveControl:
 
     def ask_reset(self) -> None:
         """Let the coming controlwords reset a fault, if there is one."""
-        self._reset_left = _RESET_COMMANDS + 1  # the first one lowers the bit, for the edge
+        self._resets = iter(_RESET)
 
     def controlword(self, command: Command) -> int:
         """The word to send with a command.
@@ -156,7 +158,7 @@ class DriveControl:
         goal = goal_of(command)
         if goal is Goal.REST:
             return self._rest()
-        self._goal, self._reset_left = goal, 0
+        self._goal, self._resets = goal, iter(())
         self._reached = min(self._reached, goal)
         if self.fallen or not self._rested:
             return DISABLE_VOLTAGE
@@ -166,15 +168,11 @@ class DriveControl:
         if self._goal is not Goal.REST:
             self._goal, self._rested, self._reached = Goal.REST, False, 0
         self.fallen = None
-        if not self._reset_left:
+        word = next(self._resets, DISABLE_VOLTAGE)
+        if word == FAULT_RESET and self.state is not DriveState.FAULT:
+            self._resets = iter(())  # nor does it reset a fault that comes later
             return DISABLE_VOLTAGE
-        self._reset_left -= 1
-        if self._reset_left == _RESET_COMMANDS:
-            return DISABLE_VOLTAGE
-        if self.state is not DriveState.FAULT:
-            self._reset_left = 0  # nor does it reset a fault that comes later
-            return DISABLE_VOLTAGE
-        return FAULT_RESET
+        return word
 
 
 class UnseenStop:

@@ -21,6 +21,12 @@ from adaptdrive.hardware.port import Reading
 _STATUSWORD = label(STATUSWORD)
 
 
+def newest_values(mapping: CanOpenMapping) -> NewestValues:
+    """Return the values of a drive, none of which is known yet."""
+    slacks = dict.fromkeys([BRIDGE, *(one.quantity for one in mapping.sources)], 0.0)
+    return NewestValues(slacks, other_names(mapping.sources), mapping.faults)
+
+
 class Reports:
     """Collects status PDOs, and keeps the newest reading until it is handed out.
 
@@ -43,8 +49,7 @@ class Reports:
             unseen: Watches the time between two statuswords.
             counts: Counts of the port, to which refused PDOs are added.
         """
-        slacks = dict.fromkeys([BRIDGE, *(one.quantity for one in mapping.sources)], 0.0)
-        self._values = NewestValues(slacks, other_names(mapping.sources), mapping.faults)
+        self._values = newest_values(mapping)
         self.faults = self._values.faults
         self._statuses = {status.codec.name: status for status in mapping.statuses}
         self._control = control
@@ -61,8 +66,8 @@ class Reports:
         """Names of the PDOs that have not come since the last SYNC."""
         return [name for name in self._statuses if name not in self._heard]
 
-    def begin(self, sampled_s: float) -> None:
-        """Begin a set: a SYNC has passed, and the drive measures now."""
+    def begin(self, sampled_s: float | None) -> None:
+        """Begin a set: a SYNC has passed, and the drive measures now; None to end one."""
         self._heard.clear()
         self._sampled_s = sampled_s
 
@@ -87,7 +92,7 @@ class Reports:
             self._counts["counter_stuck"] += 1
         values = self._hear(status, decoded.values, arrival_s)
         if name in self._heard:
-            self._end_set()
+            self.begin(None)
             self._repeated = name
         if self._sampled_s is None:
             return False
@@ -98,7 +103,7 @@ class Reports:
         if self.missing:
             return False
         self._newest = self._values.reading(arrival_s, set_s=self._sampled_s) or self._newest
-        self._end_set()
+        self.begin(None)
         if not self._values.refused:
             self._refused, self._repeated = 0, ""
         return True
@@ -130,13 +135,9 @@ class Reports:
 
     def forget(self) -> None:
         """Await a report of the bridge: the node was lost, or is set up again."""
-        self._end_set()
+        self.begin(None)
         self._newest = None
         self._values.forget(BRIDGE)
-
-    def _end_set(self) -> None:
-        self._heard.clear()
-        self._sampled_s = None
 
     def _hear(
         self, status: StatusPdo, found: Mapping[str, float], arrival_s: float

@@ -53,8 +53,13 @@ class Server:
         """Return an error of this drive."""
         return BusError(self._name, problem)
 
-    def read(self, address: Address) -> bytes:
+    def read(self, address: Address, size: int = _NUMBER_BYTES) -> bytes:
         """The bytes of an entry.
+
+        Args:
+            address: The entry.
+            size: How many bytes it should have: a reply in one frame has up to four where its
+                length is not stated, or stated as 4.
 
         Raises:
             BusError: The drive refuses to be read, or its answer does not end.
@@ -69,7 +74,7 @@ class Server:
                         raise self.refuse(f"{label(address)} has over {_LONGEST_BYTES} bytes")
         except (SdoError, struct.error) as problem:
             raise self._failure("read", address, problem) from problem
-        return bytes(data)
+        return bytes(data[:size] if len(data) <= _NUMBER_BYTES else data)
 
     def number(self, address: Address) -> int:
         """Return an unsigned entry, of which a drive may send more bytes than it has.
@@ -90,7 +95,7 @@ class Server:
             BusError: The drive refuses the read, or the length differs.
         """
         try:
-            return entry.decode(self.read(entry.address))
+            return entry.decode(self.read(entry.address, entry.size))
         except ValueError as problem:
             raise self.refuse(str(problem)) from problem
 
@@ -112,8 +117,8 @@ class Server:
             BusError: The drive does not take it, or keeps another value.
         """
         self.write(address, data)
-        kept = self.read(address)
-        if not holds(kept, data):
+        kept = self.read(address, len(data))
+        if kept != data:
             found, wanted = kept[::-1].hex(), data[::-1].hex()
             raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
 
@@ -123,7 +128,7 @@ class Server:
         Raises:
             BusError: The drive does not take it.
         """
-        if not holds(self.read(address), data):
+        if self.read(address, len(data)) != data:
             self.write(address, data)
 
     def offer(self, address: Address, data: bytes) -> None:
@@ -143,17 +148,6 @@ class Server:
             return self.refuse(f"no answer when asked to {verb} {label(address)}")
         words = str(problem).partition(", ")[2] or f"abort code 0x{problem.code:08X}"
         return self.refuse(f"cannot {verb} {label(address)}: {words[0].lower()}{words[1:]}")
-
-
-def holds(found: bytes, wanted: bytes) -> bool:
-    """Return whether an entry has some bytes; a reply in one frame may be longer than the entry.
-
-    Args:
-        found: The reply, which has up to four bytes where its length is not stated or stated as 4.
-        wanted: The bytes of the entry.
-    """
-    short = len(wanted) <= len(found) <= _NUMBER_BYTES
-    return found[: len(wanted)] == wanted if short else found == wanted
 
 
 class SdoLink(Network):

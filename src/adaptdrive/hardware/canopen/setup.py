@@ -22,7 +22,7 @@ from adaptdrive.hardware.canopen.mapping import (
 )
 from adaptdrive.hardware.canopen.pdo import Channel, Pdo
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, DISABLE_VOLTAGE
-from adaptdrive.hardware.canopen.sdo import Server, holds
+from adaptdrive.hardware.canopen.sdo import Server
 
 SYNC_COB_ID = 0x080
 
@@ -54,10 +54,12 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
         BusError: The drive does not answer, refuses, or is not the one that the EDS describes.
     """
     _identify(server, bus, mapping)
-    _disable_voltage(server)
+    # its state may have stayed, without the watch, and it may refuse its PDOs while it is on; one
+    # that takes no controlword here is left to what it does by itself
+    server.offer(CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))
     for address, data in watch_writes(bus, mapping):
         # a consumer that is written anew waits for a first heartbeat: its time-out would not end
-        if address != HEARTBEATS_HEARD or not holds(server.read(address), data):
+        if address != HEARTBEATS_HEARD or server.read(address, len(data)) != data:
             server.write_surely(address, data)
     _end_quick_stops(server, mapping)
     for address, data in sync_writes(bus, mapping, half_cycle_s):
@@ -103,15 +105,6 @@ def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
                 f"is not the drive of {bus.eds.name}: its {names[address]} is 0x{found:08X}, "
                 f"the EDS is for 0x{expected:08X}"
             )
-
-
-def _disable_voltage(server: Server) -> None:
-    """Command a drive off that is on although its communication has started anew.
-
-    CiA 402 lets its state stay then, without the watch, and it may refuse its PDOs while it is on.
-    One that takes no controlword here is left to what it does by itself.
-    """
-    server.offer(CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))
 
 
 def _end_quick_stops(server: Server, mapping: CanOpenMapping) -> None:

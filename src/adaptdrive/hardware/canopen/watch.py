@@ -8,12 +8,11 @@ from collections.abc import Callable
 
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.binding import other_names
+from adaptdrive.hardware.binding import BRIDGE
 from adaptdrive.hardware.canopen.node import NodePort
-from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveState, state_of
+from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, state_of
+from adaptdrive.hardware.canopen.reports import newest_values
 from adaptdrive.hardware.canopen.sdo import Server
-from adaptdrive.hardware.newest import NewestValues
-from adaptdrive.hardware.port import Reading
 
 _PAUSE_S = 0.2
 """Pause between two readings: five lines a second are as many as can be read."""
@@ -44,33 +43,29 @@ class CanOpenWatch(NodePort):
 
     async def _look(self) -> None:
         """Read all objects at intervals; report when the drive stops or resumes its replies."""
-        listener = self._connection.listener
-        assert listener is not None  # noqa: S101 - of the connection in use
         while True:
             start_s = self._clock()
             try:
-                values, state = await self._sdo.run(self._read)
+                values = await self._sdo.run(self._read)
             except BusError as problem:
                 self._counts["timeouts"] += 1
                 self._connection.report(up=False, detail=problem.problem)
             else:
                 self._connection.report(up=True)
-                listener.on_reading(self._reading(values, state, start_s))
+                self._pass_on(values, start_s)
             await asyncio.sleep(_PAUSE_S)
 
-    def _read(self, server: Server) -> tuple[dict[str, float], DriveState]:
-        """Every quantity, and the drive's state."""
-        values = {}
-        for source in self._mapping.sources:
-            raw = server.value(source.item)
-            values[source.quantity] = raw * source.scale + source.offset
-        return values, state_of(server.number(STATUSWORD))
+    def _read(self, server: Server) -> dict[str, float]:
+        """Every quantity, and whether the bridge is on by the drive's state."""
+        values = {
+            one.quantity: server.value(one.item) * one.scale + one.offset
+            for one in self._mapping.sources
+        }
+        return values | {BRIDGE: float(state_of(server.number(STATUSWORD)) in POWERED)}
 
-    def _reading(self, values: dict[str, float], state: DriveState, start_s: float) -> Reading:
-        values["bridge"] = float(state in POWERED)
-        slacks, others = dict.fromkeys(values, 0.0), other_names(self._mapping.sources)
-        newest = NewestValues(slacks, others, self._mapping.faults)
+    def _pass_on(self, values: dict[str, float], start_s: float) -> None:
+        newest, listener = newest_values(self._mapping), self._connection.listener
         newest.keep(values, start_s)
         reading = newest.reading(self._clock(), set_s=start_s)
-        assert reading is not None  # noqa: S101 - every value was read
-        return reading
+        if listener is not None and reading is not None:
+            listener.on_reading(reading)
