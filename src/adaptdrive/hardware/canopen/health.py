@@ -56,40 +56,20 @@ def parse_emergency(data: bytes) -> Emergency | None:
     return Emergency(int.from_bytes(data[:2], "little"), data[2], data[3:], 0.0)
 
 
-class Health:
-    """One node's emergency, and whatever else is wrong with it."""
+def problem_of(emergency: Emergency | None, control: DriveControl, master: Master) -> str | None:
+    """Return the most telling thing that is wrong with a node, None when nothing is.
 
-    def __init__(self, control: DriveControl, master: Master) -> None:
-        self._control = control
-        self._master = master
-        self._emergency: Emergency | None = None
-
-    @property
-    def problem(self) -> str | None:
-        """The most telling thing that is wrong, None when nothing is.
-
-        `reset` does not end the emergency of a node that is not ready: the reason follows it then.
-        """
-        if self._emergency is not None:
-            more = "" if self._master.ready else f"; not ready: {self._master.problem}"
-            return f"{self._emergency}{more}"
-        if self._control.fallen is not None:
-            return self._control.fallen
-        if not self._master.ready:
-            return self._master.problem
-        if self._master.overwritten:
-            return "another sender has written its objects: it is set up again when that is quiet"
-        state = self._control.state
-        if self._control.faulty or state in _UNFIT:
-            return f"the drive's state is {state or 'not known yet'}"
-        return None
-
-    def take(self, emergency: Emergency) -> None:
-        """Take an emergency, or the end of all."""
-        self._emergency = None if emergency.over else emergency
-        if self._emergency is not None:
-            self._control.fall(str(emergency))
-
-    def forgive(self) -> None:
-        """Forget an emergency: the node was restarted, or the operator has reset it."""
-        self._emergency = None
+    `reset` does not end the emergency of a node that is not ready: the reason follows it then.
+    """
+    if emergency is not None:
+        more = "" if master.ready else f"; not ready: {master.problem}"
+        return f"{emergency}{more}"
+    if control.fallen is not None:
+        return control.fallen
+    if not master.ready:
+        return master.problem
+    if master.overwritten:
+        return "another sender has written its objects: it is set up again when that is quiet"
+    if control.faulty or control.state in _UNFIT:
+        return f"the drive's state is {control.state or 'not known yet'}"
+    return None

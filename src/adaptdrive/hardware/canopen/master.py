@@ -12,7 +12,6 @@ import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable
 from enum import IntEnum
-from typing import Protocol
 
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.errors import BusError
@@ -43,13 +42,6 @@ class NodeState(IntEnum):
     STOPPED = 4
     OPERATIONAL = 5
     PRE_OPERATIONAL = 127
-
-
-class NodeListener(Protocol):
-    """Receiver of reports on the state of the node."""
-
-    def __call__(self, *, up: bool, detail: str) -> None:
-        """Take the report that the node is ready (`up`) or is not, with the reason."""
 
 
 class Master:
@@ -89,11 +81,13 @@ class Master:
         self.ready = self.mapped = self.overwritten = False
         self.problem = "not heard yet"
 
-    async def run(self, report: NodeListener, others_quiet: Callable[[], bool]) -> None:
+    async def run(
+        self, report: Callable[[str | None], None], others_quiet: Callable[[], bool]
+    ) -> None:
         """Bring the node up whenever it is lost, until cancelled.
 
         Args:
-            report: Called when the node is ready, and whenever it is not, with the reason.
+            report: Called with None when the node is ready, and with the reason whenever it is not.
             others_quiet: Returns whether other senders leave the node alone: only then is one that
                 they have written to set up again.
         """
@@ -102,13 +96,13 @@ class Master:
                 await self._bring_up()
             except BusError as refusal:
                 self._lose(refusal.problem)
-                report(up=False, detail=self.problem)
+                report(self.problem)
                 await self._await(_RETRY_S, lambda: self._booted)
                 continue
             self.ready = True
-            report(up=True, detail="operational")
+            report(None)
             await self._watch(others_quiet)
-            report(up=False, detail=self.problem)
+            report(self.problem)
             if self.mapped:
                 await asyncio.sleep(_TAKING_S)
 

@@ -20,7 +20,7 @@ from adaptdrive.clock.tick_timer import pulsing
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.canopen.health import Health, parse_emergency
+from adaptdrive.hardware.canopen.health import Emergency, parse_emergency, problem_of
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.node import NodePort
@@ -65,7 +65,7 @@ class CanOpenPort(NodePort):
         self._unseen = UnseenStop(self._control, timing)
         self._reports = Reports(mapping, self._control, self._unseen, self._counts)
         self._master = Master(config, self._set_up, self._connection.put, clock)
-        self._health = Health(self._control, self._master)
+        self._emergency: Emergency | None = None
         self._half_cycle_s = timing.half_cycle_s
         self._obedience = Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
@@ -81,7 +81,7 @@ class CanOpenPort(NodePort):
                 return seen.complaint
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a separate cause
-        problem = self._health.problem
+        problem = problem_of(self._emergency, self._control, self._master)
         return None if problem is None else f"{describe_node(self._config)}: {problem}"
 
     @property
@@ -147,7 +147,7 @@ class CanOpenPort(NodePort):
         while self._control.faulty and self._clock() < deadline_s:  # noqa: ASYNC110 - a frame
             await asyncio.sleep(_LOOK_S)
         if not self._control.faulty:
-            self._health.forgive()
+            self._emergency = None
 
     def _make_takers(self) -> dict[int, Callable[[can.Message], None]]:
         """Return the handler of each frame.
@@ -197,15 +197,18 @@ class CanOpenPort(NodePort):
             return
         state = frame.data[0] & 0x7F
         if state == NodeState.BOOT_UP:
-            self._health.forgive()
+            self._emergency = None
         self._master.hear(state)
 
     def _take_emergency(self, frame: can.Message) -> None:
         emergency = parse_emergency(bytes(frame.data))
         if emergency is None:
             self._counts["wrong_length"] += 1
+        elif emergency.over:
+            self._emergency = None
         else:
-            self._health.take(emergency)
+            self._emergency = emergency
+            self._control.fall(str(emergency))
 
     def _take_pdo(self, status: StatusPdo, frame: can.Message) -> None:
         if not self._master.ready:
@@ -258,22 +261,22 @@ class CanOpenPort(NodePort):
             raise
         finally:
             self._master.leave("bus lost")
-            self._on_node(up=False, detail="bus lost")
+            self._on_node("bus lost")
 
-    def _report_node(self, *, up: bool, detail: str) -> None:
-        """Report that the node is ready, or is lost."""
-        if up:
+    def _report_node(self, problem: str | None) -> None:
+        """Report that the node is ready, or why it is not."""
+        if problem is None:
             self._counts["reconnects"] += self._been_up
             self._been_up = True
         else:
             self._disable_lost()
-        self._on_node(up=up, detail=detail)
-        self._connection.report(up=up, detail=detail)
+        self._on_node(problem)
+        self._connection.report(up=problem is None, detail=problem or "operational")
 
-    def _on_node(self, *, up: bool, detail: str) -> None:
+    def _on_node(self, problem: str | None) -> None:
         """Forget all values that were received before the node came up or was lost."""
-        if not up:
-            self._control.fall(detail)
+        if problem is not None:
+            self._control.fall(problem)
             self._obedience.forget()
         self._control.forget()
         self._reports.forget()
