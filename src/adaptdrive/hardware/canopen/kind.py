@@ -37,11 +37,8 @@ def _mapped(configuration: Configuration, source: Path | str = "configuration") 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
     yield from stale_limits(configuration, source)
-    yield (
-        "silent node",
-        bus_of(configuration, CanOpenBus).heartbeat_timeout_s,
-        "bus.heartbeat_timeout_s",
-    )
+    timeout_s = bus_of(configuration, CanOpenBus).heartbeat_timeout_s
+    yield "silent node", timeout_s, "bus.heartbeat_timeout_s"
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
