@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.runtime.interlocks import MEASURED
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.runtime.requests import Enable
 from tests.faults.course import Course
 from tests.faults.judge import judge

@@ -14,13 +14,13 @@ from typing import Annotated, Any, get_type_hints
 
 import msgspec
 
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.columns import Column, columns_of
 from adaptdrive.control.signals import Estimate, Measurement
 from adaptdrive.operation.commands import FORMS
 from adaptdrive.operation.intake import KEYS
 from adaptdrive.operation.messages import (
     DISTURB,
-    MEASURED,
     REPLY,
     SIMULATED,
     TRUTH,

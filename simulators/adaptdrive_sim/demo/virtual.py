@@ -12,6 +12,7 @@ from typing import Any, Self
 import msgspec
 
 from adaptdrive.app.profile import operator_profile
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import RefusedError
 from adaptdrive.operation import messages
@@ -155,7 +156,7 @@ class VirtualStage:
     def _report(self) -> None:
         """Publish what the fast loop measures, and the truth."""
         sample = self.drive.sample
-        content = {name: getattr(sample, name) for name in messages.MEASURED}
+        content = {name: getattr(sample, name) for name in MEASURED}
         counts = {"ticks": self.drive.ticks, "missed": 0, "held": 0, "age_s": 0.0}
         self._publish("telemetry/drive", {"time": self._now, **content, **counts})
         self._publish_truth()

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.supply import Derived, Rule
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import (
@@ -112,9 +113,6 @@ def derived_value(one: Derived, values: Mapping[str, float]) -> float:
     """
     parts = [values.get(name, math.nan) for name in one.of]
     return RULES[one.rule](parts) * one.scale + one.offset
-
-
-QUANTITIES = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 
 
 class SensoredPort:
@@ -227,18 +225,16 @@ class SensoredPort:
         """Complete a reading of the drive and pass it on."""
         if self._listener is not None:
             self._listener.on_reading(self.completed(reading))
-            self._note_news()
+            news = [bus for bus in self.buses if bus.news]
+            for bus in news:
+                bus.news = False
+            if news:
+                self.sampled()
 
     def on_bus(self, up: bool, detail: str) -> None:
         """Pass on that the drive's bus was lost or came back."""
         if self._listener is not None:
             self._listener.on_bus(up, detail)
-
-    def _note_news(self) -> None:
-        if any(bus.news for bus in self.buses):
-            for bus in self.buses:
-                bus.news = False
-            self.sampled()
 
     def completed(self, reading: Reading) -> Reading:
         """Return a reading with the values of the sensors and those that are derived.
@@ -246,12 +242,12 @@ class SensoredPort:
         Args:
             reading: Reading of the drive.
         """
-        values = {name: getattr(reading, name) for name in QUANTITIES}
+        values = {name: getattr(reading, name) for name in MEASURED}
         values.update(reading.other)
         values.update(self._stated)
         for bus in self.buses:
             values.update(bus.values)
         for name, one in self._derived.items():
             values[name] = derived_value(one, values)
-        found = {name: values.get(name, math.nan) for name in QUANTITIES}
+        found = {name: values.get(name, math.nan) for name in MEASURED}
         return replace(reading, other=values, **found)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
 from adaptdrive.operation.clock import Synchronisation
 from adaptdrive.operation.commands import STOP
@@ -75,9 +76,6 @@ ONLINE = b"online"
 OFFLINE = b"offline"
 
 Payload = dict[str, Any]
-
-MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
-"""Null before the first measurement."""
 
 
 class Reply(msgspec.Struct, frozen=True):

@@ -11,12 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.drive import Manipulated
 from adaptdrive.control.load import to_input
 from adaptdrive.hardware.fault_latch import describe_fault
 from adaptdrive.hardware.port import Reading
-
-MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 
 
 @dataclass(frozen=True, slots=True)
