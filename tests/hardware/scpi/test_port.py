@@ -98,11 +98,12 @@ class Rig:
 
 @pytest.fixture
 async def rig(request: pytest.FixtureRequest) -> AsyncIterator[Rig]:
-    """The example on a port of its own, patient with a busy machine; `param` is its `done`."""
+    """The example on a port of its own, patient with a busy machine; `param` is more of its bus."""
     supply, ear = Supply(free_port(socket.SOCK_STREAM)), Ear()
     tables = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
     tables["bus"] |= {"port": supply.port, "poll_ticks": 24, "timeout_s": 0.15}
-    tables["bus"] |= {"command_timeout_s": 1.0, "done": getattr(request, "param", "*OPC?")}
+    tables["bus"] |= {"command_timeout_s": 1.0} | getattr(request, "param", {})
+    tables["bus"]["values"]["limit"] = {"query": "VOLT:PROT?", "write": "VOLT:PROT {:.1f}"}
     tables["load"]["latency_ticks"], tables["interlocks"]["stale_s"] = 24, 1.0
     port = build_port(validate_configuration(tables, EXAMPLE), time.monotonic, EXAMPLE)
     server = await asyncio.start_server(supply.serve, "127.0.0.1", supply.port)
@@ -184,7 +185,15 @@ async def test_a_supply_that_does_not_say_that_it_is_done_is_named(rig: Rig) -> 
     await until(lambda: any(missing in line for line in rig.port.details()))
 
 
-@pytest.mark.parametrize("rig", ["", "*IDN?"], indirect=True)
+@pytest.mark.parametrize("rig", [{"setup": {"limit": 44.0}}], indirect=True)
+async def test_a_supply_that_keeps_another_limit_is_named_by_its_reply(rig: Rig) -> None:
+    rig.supply.replies["VOLT:PROT?"] = "10.0V"
+    kept = "set-up of 'limit': VOLT:PROT? gives '10.0V' after 'VOLT:PROT 44.0'"
+    await until(lambda: any(kept in detail for _, detail in rig.ear.bus))
+    assert not rig.ear.readings
+
+
+@pytest.mark.parametrize("rig", [{"done": ""}, {"done": "*IDN?"}], indirect=True)
 async def test_a_supply_without_the_question_is_commanded_and_its_stop_confirmed(rig: Rig) -> None:
     del rig.supply.replies["*OPC?"]
     rig.supply.replies["*IDN?"] = "a supply"

@@ -16,10 +16,10 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.polled.assembly import STANDS_STILL, DriveHeartbeat, PollAssembly
-from adaptdrive.hardware.polled.capacity import Exchange
+from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.commander import Commander
 from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink
-from adaptdrive.hardware.polled.mapping import Poll, explain, written
+from adaptdrive.hardware.polled.mapping import Named, Poll, explain, written
 from adaptdrive.hardware.polled.polling import Polling
 from adaptdrive.hardware.polled.witness import PollWitness, look_limit_s
 from adaptdrive.hardware.port import Listener
@@ -161,11 +161,15 @@ class PolledPort(Polling[PolledLink, Listener]):
             else:
                 if held == words:
                     continue
-                found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
-                problem = f"{block} holds {found} after {wanted} was written"
+                problem = self._unlike(sink.item, words, held, block)
             await self._commander.leave_safe(link)
             link.lost = link.lost or f"set-up of {name!r}: {problem}"
             return
+
+    def _unlike(self, _: Named, words: list[int], held: list[int], block: Block) -> str:
+        """Name what a drive keeps in place of what it was set to."""
+        found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
+        return f"{block} holds {found} after {wanted} was written"
 
     async def _ask(self, link: PolledLink, exchange: Exchange, words: list[int]) -> list[int]:
         """Exchange one part of the set-up; a safe command that is urgent goes before it."""

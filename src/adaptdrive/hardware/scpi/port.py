@@ -157,6 +157,12 @@ class ScpiPort(PolledPort):
         reply = self._replies[question]
         return f"{source.quantity}: {question} gives {reply!r}, no number in its range"
 
+    def _unlike(self, item: Named, words: list[int], *_: object) -> str:
+        """Name the reply of a supply that was set to something else."""
+        value = self._supply.values[item.name]
+        reply, line = self._replies[value.query or ""], value.line(count(item.register, words))
+        return f"{value.query} gives {reply!r} after {line!r}"
+
     def _new_link(self) -> PolledLink:
         return ScpiConnection(self._supply, self._counts, self._clock, self._replies)
 
