@@ -364,7 +364,8 @@ class Catalogue(ABC, Generic[Item]):
         if sent != sink.base:
             zero = (sent - sink.base) / sink.factor
             self.note(place, f"0 would be sent as {zero:.4g}: it could not be safe")
-        for wanted in demands.values(name):
+        for command in demands.commands:
+            wanted = float(getattr(command, name))
             problem = field.problem(sink.base + sink.factor * wanted)
             limit = f"cannot carry {wanted:g}, a limit of [drive.limits]"
             self.note(place, problem and f"{limit}: {problem}")

@@ -33,10 +33,6 @@ class Demands:
             return self.drive_unit
         return self.output_unit if quantity == "output" else WANTED.get(quantity, "")
 
-    def values(self, name: str) -> list[float]:
-        """The ends of one field of the command."""
-        return [float(getattr(command, name)) for command in self.commands]
-
 
 NO_DEMANDS = Demands()
 

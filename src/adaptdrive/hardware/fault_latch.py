@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +60,7 @@ class FaultLatch:
     @property
     def word(self) -> int:
         """All bits of faults, or the first code, 0 for none."""
-        found = 0
-        for word in self._seen.values():
-            found |= word
-        return found
+        return reduce(or_, self._seen.values(), 0)
 
     def see(self, values: Mapping[str, float]) -> None:
         """Keep the watched words among some values, by quantity."""
