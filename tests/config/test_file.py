@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -101,10 +102,13 @@ def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
         load_configuration(tmp_path)
 
 
-def test_a_pipe_without_a_writer_is_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "bench.toml")
-    with pytest.raises(ConfigurationError, match="nothing was written to this pipe"):
-        load_configuration(tmp_path / "bench.toml")
+def test_a_pipe_is_read_once_its_writer_has_come(tmp_path: Path) -> None:
+    pipe = tmp_path / "bench.toml"
+    os.mkfifo(pipe)
+    writer = threading.Timer(0.2, pipe.write_text, ["drive = 1"])
+    writer.start()
+    assert read_text(pipe) == "drive = 1"
+    writer.join()
 
 
 def test_a_pipe_with_a_writer_is_read_to_its_end() -> None:

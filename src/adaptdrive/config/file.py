@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
@@ -72,7 +71,7 @@ def load_configuration(path: Path) -> Configuration:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a configuration file, which may be a pipe that can be read only once.
+    """Return the text of a configuration file, which may be a pipe: its writer is waited for.
 
     Args:
         path: The file.
@@ -81,27 +80,18 @@ def read_text(path: Path) -> str:
         ConfigurationError: The file cannot be read, is no text or has too many characters.
     """
     try:
-        with open(path, encoding="utf-8-sig", opener=_opened) as file:
+        with path.open(encoding="utf-8-sig") as file:
             text = file.read(_LONGEST + 1)
     except (OSError, ValueError) as problem:
         raise ConfigurationError(path, [Flaw("file", str(problem))]) from problem
     if len(text) > _LONGEST:
         raise ConfigurationError(path, [Flaw("file", f"it has more than {_LONGEST} characters")])
-    if not text and path.is_fifo():
-        raise ConfigurationError(path, [Flaw("file", "nothing was written to this pipe")])
     return text
 
 
 def digest_of(text: str) -> str:
     """Return what tells a text of a configuration from every other: its SHA-256."""
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _opened(name: str, flags: int) -> int:
-    """Return a descriptor; a pipe that nobody writes to is empty, and does not block."""
-    handle = os.open(name, flags | os.O_NONBLOCK)
-    os.set_blocking(handle, True)
-    return handle
 
 
 def find_flaws(text: str, source: Path) -> Findings:
