@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.app.advice import advice
 from adaptdrive.app.examine import load_examined
 from adaptdrive.app.starter import device_names, of_device
 from adaptdrive.cli import main
+from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import ConfigurationError
 from tests.devices.described import DEVICES, NAMES
 
@@ -47,3 +49,21 @@ def test_init_writes_a_configuration_that_check_accepts(
 def test_an_unknown_device_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="did you mean 'delta-ms300'"):
         of_device("motor", "delta-ms30", "mine")
+
+
+def test_the_tachometer_and_the_rates_of_the_page_fit_an_inverter_without_encoder() -> None:
+    page = (DEVICES.parents[1] / "docs" / "own-drive.md").read_text(encoding="utf-8")
+    (tachometer,) = re.findall(r"```toml\n(\[\[sensor_bus\]\].*?)```", page, re.DOTALL)
+    path = DEVICES / "siemens-v20.toml"
+    tables = tomllib.loads(path.read_text(encoding="utf-8")) | tomllib.loads(tachometer)
+    del tables["signals"]["output"]
+    tables["bus"] |= {"baud": 19200}
+    for row in re.findall(
+        r"(?m)^(\| `(?:bus|load|interlocks)\..*) \| ([\d.]+) \| [\d. ]*\|$", page
+    ):
+        for table, key in re.findall(r"`(bus|load|interlocks)\.(\w+)`", row[0]):
+            tables[table][key] = tomllib.loads(f"x = {row[1]}")["x"]
+    configuration = validate_configuration(tables, path)
+    assert (configuration.bus.ticks_per_reading, configuration.load.latency_ticks) == (20, 20)
+    assert configuration.interlocks.stale_s == 0.8
+    assert list(advice(configuration)) == []

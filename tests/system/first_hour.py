@@ -28,8 +28,8 @@ PAGE = ROOT / "docs" / "own-drive.md"
 FIGURE = ROOT / "docs" / "images" / "own-drive-load.png"
 BLOCK = re.compile(r"```console\n\$ adaptdrive ([^\n]*\bpump\b[^\n]*)\n.*?```", re.DOTALL)
 LONGEST_S = 900.0
-CHECK_LINES = 5
-"""Lines of `check` that the page shows, before the last one."""
+SHOWN = {"check": (3, 1), "commission": (1, 24), "status": (5, 1)}
+"""First and last lines of what a command prints that the page shows."""
 
 VALUES = {
     "bus": {"interface": "udp_multicast", "channel": "239.74.163.9", "command_timeout_s": 1.0},
@@ -142,8 +142,8 @@ def page_with(recorded: dict[str, str], page: str) -> str:
 
     def block(found: re.Match[str]) -> str:
         lines = [line.rstrip() for line in recorded[found[1]].strip().splitlines()]
-        if found[1].startswith("check"):
-            lines = [*lines[:CHECK_LINES], "…", lines[-1]]
+        if shown := SHOWN.get(found[1].split()[0]):
+            lines = [*lines[: shown[0]], "…", *lines[-shown[1] :]]
         return "\n".join(["```console", f"$ adaptdrive {found[1]}", *lines, "```"])
 
     return BLOCK.sub(block, page)
