@@ -139,3 +139,12 @@ def test_a_torque_inverter_on_can_is_described_by_a_file_with_flaws(tmp_path: Pa
     assert {"stale output", "stale faults.0", "stale faults.1"} <= limits
     probed = build_port(configuration, time.monotonic, path, passive=True)
     assert probed.stop_slack_s is not None
+
+
+@pytest.mark.parametrize(("limit", "few"), [("0.5", True), ("500.0", False)])
+def test_a_torque_whose_scale_is_missing_is_a_caution(limit: str, *, few: bool) -> None:
+    file = Path(__file__).parents[2] / "deploy" / "devices" / "maxon-epos4.toml"
+    configuration = examine_text(file.read_text().replace("500.0 ", f"{limit} "), file)
+    cautions = {flaw.place: flaw.message for flaw in advice(configuration)}
+    found = cautions.get("signals.command.boost_reference_V", "")
+    assert ("spans 1 counts of it: is its scale right?" in found) is few

@@ -248,7 +248,8 @@ def _frames() -> Iterator[Row]:
     listener, bus = _Clocked(), _Frames()
     source = EXAMPLES / "motor.toml"
     mapping = map_drive(MOTOR_BUS, MOTOR.signals, TIMING, source)
-    port = CanPort(MOTOR_BUS, mapping, lambda: listener.quiet.now)
+    clock = lambda: listener.quiet.now  # noqa: E731 - both clocks of the port
+    port = CanPort(MOTOR_BUS, mapping, clock, clock)
     port._connection.listener, port._connection.bus = listener, bus
     enabled = 3000 + WARM_UP
     pairs = status_frames(8000, enabled + 2)
@@ -299,7 +300,7 @@ def _times_of_pairs(
     for status, load in pairs:
         between()
         listener.quiet.now += TICK_US * 1e-6
-        status.timestamp = load.timestamp = time.time()
+        status.timestamp = load.timestamp = listener.quiet.now
         began_s = time.perf_counter()
         take(status)
         take(load)

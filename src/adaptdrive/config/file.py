@@ -29,7 +29,6 @@ _INTEGER_BITS = 64
 _LONGEST_TEXT = 4096
 """The longest path of Linux. Names and units go into every message of telemetry."""
 _DEEPEST = 20
-_SHOWN_TEXT = 80
 _CONTROLS = re.compile(r"[\0-\x1f\x7f-\x9f\u2028\u2029]")
 """Control characters, and the separators of lines and paragraphs of Unicode."""
 
@@ -253,7 +252,6 @@ def _take_out(tables: Any, place: Keys) -> None:  # noqa: ANN401 - or a list of 
         tables.pop(last, None)
 
 
-def _shortened(text: str) -> str:
+def _shortened(text: str, end: int = 40) -> str:
     """Return a text without its middle, where it is long."""
-    half = _SHOWN_TEXT // 2
-    return text if len(text) <= _SHOWN_TEXT else f"{text[:half]}…{text[-half:]}"
+    return text if len(text) <= 2 * end else f"{text[:end]}…{text[-end:]}"

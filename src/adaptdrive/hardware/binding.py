@@ -39,6 +39,8 @@ BRIDGE = "bridge"
 _COMMAND = "signals.command"
 
 _MOST_REMARKS = 5
+_FEW_COUNTS = 20.0
+"""Counts within the limits of a command below which its scale is probably missing."""
 
 _ROUNDING = 1e-6
 """Share of one count by which a value may miss its count in binary."""
@@ -364,11 +366,15 @@ class Catalogue(ABC, Generic[Item]):
         if sent != sink.base:
             zero = (sent - sink.base) / sink.factor
             self.note(place, f"0 would be sent as {zero:.4g}: it could not be safe")
-        for command in demands.commands:
-            wanted = float(getattr(command, name))
+        ends = [float(getattr(one, name)) for one in demands.commands]
+        for wanted in ends:
             problem = field.problem(sink.base + sink.factor * wanted)
             limit = f"cannot carry {wanted:g}, a limit of [drive.limits]"
             self.note(place, problem and f"{limit}: {problem}")
+        counts = abs(sink.factor / field.scale) * (max(ends, default=0.0) - min(ends, default=0.0))
+        if field.integer and 0.0 < counts < _FEW_COUNTS:
+            coarse = f"[drive.limits] spans {counts:.3g} counts of it: is its scale right?"
+            self.cautions.append(Flaw(place, f"{entry.signal}: {coarse}"))
         return sink
 
     def _is_sent(self, field: Field, value: float, place: str) -> bool:

@@ -40,10 +40,9 @@ NO_DEMANDS = Demands()
 def demands_of(configuration: Configuration) -> Demands:
     """Return what the limits of a configuration ask of its signals."""
     limits, trips = configuration.drive.limits, configuration.interlocks
-    lowest_S = scale_S = 0.0
-    if configuration.voltage_loop.where == "daemon":
-        scale_S = limits.current_scale_max_S
-        lowest_S = configuration.drive.current_scale_min_S
+    in_daemon = configuration.voltage_loop.where == "daemon"
+    lowest_S = configuration.drive.current_scale_min_S if in_daemon else 0.0
+    scale_S = limits.current_scale_max_S if in_daemon else 0.0
     return Demands(
         output_unit=configuration.load.output_unit,
         drive_unit=configuration.drive.manipulated.unit,

@@ -12,9 +12,6 @@ from adaptdrive.errors import ConfigurationError, Flaw
 
 Parsed = TypeVar("Parsed")
 
-_LARGEST_BYTES = 16 * 1024 * 1024
-"""Larger than any maker's file, and small enough to be parsed."""
-
 _LONGEST_PROBLEM = 300
 """A parser quotes the line at fault, and a file that is no text may be one line."""
 
@@ -28,13 +25,11 @@ def description_text(path: Path) -> str:
         path: The file.
 
     Raises:
-        OSError: It cannot be read, is no regular file, or is too large.
+        OSError: It cannot be read, or is no regular file.
         ValueError: No file can have such a name, or the bytes contradict the byte order mark.
     """
     if not path.is_file():  # a pipe or a terminal would be waited for
         raise OSError("there is no such file" if not path.exists() else "it is no regular file")
-    if path.stat().st_size > _LARGEST_BYTES:
-        raise OSError(f"it has more than {_LARGEST_BYTES} bytes")
     content = path.read_bytes()
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
