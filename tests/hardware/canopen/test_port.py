@@ -344,7 +344,8 @@ async def test_a_node_without_values_confirms_its_stop_once_it_is_set_up_again(
 
 
 async def test_heartbeats_that_came_while_the_loop_was_busy_are_not_lost(peer: Peer) -> None:
-    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
+    """At rest: of a drive that is on, the silence without a SYNC alone is a reason to stop it."""
+    async with ready(peer, heartbeat_timeout_s=0.5) as bench:
         for _ in range(3):
             time.sleep(0.7)  # noqa: ASYNC251 - the loop is what is busy
             await bench.ready()
