@@ -24,6 +24,7 @@ FLAWS = {
     "beyond": ' SG_ Far : 60|8@1+ (1,0) [0|0] "" A\n',
     "beyond, big": ' SG_ Far : 60|8@0+ (1,0) [0|0] "" A\n',
     "digit": ' SG_ 5V_RAIL : 16|8@1+ (1,0) [0|0] "" A\n',
+    "table in two lines": 'VAL_ 256 Gone 0 "off"\n 1 "on" ;\n',
     "long id": 'BO_ 123456789 Long: 8 A\n SG_ Far : 0|8@1+ (1,0) [0|0] "" A\n',
     "no id": 'BO_ 1073741825 Nowhere: 8 A\n SG_ Far : 0|8@1+ (1,0) [0|0] "" A\n',
     "digit of a message": 'BO_ 257 2017_X: 8 A\n SG_ Far : 0|8@1+ (1,0) [0|0] "" A\n',

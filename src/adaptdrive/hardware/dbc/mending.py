@@ -26,6 +26,9 @@ _NAMED_BY_DIGIT = re.compile(
 )
 _BARE_POINT = re.compile(r"(?<=[(,\[|])([ \t]*-?)\.(?=\d)")
 
+_REST = {"BO_": re.compile(r"[ \t]*SG_[ \t]"), "VAL_": re.compile(r'[ \t]*(?:-?\d|"|;)')}
+"""Lines that follow a line and belong to it."""
+
 _EXTENDED = 1 << 31
 _LARGEST_STANDARD, _LARGEST_ID = 0x7FF, 0x1FFF_FFFF
 _WITHOUT_FRAME = "VECTOR__INDEPENDENT_SIG_MSG"
@@ -47,7 +50,7 @@ class MendedText:
     places: dict[tuple[str, str], int] = field(default_factory=dict)
 
     def leave_out(self, number: int, why: str) -> None:
-        """Leave out a line, and the signals of a message with it.
+        """Leave out a line, with the signals of a message and further lines of a value table.
 
         Args:
             number: Its index.
@@ -55,10 +58,8 @@ class MendedText:
         """
         line, self.lines[number] = self.lines[number].strip(), ""
         self.remarks.append(f"line {number + 1}: {line[:60]!r} is left out: {why}")
-        following = number + 1
-        while line.startswith("BO_") and following < len(self.lines):
-            if not re.match(r"[ \t]*SG_[ \t]", self.lines[following]):
-                break
+        rest, following = _REST.get(line.split()[0]), number + 1
+        while rest and following < len(self.lines) and rest.match(self.lines[following]):
             self.lines[following] = ""
             following += 1
 
