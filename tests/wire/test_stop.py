@@ -25,6 +25,7 @@ from tests.wire.rig import Rig, rigged, until
 from tests.wire.test_matrix import note, run_steadily
 from tests.wire.wires import (
     OUTPUT_V,
+    PATIENT_NODE,
     CanWire,
     Frames,
     ModbusWire,
@@ -78,23 +79,13 @@ async def test_a_bridge_that_stays_on_is_announced(free_udp_port: int) -> None:
         assert rig.state.stop is StopWord.CONFIRMED
 
 
-_PATIENT_NODE = {
-    "interlocks/stale_s": 1.5,
-    "interlocks/stuck_distance": 0.0,
-    "interlocks/response_factor": 0.0,
-    "bus/heartbeat_timeout_s": 2.0,
-    "bus/sdo_timeout_s": 2.0,
-}
-"""A node whose values stand still, on a machine with more work than processors."""
-
-
 async def test_a_node_that_stays_enabled_is_announced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
     with contextlib.closing(Peer(f"canopen {tmp_path.name}")) as peer:
         bus = {"bus/interface": peer.interface, "bus/channel": peer.channel}
-        async with rigged(parse({**_PATIENT_NODE, **bus})) as rig:
+        async with rigged(parse({**PATIENT_NODE, **bus})) as rig:
             await rig.run()
             await until(lambda: peer.statusword == ENABLED)
             peer.obeys = False
@@ -123,7 +114,7 @@ async def test_a_node_that_does_not_leave_a_powered_state_is_announced(
     monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
     with contextlib.closing(Peer(f"canopen {tmp_path.name}")) as peer:
         bus = {"bus/interface": peer.interface, "bus/channel": peer.channel}
-        async with rigged(parse({**_PATIENT_NODE, **bus})) as rig:
+        async with rigged(parse({**PATIENT_NODE, **bus})) as rig:
             await rig.run()
             await until(lambda: peer.statusword == ENABLED)
             peer.obeys = False
@@ -164,7 +155,7 @@ async def test_a_node_in_a_fault_without_values_trips_and_its_stop_is_confirmed(
     eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=450000\n"))
     with contextlib.closing(Peer(f"canopen {tmp_path.name}", eds)) as peer:
         bus = {"bus/interface": peer.interface, "bus/channel": peer.channel, "bus/eds": str(eds)}
-        async with rigged(parse({**_PATIENT_NODE, **bus})) as rig:
+        async with rigged(parse({**PATIENT_NODE, **bus})) as rig:
             await rig.run()
             await until(lambda: peer.statusword == ENABLED)
             began_s = time.monotonic()

@@ -15,19 +15,12 @@ from tests.hardware.canopen.documents import parse as canopen_parse
 from tests.hardware.canopen.peer import MEASURED, Peer
 from tests.hardware.modbus.bench import MAP, TcpPeer
 from tests.wire.rig import Rig, rigged, until
-from tests.wire.wires import CanWire, ModbusWire, PATIENT_s, motor_text, strung
+from tests.wire.wires import PATIENT_NODE, CanWire, ModbusWire, PATIENT_s, motor_text, strung
 
 Drive = tuple[Rig, Callable[[int], None], str]
 """The daemon, what sets the drive's word, and the name of the signal of it."""
 
 _NAMES = "{ 4 = 'derating', 5 = 'fan' }"
-_PATIENT_NODE = {
-    "interlocks/stale_s": 1.5,
-    "interlocks/stuck_distance": 0.0,
-    "interlocks/response_factor": 0.0,
-    "bus/heartbeat_timeout_s": 2.0,
-    "bus/sdo_timeout_s": 2.0,
-}
 
 
 @contextlib.asynccontextmanager
@@ -71,7 +64,7 @@ async def on_canopen(monkeypatch: pytest.MonkeyPatch, channel: str) -> AsyncIter
         words = {"mask": 0x70, "names": {"4": "derating", "5": "fan"}}
         configuration = canopen_parse(
             {
-                **_PATIENT_NODE,
+                **PATIENT_NODE,
                 "bus/interface": peer.interface,
                 "bus/channel": peer.channel,
                 "signals/fault": {"signal": "0x603F", "mask": 0x0F},

@@ -36,6 +36,15 @@ STALE_s = float(os.environ.get("WIRE_STALE_S", "0.2"))
 PATIENT_s = 2.0
 """For faults that take their time: nothing else may trip the drive meanwhile."""
 
+PATIENT_NODE = {
+    "interlocks/stale_s": 1.5,
+    "interlocks/stuck_distance": 0.0,
+    "interlocks/response_factor": 0.0,
+    "bus/heartbeat_timeout_s": 2.0,
+    "bus/sdo_timeout_s": 2.0,
+}
+"""A node whose values stand still, on a machine with more work than processors."""
+
 POLL_s = 0.05
 BOOST_V = 300.12
 OUTPUT_V = 3.25

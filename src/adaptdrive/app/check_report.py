@@ -83,7 +83,7 @@ def _sensor_rows(configuration: Configuration) -> Iterator[Row]:
 
 
 def _watched(configuration: Configuration) -> Iterator[str]:
-    """Yield the words whose faults trip, and those whose warnings are told."""
+    """Yield the words whose faults trip, and those whose warnings are events."""
     for key, one in configuration.signals.watched():
         verb = "tells warnings of" if key.startswith("warning") else "trips on faults of"
         bits = "all bits" if one.mask is None else f"bits {one.mask:#x}"

@@ -217,8 +217,8 @@ def _heartbeat_flaws(bus: CanOpenBus, late_s: float) -> Iterator[Flaw]:
     """The heartbeat after a lost one, and after a command that is late, comes in time."""
     least_s = bus.heartbeat_s + max(bus.heartbeat_s, late_s)
     rule = f"at least 2 times bus.heartbeat_s = {bus.heartbeat_s}, and {LATE_READINGS} half cycles"
-    told = f"{least_s:.4g} s, {rule} more than it: heartbeats come with commands"
-    yield from misfit("bus.heartbeat_timeout_s", bus.heartbeat_timeout_s, "at least", least_s, told)
+    why = f"{least_s:.4g} s, {rule} more than it: heartbeats come with commands"
+    yield from misfit("bus.heartbeat_timeout_s", bus.heartbeat_timeout_s, "at least", least_s, why)
 
 
 def _loop_flaws(whole: Configuration, reading: str) -> Iterator[Flaw]:
