@@ -36,7 +36,7 @@ test: $(installed) peers ## run the whole test suite
 	@tests/suite $(bin)/python $(BESIDE)
 
 peers:
-	@tests/install-peers
+	@tools/install-peers
 
 quick: $(installed) ## run the tests that need no clock, process, network or virtual machine
 	$(bin)/python -m pytest -rfE -m 'calculating and not slow' --numprocesses auto --dist loadfile
@@ -48,33 +48,33 @@ lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/lint-imports
 
 bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for late ticks
-	$(bin)/python -m tests.benchmarks --minutes $(MINUTES)
+	$(bin)/python -m tools.benchmarks --minutes $(MINUTES)
 
 proof: $(installed) ## run the long forms of the tests and write docs/proof/proof.md and the faults of docs/proof/reliability.md; takes hours
 	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
-	$(bin)/python -m tests.proof docs/proof/proof.md
+	$(bin)/python -m tools.proof docs/proof/proof.md
 
 branches: $(installed) ## list the lines and branches of the supervised modules that their own tests leave out
-	$(bin)/python -m tests.branches
+	$(bin)/python -m tools.branches
 
 soak: export MINUTES = 120
 soak: $(installed) ## let a drive live for DAYS=7 of virtual time and MINUTES=120 of real time, and write docs/proof/proof.md
-	$(bin)/python -m tests.proof docs/proof/proof.md soak-virtual soak-real
+	$(bin)/python -m tools.proof docs/proof/proof.md soak-virtual soak-real
 
 tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of docs/proof/control.md
-	nice $(bin)/python -m tests.benchmarks.paper_tables $(SEED)
+	nice $(bin)/python -m tools.benchmarks.paper_tables $(SEED)
 
 rivals: $(installed) ## compare with other controllers, and write the tables of README and docs/proof/compared.md
-	nice $(bin)/python -m tests.benchmarks.rivals.results
+	nice $(bin)/python -m tools.benchmarks.rivals.results
 
 docs: $(installed) ## write the pages that are made from the code
-	$(bin)/python -m tests.config.reference_page docs/configuration.md
-	$(bin)/python -m tests.deploy.licences docs/licences.md
-	$(bin)/python -m tests.runtime.columns_page docs/columns.md
-	$(bin)/python -m tests.control.constants_page docs/proof/constants.md
-	$(bin)/python -m tests.runtime.trips_table docs/operation.md
-	$(bin)/python -m tests.operation.asyncapi docs/mqtt
-	$(bin)/python -m tests.proof.page docs/proof/proof.md docs/proof/reliability.md
+	$(bin)/python -m tools.pages.reference_page docs/configuration.md
+	$(bin)/python -m tools.pages.licences docs/licences.md
+	$(bin)/python -m tools.pages.columns_page docs/columns.md
+	$(bin)/python -m tools.pages.constants_page docs/proof/constants.md
+	$(bin)/python -m tools.pages.trips_table docs/operation.md
+	$(bin)/python -m tools.pages.asyncapi docs/mqtt
+	$(bin)/python -m tools.proof.page docs/proof/proof.md docs/proof/reliability.md
 
 wheel: $(installed) ## build the wheel into dist/
 	rm -rf dist

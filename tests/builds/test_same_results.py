@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.pure import build_name
-from tests.builds.run import BUILDS, COMPILED, PURE, run_with
+from tools.builds.run import BUILDS, COMPILED, PURE, run_with
 
 pytestmark = pytest.mark.calculating
 needs_both = pytest.mark.skipif(build_name() != COMPILED, reason="only the sources are here")
@@ -27,12 +27,12 @@ SHARE = 0.2
 def test_a_session_of_one_build_replays_bit_equal_with_another(
     recorder: str, player: str, tmp_path: Path
 ) -> None:
-    run_with(recorder, "tests.builds.sessions", "record", tmp_path, SHARE)
-    assert run_with(player, "tests.builds.sessions", "replay", tmp_path)
+    run_with(recorder, "tools.builds.sessions", "record", tmp_path, SHARE)
+    assert run_with(player, "tools.builds.sessions", "replay", tmp_path)
 
 
 @needs_both
 def test_campaign_runs_are_bit_equal() -> None:
-    compiled, pure = (run_with(one, "tests.builds.trajectories", 1, 3, 240.0) for one in BUILDS)
+    compiled, pure = (run_with(one, "tools.builds.trajectories", 1, 3, 240.0) for one in BUILDS)
     assert len(set(compiled)) == 3
     assert compiled == pure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.campaign.calibration import Samples, coverage, run_all
+from tools.benchmarks.calibration import Samples, coverage, run_all
 
 SEEDS = range(31_001, 31_041)
 LEAST = {

@@ -8,9 +8,9 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.run import run_held
-from tests.benchmarks.rivals.cases import CASES
-from tests.benchmarks.rivals.results import PAGES, read, rendered
-from tests.benchmarks.rivals.runs import CONTROLLERS, figures, takes_part
+from tools.benchmarks.rivals.cases import CASES
+from tools.benchmarks.rivals.results import PAGES, read, rendered
+from tools.benchmarks.rivals.runs import CONTROLLERS, figures, takes_part
 
 pytestmark = pytest.mark.slow
 

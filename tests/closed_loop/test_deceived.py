@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.closed_loop.deceived import honest, lied_to
+from tools.proof.deceived import honest, lied_to
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,7 @@ import pytest
 SCRIPT = """
 from adaptdrive.control import evidence, integrated
 from adaptdrive_sim.compiled.translate import translate
-from tests.benchmarks.dials import DIALS, install, turn
+from tools.benchmarks.dials import DIALS, install, turn
 
 install()
 copy = translate([integrated.__name__])[integrated.__name__]

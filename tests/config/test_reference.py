@@ -17,7 +17,7 @@ from adaptdrive.config.load import (
 )
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.section import Section
-from tests.config.reference_page import reference_page
+from tools.pages.reference_page import reference_page
 
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.control.constants_effects import COLUMNS, read_effects
-from tests.control.constants_page import constants, following, given, page, units, value_of
+from tools.pages.constants_effects import COLUMNS, read_effects
+from tools.pages.constants_page import constants, following, given, page, units, value_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "proof" / "constants.md"
 

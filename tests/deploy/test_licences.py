@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.licences import DEVELOPMENT, OPTIONAL, PACKED, closure, licence, page
+from tools.pages.licences import DEVELOPMENT, OPTIONAL, PACKED, closure, licence, page
 
 PAGE = Path(__file__).parents[2] / "docs" / "licences.md"
 

@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from adaptdrive.runtime.reports import EVENT_KINDS
-from tests.operation.asyncapi import schema
 from tests.operation.peers import PATIENCE_S, drive_report, load_report, serving
-from tests.operation.topic_table import topics
 from tests.support import Broker, start_process, stop_process
+from tools.pages.asyncapi import schema
+from tools.pages.topic_table import topics
 
 FOLDER = Path(__file__).parents[2] / "deploy" / "monitoring"
 EXPORTER = FOLDER / "prometheus-mqtt-exporter.yaml"

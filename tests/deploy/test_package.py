@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.licences import PACKED, closure
+from tools.pages.licences import PACKED, closure
 
 CHECKOUT = Path(__file__).parents[2]
 PACKAGE = CHECKOUT / "build" / "adaptdrive.deb"

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.proof.page import page, with_faults
 from tests.wire.matrix import ROWS
+from tools.proof.page import page, with_faults
 
 CHECKOUT = Path(__file__).parents[2]
 PAGES = ["README.md", "SECURITY.md", *(str(one.relative_to(CHECKOUT))

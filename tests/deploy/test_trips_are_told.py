@@ -12,7 +12,7 @@ from typing_extensions import TypeIs
 
 from adaptdrive.runtime.trips import TRIPS as REGISTRY
 from adaptdrive.runtime.trips import Trip, remedy
-from tests.runtime.trips_table import with_table
+from tools.pages.trips_table import with_table
 
 CHECKOUT = Path(__file__).parents[2]
 SOURCE = CHECKOUT / "src" / "adaptdrive"

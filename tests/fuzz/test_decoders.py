@@ -1,6 +1,6 @@
 """Whatever comes from outside ends in a value or in the error that the decoder documents.
 
-`python -m tests.fuzz 1000000` is the long form, guided by coverage.
+`python -m tools.fuzz 1000000` is the long form, guided by coverage.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import random
 
 import pytest
 
-from tests.fuzz.mutate import mutated
-from tests.fuzz.targets import TARGETS
+from tools.fuzz.mutate import mutated
+from tools.fuzz.targets import TARGETS
 
 
 @pytest.mark.calculating

@@ -1,4 +1,4 @@
-"""`tests.branches` names what tests leave out, in a module whose lines are counted by hand."""
+"""`tools.branches` names what tests leave out, in a module whose lines are counted by hand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.branches.__main__ import measure
+from tools.branches.__main__ import measure
 
 SOURCE = """def sign(x):
     if x < 0:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.vm import guest_tests, processors
-from tests.vm.machine import Outcome
+from tests.vm import guest_tests
+from tools.vm import processors
+from tools.vm.machine import Outcome
 
 _BUSY = "import os, time\nos.sched_setaffinity(0, {%d})\nwhile time.process_time() < 1: pass"
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from tests.operation.asyncapi import schema
-from tests.operation.topic_table import topics
+from tools.pages.asyncapi import schema
+from tools.pages.topic_table import topics
 
 
 def validators() -> dict[str, Draft202012Validator]:

@@ -11,7 +11,6 @@ import pytest
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.operation.commands import FORMS
 from adaptdrive.runtime.reports import Event, Severity, State
-from tests.operation.asyncapi import asyncapi, documents, schema
 from tests.operation.contract import validators
 from tests.operation.peers import (
     STANDBY,
@@ -22,8 +21,9 @@ from tests.operation.peers import (
     publish,
     serving,
 )
-from tests.operation.topic_table import Topic, topics
 from tests.support import Broker
+from tools.pages.asyncapi import asyncapi, documents, schema
+from tools.pages.topic_table import Topic, topics
 
 FOLDER = Path(__file__).parents[2] / "docs" / "mqtt"
 VALIDATORS = validators()

@@ -7,8 +7,8 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tests.operation.asyncapi import schema
-from tests.operation.topic_table import simulator_topics, topics
+from tools.pages.asyncapi import schema
+from tools.pages.topic_table import simulator_topics, topics
 
 READ = (
     *("state", "telemetry/load", "telemetry/drive"),

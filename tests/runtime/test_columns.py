@@ -8,7 +8,7 @@ import pytest
 from adaptdrive.control.columns import Column, Quantity, columns_of, rebuild
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Stage
 from adaptdrive.runtime.reports import SLOW_COLUMNS, TICK_COLUMNS, TickReport
-from tests.runtime.columns_page import page
+from tools.pages.columns_page import page
 
 PAGE = Path(__file__).parents[2] / "docs" / "columns.md"
 

@@ -25,8 +25,8 @@ from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
-from tests.operation.asyncapi import schema
-from tests.operation.topic_table import simulator_topics
+from tools.pages.asyncapi import schema
+from tools.pages.topic_table import simulator_topics
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from tests.soak.flat import COUNT, MEMORY_MiB, Trend, trend
+from tools.soak.flat import COUNT, MEMORY_MiB, Trend, trend
 
 HOURS = [0.1 * i for i in range(100)]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.soak.life import Life
+from tools.soak.life import Life
 
 QUARTER_s = 900.0
 

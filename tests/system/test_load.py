@@ -86,7 +86,7 @@ def stalled_broker(site: Site) -> contextlib.AbstractContextManager[None]:
 def commands(site: Site) -> Iterator[None]:
     """Set-points without end, each with an id of its own."""
     words = [str(site.broker_port), str(COMMANDS_PER_S)]
-    with background(sys.executable, "-m", "tests.benchmarks.flood", *words):
+    with background(sys.executable, "-m", "tools.benchmarks.flood", *words):
         yield
 
 

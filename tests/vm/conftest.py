@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.vm import machine
+from tools.vm import machine
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import pytest
 
-from tests.vm import machine, processors
+from tools.vm import machine, processors
 
 ROOT = Path(__file__).parents[2]
 

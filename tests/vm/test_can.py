@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.support import has_can
-from tests.vm import machine
 from tests.vm.guest_tests import ROOT, pytest_script, show
+from tools.vm import machine
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]  # it needs two processors
 

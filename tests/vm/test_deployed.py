@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.vm import machine
 from tests.vm.guest_tests import ROOT, plain_pytest_script, show
+from tools.vm import machine
 
 pytestmark = [pytest.mark.slow, pytest.mark.proof]  # it needs two processors for ten minutes
 

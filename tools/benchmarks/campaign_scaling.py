@@ -1,0 +1,119 @@
+"""Measure how campaigns scale, and draw docs/images/campaign-scaling.png.
+
+One and two processes take turns on the same seeds; each dot is a round. Run it on a machine that
+does nothing else, with `python -m tools.benchmarks.campaign_scaling`: it takes about a minute, and
+another one where the experiments have to be compiled first.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+from matplotlib.figure import Figure
+
+from adaptdrive.analysis import style
+from adaptdrive_sim.campaign.main import run_seed, workers
+from adaptdrive_sim.campaign.settings import Campaign, read_campaign
+from adaptdrive_sim.experiments.figure import save
+
+COUNTS = (1, 2)
+IMAGE = Path(__file__).parents[2] / "docs" / "images" / "campaign-scaling.png"
+RUNS, ROUNDS = 80, 9
+_BATCH = 4
+_WARM_UPS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """One measurement.
+
+    Attributes:
+        experiments_per_s: Experiments by the clock on the wall; a run is two of them.
+        cpu_ms: Time of a processor for each.
+    """
+
+    experiments_per_s: float
+    cpu_ms: float
+
+
+def measure(
+    campaign: Campaign, counts: Sequence[int], *, runs: int, rounds: int
+) -> dict[int, list[Round]]:
+    """Time a campaign on different numbers of processes that take turns, so that they compare.
+
+    Args:
+        campaign: What to run.
+        counts: Numbers of processes.
+        runs: Runs in each round.
+        rounds: How often each number has its turn.
+    """
+    run_seed(campaign, campaign.seed)  # compiles once, on disk, for every process
+    with ExitStack() as stack:
+        pools = {count: stack.enter_context(workers(count, None)) for count in counts}
+        for count, pool in pools.items():
+            _run(campaign, pool, _WARM_UPS * _BATCH * count)
+        found: dict[int, list[Round]] = {count: [] for count in counts}
+        for _ in range(rounds):
+            for count, pool in pools.items():
+                found[count].append(_run(campaign, pool, runs))
+    return found
+
+
+def _run(campaign: Campaign, executor: Executor, runs: int) -> Round:
+    """The same seeds each time."""
+    batches = [range(first, first + _BATCH) for first in range(1, runs + 1, _BATCH)]
+    began_s = time.perf_counter()
+    cpu_s = sum(executor.map(_cpu_time_of, [campaign] * len(batches), batches))
+    seconds = time.perf_counter() - began_s
+    experiments = 2.0 * _BATCH * len(batches)
+    return Round(experiments / seconds, 1e3 * cpu_s / experiments)
+
+
+def _cpu_time_of(campaign: Campaign, seeds: range) -> float:
+    began_s = time.process_time()
+    for seed in seeds:
+        run_seed(campaign, seed)
+    return time.process_time() - began_s
+
+
+def draw(found: dict[int, list[Round]], path: Path) -> None:
+    """Experiments per second over the number of processes."""
+    speeds = {count: median(one.experiments_per_s for one in found[count]) for count in found}
+    cpu_ms = median(one.cpu_ms for rounds in found.values() for one in rounds)
+    with style.journal():
+        figure = Figure(figsize=(style.WIDTH_in / 2.0, 2.6), layout="constrained")
+        axes = figure.subplots()
+        ideal = [speeds[COUNTS[0]] * count for count in COUNTS]
+        axes.plot(COUNTS, ideal, ":", color="0.4", label="in proportion")
+        axes.plot(COUNTS, [speeds[count] for count in COUNTS], "-o", label="median")
+        for count, rounds in found.items():
+            axes.plot([count] * len(rounds), [one.experiments_per_s for one in rounds], "k.", ms=2)
+        for count, speed in speeds.items():
+            axes.annotate(f"{speed:.0f}", (count, speed), (6.0, -10.0), textcoords="offset points")
+        axes.set(xlabel="processes", ylabel="experiments per second", xticks=COUNTS)
+        axes.set_xlim(COUNTS[0] - 0.3, COUNTS[-1] + 0.4)
+        axes.set_ylim(0.0)
+        axes.set_title(f"{cpu_ms:.1f} ms of a processor for each experiment")
+        axes.legend(loc="upper left")
+        save(figure, path)
+
+
+def main() -> None:
+    """Measure, print and draw."""
+    found = measure(read_campaign(Path("standard.toml")), COUNTS, runs=RUNS, rounds=ROUNDS)
+    for count, rounds in found.items():
+        speeds = sorted(one.experiments_per_s for one in rounds)
+        cpu_ms = median(one.cpu_ms for one in rounds)
+        told = f"{median(speeds):.1f} experiments/s ({speeds[0]:.1f} to {speeds[-1]:.1f})"
+        print(f"{count} processes: {told}, {cpu_ms:.2f} ms CPU each")  # noqa: T201
+    draw(found, IMAGE)
+
+
+if __name__ == "__main__":
+    main()

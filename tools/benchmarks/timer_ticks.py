@@ -1,0 +1,73 @@
+"""Ticks of the timer, in a process of its own: `timer_ticks.py SECONDS PRIORITY SPIN_US AWAKE`.
+
+The fast loop without a drive, on the kernel's timer, set up as the daemon sets itself up; AWAKE
+is 1 to keep idle CPUs from sleeping. Prints the lateness of every tick, in microseconds.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.clock.tick_timer import TickTimer
+from adaptdrive.config.services import Realtime
+from adaptdrive.control.controller import Controller
+from adaptdrive.runtime.fast_loop import FastLoop
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.realtime import real_time
+from tests.hardware.bench import MOTOR
+from tests.loopback_port import LoopbackPort
+from tools.benchmarks.compute import Kept
+
+
+class Timed(Kept):
+    """Surroundings with the real clock and the real timer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.timer: TickTimer | None = None
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def arm(self, deadline_s: float) -> None:
+        if self.timer is not None:
+            self.timer.arm(deadline_s)
+
+
+async def main(duration_s: float, priority: int, spin_us: float, *, awake: bool) -> list[float]:
+    """Run ticks for so long."""
+    around, settings = Timed(), daemon_settings(MOTOR)
+    machine = Machine(settings.machine, settings.pole)
+    controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
+    port = LoopbackPort(lambda _: None, counter_modulus=None)
+    loop = FastLoop(port, controller, machine, settings.fast, around)
+    times: list[float] = []
+
+    def on_deadline(deadline_s: float) -> None:
+        times.append((time.monotonic() - deadline_s) * 1e6)
+        loop.on_deadline(deadline_s)
+
+    around.timer = TickTimer(asyncio.get_running_loop(), on_deadline, spin_us * 1e-6)
+    wanted = Realtime(
+        priority=priority or None,
+        lock_memory=bool(priority),
+        freeze_gc=True,
+        cpu_latency_us=0 if awake else None,
+    )
+    with real_time(wanted):
+        loop.begin()
+        await asyncio.sleep(duration_s)
+        around.timer.close()
+    return times[10:]
+
+
+if __name__ == "__main__":
+    with asyncio.Runner() as runner:
+        duration_s, priority, spin_us, awake = map(float, sys.argv[1:])
+        found = runner.run(main(duration_s, int(priority), spin_us, awake=bool(awake)))
+    sys.stdout.write(json.dumps({"lateness_us": found}))

@@ -1,0 +1,109 @@
+"""The page of the proof, and the table of faults in `docs/proof/reliability.md`, from kept results.
+
+`python -m tools.proof.page docs/proof/proof.md docs/proof/reliability.md` writes both.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from tests.faults.rows import GROUPS
+from tools.proof.forms import Form, forms
+from tools.proof.results import RESULTS, Result, load
+from tools.proof.summaries import counted, fault_matrix, table
+
+BEGIN, END = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
+INTRODUCTION = """# Proof
+
+Results of the long tests, for readers who check a claim. `make proof` runs the *forms* that have no
+result of the present commit; `python -m tools.proof docs/proof/proof.md FORM` repeats one.
+`tools/proof/results` holds machine, processor time and the whole output of each run,
+[tests/README.md](../../tests/README.md#faults-and-proof) describes the forms and their lengths. The
+faults in virtual time are in [reliability](reliability.md#faults-in-virtual-time).
+"""
+MUTANTS_TEXT = """## Small changes of the code
+
+`python -m tools.mutation NAME` changes one comparison, constant, operator or statement at a time;
+the tests of the module must notice it. An *explained* change has no effect, for a stated reason.
+"""
+BRANCHES_TEXT = """## Lines and branches
+
+`python -m tools.branches NAME` counts what the tests of each module run and take.
+"""
+MUTANTS = ("name", "changes", "tried", "noticed", "explained", "survived", "run")
+BRANCHES = ("name", "lines", "not run", "branches", "not taken", "run")
+
+Run = tuple[Form, Result | None]
+
+
+def page(folder: Path = RESULTS) -> str:
+    """Return the page as Markdown."""
+    ran = [(form, load(form.name, folder)) for form in forms()]
+    single = [run for run in ran if not run[0].name.startswith(("mutants-", "branches-"))]
+    runs = table(("form", "command", "run"), (_row(run) for run in single))
+    outputs = [_section(*run) for run in single if run[0].is_shown]
+    mutants = table(MUTANTS, _counts(ran, "mutants", 5))
+    branches = table(BRANCHES, _counts(ran, "branches", 4))
+    tables = [f"{MUTANTS_TEXT}\n{mutants}\n", f"{BRANCHES_TEXT}\n{branches}\n"]
+    return "\n".join([INTRODUCTION, f"## Runs\n\n{runs}\n", *outputs, *tables])
+
+
+def _verdict(result: Result | None) -> str:
+    if result is None:
+        return "has not run"
+    verdict = "passed" if result.status == 0 else f"FAILED with status {result.status}"
+    return f"{verdict} {result.day[:10]}, {result.commit}"
+
+
+def _row(run: Run) -> str:
+    form, result = run
+    command = form.shown_command if result is None else result.command
+    return f"| {form.name} | `{command}` | {_verdict(result)} |"
+
+
+def _section(form: Form, result: Result | None) -> str:
+    text = "" if result is None else result.text
+    body = text if form.as_table else f"```\n{text}\n```"
+    return f"## {form.title}\n\n{body}\n"
+
+
+def _counts(ran: Sequence[Run], kind: str, columns: int) -> Iterator[str]:
+    """Yield a row of sums for each form of a kind."""
+    for form, result in ran:
+        if form.name.startswith(f"{kind}-"):
+            text = "" if result is None else result.text
+            name = form.title.rpartition(": ")[2].removeprefix("adaptdrive.")
+            yield f"{counted(name, text, columns)} {_verdict(result)} |"
+
+
+def with_faults(text: str, folder: Path = RESULTS) -> str:
+    """Return a page with the measured table of faults between its marks.
+
+    Args:
+        text: The page.
+        folder: Where results are kept.
+    """
+    before, rest = text.split(BEGIN)
+    _, after = rest.split(END)
+    return before + BEGIN + _faults(folder) + END + after
+
+
+def _faults(folder: Path) -> str:
+    """The tables of all groups as one."""
+    found = [load(group, folder) for group in GROUPS]
+    results = [result for result in found if result is not None]
+    return f"{fault_matrix(one.text for one in results)}\n" if results else "Not measured yet.\n"
+
+
+def write(proof: Path, reliability: Path) -> None:
+    """Write both pages, the second one where it is there."""
+    proof.write_text(page(), encoding="utf-8")
+    if reliability.exists():
+        text = with_faults(reliability.read_text(encoding="utf-8"))
+        reliability.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]), Path(sys.argv[2]))
