@@ -1,15 +1,22 @@
-"""Fixtures for every test: leaked tasks, free ports, real processes, a real broker."""
+"""Marks by nature, the guard of unit tests, virtual time, and the fixtures that reach outside.
+
+A test is `integration` when a fixture that it asks for reaches outside this process, else `unit`: a
+unit test that opens a socket, starts a process or sleeps fails. Time is virtual in all tests but
+those in `tests/scenes`, where processes, brokers and drives run in real time.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import math
 import os
 import shutil
 import socket
-from collections.abc import AsyncIterator, Iterator
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -24,6 +31,7 @@ from tests.support import (
     start_process,
     stop_process,
 )
+from tests.virtual_time import VirtualLoop, links_held
 
 # A busy machine is no failure, and the change gate is the same twice.
 settings.register_profile(
@@ -38,93 +46,92 @@ settings.load_profile("adaptdrive")
 # Drives of the same name on several workers, or beside the suite, are not the same drive.
 os.environ[NAMESPACE] = f"tests-{os.getpid()}"
 
-CALCULATING = {
-    "campaign",
-    "closed_loop",
-    "compiled",
-    "config",
-    "control",
-    "experiments",
-    "faults",
-    "soak",
+SCENES = Path(__file__).parent / "scenes"
+"""Folder of the tests that run in real time."""
+
+OUTSIDE = "outside"
+"""Fixture of the tests that leave this process: every fixture that does so asks for it."""
+
+FORBIDDEN = {
+    "os.exec": "starts a process",
+    "os.fork": "starts a process",
+    "os.posix_spawn": "starts a process",
+    "subprocess.Popen": "starts a process",
+    "socket.bind": "opens a socket",
+    "socket.connect": "opens a socket",
 }
-"""Folders whose tests need nothing but a processor, however busy."""
-
-LONG = "system"
-"""Folder of long tests.
-
-They, slow ones, and before all those with a time limit of their own start first: none runs on when
-all others have ended.
-"""
-
-COMPILING = {"campaign", "compiled"}
-"""Folders whose tests compile the simulators.
-
-Their tests come before all others, one worker compiles, and the others find the code on disk. They
-count as slow: `make quick` compiles nothing.
-"""
-
-COMPILATION_S = 3600.0
-"""Time limit of such a test: it compiles for minutes, and on a busy machine for half an hour."""
-
-KINDS = {"calculating", "waiting", "alone", "proof"}
-
-
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out files without a test of the kind that was asked for: reading all takes time."""
-    kind, _, _ = config.getoption("markexpr").partition(" ")
-    if kind not in ("calculating", "waiting", "alone") or collection_path.suffix != ".py":
-        return None
-    of_folder = "calculating" if _folder(collection_path) in CALCULATING else "waiting"
-    if kind == of_folder or f"mark.{kind}" in collection_path.read_text(encoding="utf-8"):
-        return None
-    return True
+"""Events of the interpreter that fail a unit test, and what such a test does."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give every test one of four marks, so that each kind can run beside its like."""
+    """Mark every test by what its fixtures do."""
     for item in items:
-        if not any(item.get_closest_marker(kind) for kind in KINDS):
-            calculating = _folder(item.path) in CALCULATING
-            item.add_marker(pytest.mark.calculating if calculating else pytest.mark.waiting)
-        if _folder(item.path) in COMPILING:
-            item.add_marker(pytest.mark.timeout(COMPILATION_S))
-            item.add_marker(pytest.mark.slow)
-    items.sort(key=_turn)
+        item.add_marker(pytest.mark.integration if _is_outside(item) else pytest.mark.unit)
 
 
-def _turn(item: pytest.Item) -> tuple[bool, bool, bool, bool]:
-    """Return when a test has its turn: the smallest first."""
-    folder = _folder(item.path)
-    longest = item.get_closest_marker("timeout") is not None
-    slow = item.get_closest_marker("slow") is not None
-    return folder not in COMPILING, not slow, not longest, folder != LONG
+def _is_outside(item: pytest.Item) -> bool:
+    return OUTSIDE in getattr(item, "fixturenames", ())
 
 
-def _folder(path: Path) -> str:
-    here = Path(__file__).parent
-    return path.relative_to(here).parts[0] if path.is_relative_to(here) else ""
+def pytest_asyncio_loop_factories(
+    item: pytest.Item,
+) -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
+    """Run scenes in real time, every other test in virtual time."""
+    if item.path.is_relative_to(SCENES):
+        return {"real": asyncio.SelectorEventLoop}
+    return {"virtual": VirtualLoop}
+
+
+class _Guard:
+    """Fails the unit test that runs when it reaches outside this process."""
+
+    def __init__(self) -> None:
+        self.is_armed = False
+        self.found = ""
+
+    def see(self, event: str, arguments: tuple[Any, ...]) -> None:
+        """Take an event of the interpreter."""
+        if self.is_armed and event in FORBIDDEN and not _is_local(event, arguments):
+            self.refuse(f"a unit test {FORBIDDEN[event]}: {event}{arguments!r:.200}")
+
+    def refuse(self, reason: str) -> None:
+        """End the test; the reason is kept where the code under test swallows the failure."""
+        self.found = self.found or reason
+        pytest.fail(reason)
+
+
+def _is_local(event: str, arguments: tuple[Any, ...]) -> bool:
+    """Return whether a socket joins two ends of this process, as the pair of an event loop."""
+    return event.startswith("socket.") and arguments[0].family == socket.AF_UNIX
+
+
+_guard = _Guard()
+sys.addaudithook(_guard.see)
 
 
 @pytest.fixture(autouse=True)
-def _compiled_by_one_process(request: pytest.FixtureRequest) -> None:
-    slow = request.node.get_closest_marker("slow") is not None
-    if slow and _folder(request.path) in {*COMPILING, "experiments"}:
-        request.getfixturevalue("compiled_simulators")
+def _guarded(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let no unit test open a socket, start a process or sleep, and no other but scenes sleep."""
+    if not request.path.is_relative_to(SCENES):
+        monkeypatch.setattr(time, "sleep", lambda _: _guard.refuse("a test outside scenes sleeps"))
+        request.getfixturevalue("_links_held")
+    _guard.found, _guard.is_armed = "", not _is_outside(request.node)
+    yield
+    _guard.is_armed = False
+    if _guard.found:
+        pytest.fail(_guard.found)
 
 
-@pytest.fixture(scope="session")
-def compiled_simulators() -> None:
-    """Compile the simulators, or wait until another worker has, which takes two minutes."""
-    from adaptdrive_sim.campaign.main import read_any_campaign, run_seed  # noqa: PLC0415
-    from adaptdrive_sim.compiled.translate import cache_folder  # noqa: PLC0415
+@pytest.fixture
+def _links_held() -> Iterator[None]:
+    with links_held():
+        yield
 
-    campaign = read_any_campaign(Path("standard.toml"))
-    cache_folder().mkdir(parents=True, exist_ok=True)
-    with (cache_folder() / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        run_seed(campaign.model_copy(update={"duration_s": 180.0}), 1)
+
+@pytest.fixture
+def outside() -> None:
+    """Let a test open sockets and start processes; makes it an integration test."""
 
 
 @pytest.fixture(autouse=True)
@@ -153,19 +160,19 @@ async def _tasks_of_test(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[None]
 
 
 @pytest.fixture
-def free_udp_port() -> int:
+def free_udp_port(outside: None) -> int:
     """A UDP port that nobody held a moment ago."""
     return free_port(socket.SOCK_DGRAM)
 
 
 @pytest.fixture
-def free_tcp_port() -> int:
+def free_tcp_port(outside: None) -> int:
     """A TCP port that nobody held a moment ago."""
     return free_port(socket.SOCK_STREAM)
 
 
 @pytest.fixture
-def spawn(tmp_path: Path) -> Iterator[Spawn]:
+def spawn(outside: None, tmp_path: Path) -> Iterator[Spawn]:
     """Start processes that end with the test; their output goes to `tmp_path/process-N.log`."""
     running: list[Process] = []
 
@@ -180,18 +187,28 @@ def spawn(tmp_path: Path) -> Iterator[Spawn]:
 
 
 @pytest.fixture(scope="session")
-def mosquitto_launcher(tmp_path_factory: pytest.TempPathFactory) -> MosquittoLauncher:
-    """For tests that stop and restart a broker of their own; they end what they start."""
+def _mosquitto_program(tmp_path_factory: pytest.TempPathFactory) -> MosquittoLauncher:
     program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if program is None:
         pytest.skip("mosquitto is not installed")
     return MosquittoLauncher(program, tmp_path_factory.mktemp("mosquitto"))
 
 
+@pytest.fixture
+def mosquitto_launcher(outside: None, _mosquitto_program: MosquittoLauncher) -> MosquittoLauncher:
+    """For tests that stop and restart a broker of their own; they end what they start."""
+    return _mosquitto_program
+
+
 @pytest.fixture(scope="session")
-def mosquitto(mosquitto_launcher: MosquittoLauncher) -> Iterator[Broker]:
-    """One real broker for all tests: use topics of your own."""
+def _running_mosquitto(_mosquitto_program: MosquittoLauncher) -> Iterator[Broker]:
     port = free_port(socket.SOCK_STREAM)
-    process = mosquitto_launcher.start(port)
+    process = _mosquitto_program.start(port)
     yield Broker("127.0.0.1", port)
     stop_process(process)
+
+
+@pytest.fixture
+def mosquitto(outside: None, _running_mosquitto: Broker) -> Broker:
+    """One real broker for all tests: use topics of your own."""
+    return _running_mosquitto

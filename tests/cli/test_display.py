@@ -13,7 +13,6 @@ _LOAD = ("estimates", "reference", "boost_reference_V", "k")
 _DRIVE = ("output", "age_s", "ticks", "load_power_W")
 
 
-@pytest.mark.calculating
 @pytest.mark.parametrize(
     ("reason", "advice"),
     [
@@ -29,7 +28,6 @@ def test_a_refusal_for_a_trip_carries_its_remedy(reason: str, advice: str) -> No
     assert bool(found) is bool(advice)
 
 
-@pytest.mark.calculating
 @pytest.mark.parametrize(
     "junk", [7, "text", [], [1, "x"], {"a": []}, 10**400, True], ids=lambda one: str(one)[:9]
 )
@@ -44,7 +42,6 @@ def test_a_drive_with_values_of_another_shape_hides_no_other_drive(junk: object)
     assert describe("odd", odd).startswith("odd is online")
 
 
-@pytest.mark.calculating
 @pytest.mark.parametrize(
     ("age_s", "output"), [(0.004, "2.84 V"), (2.9, "2.84 V"), (3.1, "-"), (22.9, "-"), (None, "-")]
 )
@@ -55,7 +52,6 @@ def test_the_list_shows_no_output_that_is_old(age_s: float | None, output: str) 
     assert row.startswith(f"motor  standby  {output}  ")
 
 
-@pytest.mark.calculating
 @pytest.mark.parametrize(
     "payload", [b"", b"[", b'{"a":"\xff"}', b'{"a":' + 4000 * b"[", b"7", b"\xff"], ids=repr
 )
@@ -63,7 +59,6 @@ def test_a_payload_that_is_no_json_object_is_nothing(payload: bytes) -> None:
     assert json_object(payload) is None
 
 
-@pytest.mark.calculating
 def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:
     telemetry = {"load": {"estimates": {"gain": {"value": 0.30715, "std": 0.0066}}}}
     state = {"state": "running", "output": {"name": "speed", "unit": "rad/s"}}
@@ -71,13 +66,11 @@ def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:
     assert "gain 0.30715 ± 0.0066 (rad/s)/V" in text
 
 
-@pytest.mark.calculating
 def test_no_word_of_a_broker_reaches_the_terminal_as_a_control_character() -> None:
     status = DriveStatus("\x1b[31mred", {}, live=True)
     assert "\x1b" not in describe("motor", status)
 
 
-@pytest.mark.calculating
 @pytest.mark.parametrize(
     ("name", "row"),
     [
@@ -95,7 +88,6 @@ def test_the_name_of_an_output_is_apart_from_its_value_and_commands_no_terminal(
     assert row in text.splitlines()
 
 
-@pytest.mark.calculating
 @pytest.mark.parametrize("word", ["awaited", "missing", "cannot be confirmed"])
 def test_a_drive_that_has_not_reported_its_bridge_off_is_not_shown_as_off(word: str) -> None:
     state = {"state": "standby", "stop": word}
@@ -105,7 +97,6 @@ def test_a_drive_that_has_not_reported_its_bridge_off_is_not_shown_as_off(word: 
     assert f"oven   standby, stop {word}  " in table
 
 
-@pytest.mark.calculating
 @pytest.mark.parametrize("word", ["confirmed", None])
 def test_a_stop_is_shown_only_where_it_is_not_confirmed(word: str | None) -> None:
     state = {"state": "standby", "stop": word}

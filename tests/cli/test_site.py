@@ -13,8 +13,8 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.runtime.requests import SetSetpoint
 from tests.cli.test_cli import adaptdrive, at
 from tests.operation.peers import drive_report, listening, publish, serving
+from tests.scenes.system.site import motor_configuration
 from tests.support import Broker, MosquittoLauncher, stop_process
-from tests.system.site import motor_configuration
 
 
 async def test_the_list_has_every_drive_with_units_and_the_tripped_one_first(

@@ -1,6 +1,6 @@
 """The twin of a foreign motor: friction that no model has, a 12-bit tachometer, a wrong model.
 
-The motor of `tests/peers`, in virtual time: Coulomb, viscous and quadratic friction, integrated by
+The motor of `tests/scenes/peers`, in virtual time: Coulomb, viscous and quadratic friction, by
 the midpoint rule. Its line, its capacitor and its time constants are not what the configuration
 says. The inertia grows to twice and to three times its value at random times under a square wave.
 """

@@ -24,8 +24,6 @@ from adaptdrive.runtime.requests import Disable, SetMode, SetSetpoint
 from tests.support import Spawn
 from tests.wire.rig import EXAMPLES, Rig, rigged, until
 
-pytestmark = pytest.mark.waiting
-
 DATA_IDS = {0x18FF5F10: 0x5F10, 0x18FF5F11: 0x5F11, 0x18FF5F13: 0x5F13}
 START_V = 273.0
 ATTEMPTS = 3

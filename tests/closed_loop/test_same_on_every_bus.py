@@ -26,8 +26,9 @@ from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
-from tests.closed_loop.wire import WAIT_s, virtual_time, wired
+from tests.closed_loop.wire import WAIT_s, wired
 from tests.support import free_port, sample
+from tests.virtual_time import virtual_time
 
 TACHOMETER = "-modbus-rtu+tachometer"
 TICK_s = 1.0 / 120.0

@@ -15,7 +15,8 @@ from adaptdrive.runtime.requests import Disable, Enable, SetSetpoint
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.world import Sample, World
 from tests.closed_loop.test_same_on_every_bus import COURSES, configured
-from tests.closed_loop.wire import WAIT_s, Wire, virtual_time, wired
+from tests.closed_loop.wire import WAIT_s, Wire, wired
+from tests.virtual_time import virtual_time
 
 START_TICKS = 60
 BUSES = ["motor", "motor-modbus-tcp", "motor-scpi"]

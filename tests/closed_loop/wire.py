@@ -9,14 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import selectors
-import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Coroutine
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import build_whole_port, sensor_reports
@@ -24,8 +20,6 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.hardware.link.bus import open_bus
-from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.polled.link import PolledLink
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import LoadReport, Report, State
@@ -40,63 +34,8 @@ from adaptdrive_sim.devices.modbus_server import serving
 from adaptdrive_sim.devices.scpi_drive import ScpiDrive
 from adaptdrive_sim.world import World
 
-PATIENCE_s = 5.0
 WAIT_s = 2.0
 LOOK_s = 0.5
-
-
-class _Selector(selectors.DefaultSelector):
-    """Moves the loop's clock instead of sleeping, unless a reply is under way."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now_s = time.monotonic() + 1e6  # kernel timers on this clock never expire
-        self.under_way = 0
-
-    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        events = super().select(0)
-        if events or timeout == 0:
-            return events
-        if self.under_way or timeout is None:
-            return super().select(PATIENCE_s)
-        self.now_s += max(timeout, 0.0)
-        return []
-
-
-class VirtualLoop(asyncio.SelectorEventLoop):
-    """An event loop whose time passes as fast as everything is done."""
-
-    def __init__(self) -> None:
-        self.selector = _Selector()
-        super().__init__(self.selector)
-
-    def time(self) -> float:
-        return self.selector.now_s
-
-
-@contextlib.contextmanager
-def virtual_time() -> Iterator[asyncio.Runner]:
-    """Run coroutines in virtual time; what really takes time on a polled link holds it still."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(PolledLink, "open", _held(PolledLink.open))
-        patch.setattr(PolledLink, "_reply", _held(PolledLink._reply))
-        patch.setattr(SerialPort, "open", _held(SerialPort.open))
-        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
-            yield runner
-
-
-def _held(call: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
-    """The same call, during which virtual time stands still."""
-
-    async def held(*words: Any) -> Any:
-        selector = asyncio.get_running_loop().selector  # type: ignore[attr-defined]
-        selector.under_way += 1
-        try:
-            return await call(*words)
-        finally:
-            selector.under_way -= 1
-
-    return held
 
 
 async def _live(drive: SimulatedDrive, deliver: Any) -> None:

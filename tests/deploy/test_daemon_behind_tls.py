@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from tests.deploy.broker import GuardedBroker
+from tests.scenes.system.site import motor_configuration, until
 from tests.support import start_process, stop_process
-from tests.system.site import motor_configuration, until
 
 Adaptdrive = Callable[..., subprocess.CompletedProcess[str]]
 

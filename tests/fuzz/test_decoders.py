@@ -14,7 +14,6 @@ from tools.fuzz.mutate import mutated
 from tools.fuzz.targets import TARGETS
 
 
-@pytest.mark.calculating
 @pytest.mark.parametrize("name", TARGETS)
 def test_damaged_input_ends_in_a_documented_error(name: str) -> None:
     target, draw = TARGETS[name], random.Random(name)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.vm import guest_tests
+from tests.scenes.vm import guest_tests
 from tools.vm import processors
 from tools.vm.machine import Outcome
 

@@ -9,8 +9,6 @@ import pytest
 from adaptdrive.control.loads import bath, battery, motor
 from adaptdrive.operation.payloads import quantity_and_unit
 
-pytestmark = pytest.mark.calculating
-
 UNITS = {
     motor: ["V/V", "s", "s²", "V"],
     bath: ["K/W", "s", "W"],

@@ -189,7 +189,6 @@ def test_a_fault_that_is_the_drives_initial_value_ends_no_rehearsal(tmp_path: Pa
 
 
 @pytest.mark.slow
-@pytest.mark.calculating
 def test_memory_is_flat_over_twenty_minutes_of_ticks() -> None:
     """What grows with each tick would show, in a process that does nothing else."""
     command = [sys.executable, "-m", "tests.runtime.many_ticks"]

@@ -8,8 +8,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.panel.browser import Panel, browser_of, open_panel, web_listener
-from tests.panel.storm import EVIL, Storm, log_in, longest_block_ms, require_unhurt, show, storm
+from tests.scenes.panel.browser import Panel, browser_of, open_panel, web_listener
+from tests.scenes.panel.storm import (
+    EVIL,
+    Storm,
+    log_in,
+    longest_block_ms,
+    require_unhurt,
+    show,
+    storm,
+)
 from tests.support import MosquittoLauncher, free_port, stop_process
 from tools.benchmarks.rows import Extent, Row
 

@@ -66,7 +66,7 @@ def forms() -> tuple[Form, ...]:
         Form("properties", "Properties of drawn values", properties, {"EXAMPLES": examples},
              is_shown=False),
         Form("inputs", "Damaged inputs of each decoder", ("-m", "tools.fuzz", inputs)),
-        Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/peers"),
+        Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/scenes/peers"),
              is_shown=False),
         Form("deceived", "Sensors that lie", ("-m", "tools.proof.deceived", seeds),
              as_table=True),

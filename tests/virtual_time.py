@@ -1,0 +1,96 @@
+"""An event loop whose time passes as fast as everything is done.
+
+Tests outside `tests/scenes` run in it: their clock moves only when there is nothing left to do,
+that is, no callback is ready, no byte has come, and no thread or reply is under way. Frames and
+registers still go through the kernel; a wait of an hour takes no time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import selectors
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
+
+import pytest
+
+from adaptdrive.hardware.modbus.serial_port import SerialPort
+from adaptdrive.hardware.polled.link import PolledLink
+
+PATIENCE_s = 5.0
+"""Longest real wait for one byte, thread or reply; a test that needs it would hang otherwise."""
+
+
+class _Selector(selectors.DefaultSelector):
+    """Moves the loop's clock instead of sleeping, unless something is under way."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_s = time.monotonic() + 1e6  # kernel timers on this clock never expire
+        self.under_way = 0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        events = super().select(0)
+        if events or timeout == 0:
+            return events
+        if self.under_way or timeout is None:
+            return super().select(PATIENCE_s)
+        self.now_s += max(timeout, 0.0)
+        return []
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An event loop in virtual time, which stands still while a thread of its pool works."""
+
+    def __init__(self) -> None:
+        self.selector = _Selector()
+        super().__init__(self.selector)
+
+    def time(self) -> float:
+        return self.selector.now_s
+
+    def run_in_executor(  # type: ignore[override]
+        self, executor: Any, func: Callable[..., Any], *args: Any
+    ) -> asyncio.Future[Any]:
+        future = super().run_in_executor(executor, func, *args)
+        self.selector.under_way += 1
+        future.add_done_callback(self._arrived)
+        return future
+
+    def _arrived(self, _: object) -> None:
+        self.selector.under_way -= 1
+
+
+@contextlib.contextmanager
+def virtual_time() -> Iterator[asyncio.Runner]:
+    """Run coroutines in virtual time; what really takes time on a polled link holds it still."""
+    with links_held(), asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        yield runner
+
+
+@contextlib.contextmanager
+def links_held() -> Iterator[None]:
+    """Hold virtual time still while a polled link opens or waits for a reply."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PolledLink, "open", held(PolledLink.open))
+        patch.setattr(PolledLink, "_reply", held(PolledLink._reply))
+        patch.setattr(SerialPort, "open", held(SerialPort.open))
+        yield
+
+
+def held(call: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
+    """Return the same call, during which virtual time stands still."""
+
+    async def call_held(*words: Any) -> Any:
+        loop = asyncio.get_running_loop()
+        if not isinstance(loop, VirtualLoop):
+            return await call(*words)
+        loop.selector.under_way += 1
+        try:
+            return await call(*words)
+        finally:
+            loop.selector.under_way -= 1
+
+    return call_held
