@@ -31,15 +31,14 @@ demo: $(demonstrable) ## watch the motor being held while disks drop onto its sh
 	@echo "2 of 3: starting a broker, a simulated drive and the daemon, some seconds"
 	@$(bin)/adaptdrive-sim demo motor
 
-test: $(installed) peers ## run the whole test suite
-	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
-	@tests/suite $(bin)/python $(BESIDE)
+test: $(installed) peers ## run the test suite, in about five minutes on two processors
+	$(bin)/python -m pytest -m 'not proof' --numprocesses 2 --dist worksteal -rfEs --durations=10
 
-peers:
+peers: # programs that tests talk to and nobody here wrote
 	@tools/install-peers
 
-quick: $(installed) ## run the tests that need no clock, process, network or virtual machine
-	$(bin)/python -m pytest -rfE -m 'calculating and not slow' --numprocesses auto --dist loadfile
+quick: $(installed) ## run the tests that stay in one process
+	$(bin)/python -m pytest -m 'unit and not proof' --numprocesses auto --dist worksteal -rfE
 
 lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/ruff check
@@ -50,7 +49,8 @@ lint: $(installed) ## lint, formatting, types and import layers
 bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for late ticks
 	$(bin)/python -m tools.benchmarks --minutes $(MINUTES)
 
-proof: $(installed) ## run the long forms of the tests and write docs/proof/proof.md and the faults of docs/proof/reliability.md; takes hours
+proof: $(installed) peers ## run the long forms of the tests and write docs/proof/proof.md and the faults of docs/proof/reliability.md; takes hours
+	@tools/vm/prepare || true
 	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
 	$(bin)/python -m tools.proof docs/proof/proof.md
 
@@ -101,7 +101,7 @@ constraints: ## pin the newest versions of all dependencies
 
 clean: ## remove what was built and cached; the environment in .venv stays
 	rm -rf build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
-	find src simulators tests -name __pycache__ -prune -exec rm -rf {} +
+	find src simulators tests tools -name __pycache__ -prune -exec rm -rf {} +
 
 # What is named here is what the Python of the user, however old, can read.
 new_enough := import sys; sys.version_info >= (3, 11) or sys.exit("$(PYTHON) is Python %d.%d, and 3.11 or newer is needed: make PYTHON=python3.11 ..." % sys.version_info[:2])
