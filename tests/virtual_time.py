@@ -16,6 +16,12 @@ from typing import Any
 
 import pytest
 
+from adaptdrive.clock import tick_timer
+from adaptdrive.hardware.canopen import node as canopen_node
+from adaptdrive.hardware.canopen import port as canopen_port
+from adaptdrive.hardware.dbc import sensors
+from adaptdrive.hardware.link import connection
+from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.polled.link import PolledLink
 
@@ -77,7 +83,48 @@ def links_held() -> Iterator[None]:
         patch.setattr(PolledLink, "open", held(PolledLink.open))
         patch.setattr(PolledLink, "_reply", held(PolledLink._reply))
         patch.setattr(SerialPort, "open", held(SerialPort.open))
+        for module in (connection, canopen_port):
+            patch.setattr(module, "pulsing", pulsing)
+        for module in (canopen_node, sensors):
+            patch.setattr(module, "ArrivalClock", arrival_clock)
         yield
+
+
+@contextlib.contextmanager
+def pulsing(period_s: float, *due: Callable[[], object]) -> Iterator[None]:
+    """Call back on a grid, as that of the kernel's timer, in the time of the running loop."""
+    loop = asyncio.get_running_loop()
+    if not due or not isinstance(loop, VirtualLoop):
+        with tick_timer.pulsing(period_s, *due):
+            yield
+        return
+
+    timers: list[asyncio.TimerHandle] = []
+
+    def arm(deadline_s: float) -> None:
+        timers[:] = [loop.call_at(deadline_s, expire, deadline_s)]
+
+    def expire(deadline_s: float) -> None:
+        arm(deadline_s + period_s)
+        for call in due:
+            call()
+
+    arm(loop.time() + period_s)
+    try:
+        yield
+    finally:
+        timers[0].cancel()
+
+
+def arrival_clock(
+    clock: Callable[[], float], wall_clock: Callable[[], float] = time.time
+) -> ArrivalClock:
+    """Return a clock of arrivals that takes a frame as read at once in virtual time."""
+    try:
+        virtual = isinstance(asyncio.get_running_loop(), VirtualLoop)
+    except RuntimeError:
+        virtual = False
+    return ArrivalClock(clock, clock if virtual else wall_clock)
 
 
 def held(call: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:

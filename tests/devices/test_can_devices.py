@@ -9,12 +9,14 @@ import time
 import pytest
 
 from adaptdrive.app.ports import build_port
+from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.sensors import derived_value
 from tests.devices.can_node import CanNode
 from tests.devices.described import DEVICES, described, running
 from tests.hardware.canopen import peer as canopen_peer
+from tests.hardware.canopen.documents import bus_of
 from tests.hardware.canopen.peer import ENABLED, NODE, Peer
 
 VIRTUAL = {"interface": "virtual"}
@@ -155,8 +157,8 @@ def test_no_value_of_the_brusa_nlg5_is_older_than_the_limit() -> None:
 class Servo(Peer):
     """An EPOS4: a torque of 16 bits follows the controlword."""
 
-    def __init__(self, channel: str) -> None:
-        super().__init__(channel, DEVICES / "maxon-epos4.eds")
+    def __init__(self, config: CanOpenBus) -> None:
+        super().__init__(config, DEVICES / "maxon-epos4.eds")
         self.torques: list[int] = []
 
     def _receive(self, can_id: int, data: bytearray, stamp: float) -> None:
@@ -165,12 +167,13 @@ class Servo(Peer):
         super()._receive(can_id, bytearray(struct.pack("<Hf", word, 0.0)), stamp)
 
 
-async def test_the_maxon_epos4(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_maxon_epos4(monkeypatch: pytest.MonkeyPatch, free_udp_port: int) -> None:
     shown = {"0x6077": 250, "0x606C": 955, "0x603F": 0, "0x2200.1": 480}
     monkeypatch.setattr(canopen_peer, "MEASURED", shown)
-    servo = Servo("epos4")
+    group = {"interface": "udp_multicast", "channel": "239.74.163.5", "udp_port": free_udp_port}
+    configuration = described("maxon-epos4", node_id=NODE, **group)
+    servo = Servo(bus_of(configuration))
     try:
-        configuration = described("maxon-epos4", channel="epos4", node_id=NODE, **VIRTUAL)
         servo.boot()
         async with running(configuration) as bench:
             reading = await bench.reading()

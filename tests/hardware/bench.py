@@ -20,10 +20,11 @@ from crccheck.crc import Crc8SaeJ1850
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.counting import BusBackoff
 from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.port import Reading
+from adaptdrive.hardware.port import Port, Reading
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 MOTOR = load_configuration(EXAMPLES / "motor.toml")
@@ -134,14 +135,27 @@ class Drive:
 
 
 class Ear:
-    """Listens to a port."""
+    """Listens to a port, and answers each reading.
+
+    Attributes:
+        port: Where the answer goes, None for nowhere.
+        command: The answer, None for none.
+        fails: Whether it fails at the next reading.
+    """
 
     def __init__(self) -> None:
         self.readings: list[Reading] = []
         self.bus: list[tuple[bool, str]] = []
+        self.port: Port | None = None
+        self.command: Command | None = SAFE_COMMAND
+        self.fails = False
 
     def on_reading(self, reading: Reading) -> None:
         self.readings.append(reading)
+        if self.fails:
+            raise ZeroDivisionError
+        if self.port is not None and self.command is not None:
+            self.port.send(self.command)
 
     def on_bus(self, up: bool, detail: str) -> None:
         self.bus.append((up, detail))
@@ -159,7 +173,7 @@ class SensorEar:
         self.bus: list[tuple[bool, str]] = []
 
     def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
-        self.heard.append((dict(values), taken_s, time.monotonic()))
+        self.heard.append((dict(values), taken_s, asyncio.get_running_loop().time()))
 
     def on_bus(self, up: bool, detail: str) -> None:
         self.bus.append((up, detail))
@@ -206,12 +220,14 @@ def rewritten(folder: Path, *changes: tuple[str, str], bus: CanBus = MOTOR_BUS) 
 
 
 def build_port(
-    config: CanBus, clock: Clock | None = None, timing: Timing = TIMING, **signals: object
+    config: CanBus,
+    clock: Callable[[], float] | None = None,
+    timing: Timing = TIMING,
+    **signals: object,
 ) -> CanPort:
-    """A port; with a clock of the test, arrivals are exactly what that clock says."""
+    """A port, by the clock of the loop or of the test; a frame that is read has not waited."""
     mapping = map_drive(config, motor_signals(**signals), timing)
-    if clock is None:
-        return CanPort(config, mapping, time.monotonic)
+    clock = clock or asyncio.get_running_loop().time
     return CanPort(config, mapping, clock, clock)
 
 

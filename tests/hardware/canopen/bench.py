@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable
 
 from adaptdrive.app.ports import build_port
-from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.control.signals import Command
 from adaptdrive.hardware.canopen.port import CanOpenPort
-from adaptdrive.hardware.port import Reading
 from tests.hardware import bench as hardware
 from tests.hardware.bench import until
-from tests.hardware.canopen.documents import bus_of, parse
+from tests.hardware.canopen.documents import parse
 from tests.hardware.canopen.peer import Peer
 
 HALF_CYCLE_S = 1.0 / 120.0
@@ -22,7 +20,7 @@ RUN = Command(current_scale_S=0.0, boost_reference_V=300.0, bridge=True)
 
 
 class Ear(hardware.Ear):
-    """Listens to a port and answers each reading with a command.
+    """Listens to a port and answers each reading.
 
     Attributes:
         lost: Called once, when the loop is next free after the node was lost.
@@ -30,14 +28,7 @@ class Ear(hardware.Ear):
 
     def __init__(self) -> None:
         super().__init__()
-        self.command: Command | None = SAFE_COMMAND
-        self.port: CanOpenPort | None = None
         self.lost: Callable[[], object] | None = None
-
-    def on_reading(self, reading: Reading) -> None:
-        super().on_reading(reading)
-        if self.port is not None and self.command is not None:
-            self.port.send(self.command)
 
     def on_bus(self, up: bool, detail: str) -> None:
         super().on_bus(up, detail)
@@ -50,13 +41,12 @@ class Bench:
     """A port, an ear and a node."""
 
     def __init__(self, peer: Peer, stop_s: float = 0.5, **bus: object) -> None:
-        place = {"bus/interface": peer.interface, "bus/channel": peer.channel}
-        configuration = parse({**place, "interlocks/stop_s": stop_s})
-        config = bus_of(configuration).model_copy(update=bus)
+        configuration = parse({"interlocks/stop_s": stop_s})
+        config = peer.config.model_copy(update=bus)
         self.peer = peer
         self.ear = Ear()
         changed = configuration.model_copy(update={"bus": config})
-        port = build_port(changed, time.monotonic, "bench.toml")
+        port = build_port(changed, asyncio.get_running_loop().time, "bench.toml")
         assert isinstance(port, CanOpenPort)
         self.port = port
         self.ear.port = self.port

@@ -37,6 +37,11 @@ def bus_of(configuration: Configuration) -> CanOpenBus:
     return configuration.bus
 
 
+def place(udp_port: int) -> CanOpenBus:
+    """`[bus]` of the example on another port."""
+    return bus_of(parse({"bus/udp_port": udp_port}))
+
+
 def plan(changes: dict[str, Any] | None = None) -> CanOpenMapping:
     configuration = parse(changes)
     return map_drive(bus_of(configuration), configuration.signals, "bench.toml")

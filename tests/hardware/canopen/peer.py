@@ -1,4 +1,4 @@
-"""A CiA 402 node made of the canopen library's own parts, in threads of its own.
+"""A CiA 402 node made of the canopen library's own parts, in the event loop of the test.
 
 Its SDO server, heartbeat, emergencies and PDOs are the library's; only the way from controlword to
 statusword is written here, and it does what a test tells it to.
@@ -6,15 +6,18 @@ statusword is written here, and it does what a test tells it to.
 
 from __future__ import annotations
 
+import asyncio
 import math
 import struct
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import can
 import canopen
 
+from adaptdrive.config.bus import CanOpenBus
+from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.canopen.documents import EDS
 
 NODE = 5
@@ -34,13 +37,13 @@ class Watch:
     @property
     def expired(self) -> bool:
         """Whether a heartbeat has stayed away for the time-out, now or before."""
-        self._expired = self._expired or time.monotonic() > self._due_s
+        self._expired = self._expired or asyncio.get_running_loop().time() > self._due_s
         return self._expired
 
     def hear(self) -> None:
         """Take a heartbeat."""
         if not self.expired:
-            self._due_s = time.monotonic() + self._timeout_s()
+            self._due_s = asyncio.get_running_loop().time() + self._timeout_s()
 
     def restart(self) -> None:
         """Forget the heartbeats: the entry is written."""
@@ -48,11 +51,53 @@ class Watch:
             self._due_s = math.inf
 
 
+class Periodic:
+    """A frame that is sent again and again until it is stopped."""
+
+    def __init__(self, send: Callable[[bytes], None], data: bytes, period_s: float) -> None:
+        self._send, self._data, self._period_s = send, data, period_s
+        self._go()
+
+    def _go(self) -> None:
+        self._send(self._data)
+        self._timer = asyncio.get_running_loop().call_later(self._period_s, self._go)
+
+    def update(self, data: bytes) -> None:
+        self._data = bytes(data)
+
+    def stop(self) -> None:
+        self._timer.cancel()
+
+
+class LoopNetwork(canopen.Network):
+    """The library's network, which the event loop reads and times."""
+
+    def open(self, config: CanOpenBus) -> None:
+        """Go on the bus."""
+        self.bus = open_bus(config)
+        asyncio.get_running_loop().add_reader(self.bus.fileno(), self._read, self.bus)
+
+    def _read(self, bus: can.BusABC) -> None:
+        while self.bus is bus and (frame := bus.recv(0)) is not None:
+            self.listeners[0].on_message_received(frame)
+
+    def send_periodic(  # type: ignore[override]
+        self, can_id: int, data: bytes, period: float, remote: bool = False
+    ) -> Periodic:
+        return Periodic(lambda now: self.send_message(can_id, now, remote), bytes(data), period)
+
+    def disconnect(self) -> None:
+        if self.bus is not None:
+            asyncio.get_running_loop().remove_reader(self.bus.fileno())
+        super().disconnect()
+
+
 class Peer:
-    """One node on a bus, which is in this process unless told otherwise.
+    """One node on a bus.
 
     Attributes:
         words: Controlwords heard.
+        references_V: Commanded voltage beside each of them.
         beats: Heartbeats of the daemon heard.
         statusword: What the next PDO says.
         obeys: Whether the statusword follows the controlword.
@@ -63,10 +108,9 @@ class Peer:
         watch: Its watch over the daemon's heartbeat, which switches it off; None for none.
     """
 
-    def __init__(self, channel: str, eds: Path = EDS, interface: str = "virtual") -> None:
-        self.interface = interface
-        self.channel = channel
-        self.network = canopen.Network()
+    def __init__(self, config: CanOpenBus, eds: Path = EDS) -> None:
+        self.config = config
+        self.network = LoopNetwork()
         self.join()
         self.node = canopen.LocalNode(NODE, str(eds))
         self.network.add_node(self.node)
@@ -75,6 +119,7 @@ class Peer:
         self.network.subscribe(0x77F, self._beat)
         self.network.subscribe(0x000, self._start)
         self.words: list[int] = []
+        self.references_V: list[float] = []
         self.beats: list[bytes] = []
         self.statusword = REST
         self.obeys = True
@@ -86,7 +131,7 @@ class Peer:
 
     def join(self) -> None:
         """Go on the bus."""
-        self.network.connect(interface=self.interface, channel=self.channel, ignore_config=True)
+        self.network.open(self.config)
 
     def leave(self) -> None:
         """Leave the bus."""
@@ -160,8 +205,9 @@ class Peer:
     def _receive(self, _: int, data: bytearray, __: float) -> None:
         if self.deaf and self.node.nmt.state != "OPERATIONAL":
             return
-        word, _reference = struct.unpack("<Hf", data)
+        word, reference_V = struct.unpack("<Hf", data)
         self.words.append(word)
+        self.references_V.append(reference_V)
         if self.obeys:
             self.statusword = _ANSWERS.get(word, self.statusword)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
 
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import RUN, running
+from tests.hardware.canopen.documents import bus_of, parse
 from tests.hardware.canopen.peer import Peer
 from tests.scenes.vcan.peers import Link
 
@@ -16,8 +17,9 @@ pytestmark = pytest.mark.vcan
 
 
 @pytest.fixture
-def peer(channel: str) -> Iterator[Peer]:
-    peer = Peer(channel, interface="socketcan")
+async def peer(channel: str) -> AsyncIterator[Peer]:
+    on_kernel = {"interface": "socketcan", "channel": channel}
+    peer = Peer(bus_of(parse()).model_copy(update=on_kernel))
     yield peer
     peer.close()
 
