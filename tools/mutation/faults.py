@@ -1,0 +1,140 @@
+"""Do the tests notice faults put by hand into safety code? `python -m tools.mutation.faults`.
+
+`faults.toml` lists them: what goes wrong, the text that is changed, and the tests that must notice.
+Each is put into a copy of the sources, one after the other, and its tests run as `make test` runs
+them; the checkout stays as it is. Parts of names or of files (`watchdog`, `runtime/`) choose some
+of them. The result is 1 where one survives or applies no longer, or where tests fail without any.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FAULTS = Path(__file__).with_name("faults.toml")
+_NO_TESTS = 5
+"""Status of pytest that has found no test."""
+_LONGEST_S = 600.0
+"""Longest run of the tests of one fault: one that lets them hang is noticed, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault.
+
+    Attributes:
+        name: What goes wrong.
+        file: Its file, below the package.
+        old: Text that is there once.
+        new: Text in its place.
+        tests: Files or folders of the tests that must notice it.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+    def applied(self, text: str) -> str | None:
+        """Return the file with the fault, None where its text is not there once."""
+        return text.replace(self.old, self.new) if text.count(self.old) == 1 else None
+
+    @property
+    def places(self) -> list[str]:
+        """Its tests; the folder stands for a file that has another name by now."""
+        found = (ROOT / "tests" / test for test in self.tests)
+        existing = (path if path.exists() else path.parent for path in found)
+        return [str(path.relative_to(ROOT)) for path in dict.fromkeys(existing)]
+
+
+def faults() -> Iterator[Fault]:
+    """Yield all faults of the list."""
+    for entry in tomllib.loads(FAULTS.read_text(encoding="utf-8"))["fault"]:
+        yield Fault(**{**entry, "tests": tuple(entry["tests"])})
+
+
+def source(fault: Fault, root: Path = ROOT / "src") -> Path:
+    """Return the file of a fault below a folder of sources."""
+    return root / "adaptdrive" / fault.file
+
+
+def _run(sources: Path, tests: Sequence[str], **more: str) -> tuple[bool, str]:
+    """Run tests on a copy of the sources; return whether they pass, and the last of their text."""
+    paths = os.pathsep.join([str(sources), str(ROOT / "simulators")])
+    environment = {**os.environ, "PYTHONPATH": paths, "CI": "1", **more}
+    words = ["-m", "not proof", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    paths_first = f"pythonpath={sources} {ROOT / 'simulators'} ."
+    command = [sys.executable, "-m", "pytest", *words, "-o", paths_first, *tests]
+    try:
+        done = subprocess.run(
+            command,
+            cwd=ROOT,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_LONGEST_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return False, f"no end within {_LONGEST_S:g} s"
+    if done.returncode == _NO_TESTS:
+        return True, "no test"
+    return done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+
+
+def _failed_test(text: str) -> str:
+    """Return the test that has noticed a fault, as far as the output names it."""
+    named = [line for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return named[0].partition(" - ")[0] if named else "the tests do not run"
+
+
+def _try(fault: Fault, sources: Path) -> bool:
+    """Try one fault in a copy of the sources; return whether the tests notice it."""
+    file, began_s = source(fault, sources), time.monotonic()
+    sound = file.read_text(encoding="utf-8")
+    spoilt = fault.applied(sound)
+    if spoilt is None:
+        sys.stdout.write(f"no longer applies: {fault.name} ({fault.file})\n")
+        return False
+    file.write_text(spoilt, encoding="utf-8")
+    try:
+        # no other run may find a fault in the bytecode
+        passed, text = _run(sources, fault.places, PYTHONDONTWRITEBYTECODE="1")
+    finally:
+        file.write_text(sound, encoding="utf-8")
+    verdict = "SURVIVED" if passed else "killed"
+    how = ", ".join(fault.places) if passed else _failed_test(text)
+    sys.stdout.write(f"{verdict}: {fault.name} [{how}] {time.monotonic() - began_s:.0f} s\n")
+    sys.stdout.flush()
+    return not passed
+
+
+def main() -> int:
+    """Try the faults whose names have one of the given texts, or all."""
+    words = sys.argv[1:] or [""]
+    chosen = [one for one in faults() if any(word in one.name + one.file for word in words)]
+    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+        sources = Path(folder, "src")
+        shutil.copytree(ROOT / "src", sources, ignore=shutil.ignore_patterns("__pycache__"))
+        every = sorted({place for fault in chosen for place in fault.places})
+        passed, text = _run(sources, every)
+        if not passed:
+            sys.stdout.write(f"the tests fail without a fault:\n{text}\n")
+            return 1
+        missed = [fault for fault in chosen if not _try(fault, sources)]
+    sys.stdout.write(f"{len(chosen) - len(missed)} of {len(chosen)} faults were noticed\n")
+    return int(bool(missed) or not chosen)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
