@@ -48,6 +48,27 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP),  # the loop's order
 }
 
+_CAN_PORT = ("tests/contracts/port/test_port.py", "tests/hardware/test_can_port.py")
+_CANOPEN_PORT = ("tests/contracts/port/test_port.py", "tests/hardware/canopen/test_port.py")
+
+HARDWARE: dict[str, tuple[str, ...]] = {
+    "adaptdrive.hardware.dbc.port": _CAN_PORT,
+    "adaptdrive.hardware.dbc.mapping": ("tests/hardware/test_can_mapping.py", *_CAN_PORT),
+    "adaptdrive.hardware.link.codec": ("tests/hardware/test_can_codec.py",),
+    "adaptdrive.hardware.link.integrity": (
+        "tests/hardware/test_can_integrity.py",
+        "tests/hardware/test_can_codec.py",
+    ),
+    "adaptdrive.hardware.link.arrival": ("tests/hardware/test_arrival.py",),
+    "adaptdrive.hardware.canopen.port": (
+        *_CANOPEN_PORT,
+        "tests/hardware/canopen/test_frames.py",
+        "tests/hardware/canopen/test_unseen.py",
+    ),
+    "adaptdrive.hardware.fault_latch": ("tests/hardware/test_fault_words.py", *_CAN_PORT),
+    "adaptdrive.hardware.doubts": (*_CAN_PORT, "tests/hardware/canopen/test_port.py"),
+}
+
 OPERATION: dict[str, tuple[str, ...]] = {
     "adaptdrive.operation.desk": ("tests/operation/test_desk.py",),
 }
@@ -142,4 +163,4 @@ PARTS = {
 
 CONTROL = SUPERVISION | LEARNING | DESIGN | HALVES
 
-TARGETS = RUNTIME | OPERATION | CONTROL
+TARGETS = RUNTIME | HARDWARE | OPERATION | CONTROL
