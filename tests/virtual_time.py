@@ -14,6 +14,7 @@ import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
+import can
 import pytest
 
 from adaptdrive.clock import tick_timer
@@ -24,6 +25,7 @@ from adaptdrive.hardware.link import connection
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.polled.link import PolledLink
+from tests.hardware.can_memory import open_memory
 
 PATIENCE_s = 5.0
 """Longest real wait for one byte, thread or reply; a test that needs it would hang otherwise."""
@@ -78,11 +80,15 @@ def virtual_time() -> Iterator[asyncio.Runner]:
 
 @contextlib.contextmanager
 def links_held() -> Iterator[None]:
-    """Hold virtual time still while a polled link opens or waits for a reply."""
+    """Hold virtual time still while a polled link opens or waits for a reply.
+
+    Buses of CAN in this process are in memory, and their times those of the loop.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PolledLink, "open", held(PolledLink.open))
         patch.setattr(PolledLink, "_reply", held(PolledLink._reply))
         patch.setattr(SerialPort, "open", held(SerialPort.open))
+        patch.setattr(can, "Bus", open_memory)
         for module in (connection, canopen_port):
             patch.setattr(module, "pulsing", pulsing)
         for module in (canopen_node, sensors):

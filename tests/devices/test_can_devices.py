@@ -167,11 +167,10 @@ class Servo(Peer):
         super()._receive(can_id, bytearray(struct.pack("<Hf", word, 0.0)), stamp)
 
 
-async def test_the_maxon_epos4(monkeypatch: pytest.MonkeyPatch, free_udp_port: int) -> None:
+async def test_the_maxon_epos4(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = {"0x6077": 250, "0x606C": 955, "0x603F": 0, "0x2200.1": 480}
     monkeypatch.setattr(canopen_peer, "MEASURED", shown)
-    group = {"interface": "udp_multicast", "channel": "239.74.163.5", "udp_port": free_udp_port}
-    configuration = described("maxon-epos4", node_id=NODE, **group)
+    configuration = described("maxon-epos4", channel="epos4", node_id=NODE, **VIRTUAL)
     servo = Servo(bus_of(configuration))
     try:
         servo.boot()

@@ -59,6 +59,11 @@ def odd_database(signals: str) -> Database:
     return database
 
 
+def memory_bus(**changes: object) -> CanBus:
+    """`[bus]` of the example in this process, changed."""
+    return motor_bus(**{"interface": "virtual", "channel": "motor", **changes})
+
+
 def motor_bus(**changes: object) -> CanBus:
     """`[bus]` of the example, changed."""
     return MOTOR_BUS.model_copy(update=changes)

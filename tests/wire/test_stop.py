@@ -18,7 +18,7 @@ from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
 from tests.config.modbus_documents import parse as modbus_parse
 from tests.hardware import bench as can_bench
-from tests.hardware.canopen.documents import other_eds, parse, place
+from tests.hardware.canopen.documents import IN_MEMORY, other_eds, parse
 from tests.hardware.canopen.peer import ENABLED, FAULT, MEASURED, Peer
 from tests.hardware.modbus.bench import MAP, TcpPeer
 from tests.wire.rig import Rig, rigged, until
@@ -79,12 +79,10 @@ async def test_a_bridge_that_stays_on_is_announced(free_udp_port: int) -> None:
         assert rig.state.stop is StopWord.CONFIRMED
 
 
-async def test_a_node_that_stays_enabled_is_announced(
-    free_udp_port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_node_that_stays_enabled_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
-    with contextlib.closing(Peer(place(free_udp_port))) as peer:
-        bus = {"bus/udp_port": free_udp_port}
+    with contextlib.closing(Peer()) as peer:
+        bus = IN_MEMORY
         async with rigged(parse({**PATIENT_NODE, **bus})) as rig:
             await rig.run()
             await until(lambda: peer.statusword == ENABLED)
@@ -109,11 +107,11 @@ async def test_a_node_that_stays_enabled_is_announced(
     "statusword", [0x0217, 0x0247], ids=["quick stop active", "no state of CiA 402"]
 )
 async def test_a_node_that_does_not_leave_a_powered_state_is_announced(
-    statusword: int, free_udp_port: int, monkeypatch: pytest.MonkeyPatch
+    statusword: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
-    with contextlib.closing(Peer(place(free_udp_port))) as peer:
-        bus = {"bus/udp_port": free_udp_port}
+    with contextlib.closing(Peer()) as peer:
+        bus = IN_MEMORY
         async with rigged(parse({**PATIENT_NODE, **bus})) as rig:
             await rig.run()
             await until(lambda: peer.statusword == ENABLED)
@@ -148,13 +146,13 @@ async def test_a_fault_beside_values_that_are_not_available_trips_and_the_stop_i
 
 
 async def test_a_node_in_a_fault_without_values_trips_and_its_stop_is_confirmed(
-    tmp_path: Path, free_udp_port: int, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
     limited = "ParameterName=DC link circuit voltage\n"
     eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=450000\n"))
-    with contextlib.closing(Peer(place(free_udp_port), eds)) as peer:
-        bus = {"bus/udp_port": free_udp_port, "bus/eds": str(eds)}
+    with contextlib.closing(Peer(eds=eds)) as peer:
+        bus = {**IN_MEMORY, "bus/eds": str(eds)}
         async with rigged(parse({**PATIENT_NODE, **bus})) as rig:
             await rig.run()
             await until(lambda: peer.statusword == ENABLED)

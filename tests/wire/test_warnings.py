@@ -11,8 +11,8 @@ import pytest
 
 from adaptdrive.runtime.reports import Severity, State
 from tests.config.modbus_documents import parse as modbus_parse
+from tests.hardware.canopen.documents import IN_MEMORY
 from tests.hardware.canopen.documents import parse as canopen_parse
-from tests.hardware.canopen.documents import place
 from tests.hardware.canopen.peer import MEASURED, Peer
 from tests.hardware.modbus.bench import MAP, TcpPeer
 from tests.wire.rig import Rig, rigged, until
@@ -58,15 +58,15 @@ async def on_modbus(free_tcp_port: int) -> AsyncIterator[Drive]:
 
 
 @contextlib.asynccontextmanager
-async def on_canopen(monkeypatch: pytest.MonkeyPatch, udp_port: int) -> AsyncIterator[Drive]:
+async def on_canopen(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Drive]:
     monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
     monkeypatch.setitem(MEASURED, "0x603F", 0)
-    with contextlib.closing(Peer(place(udp_port))):
+    with contextlib.closing(Peer()):
         words = {"mask": 0x70, "names": {"4": "derating", "5": "fan"}}
         configuration = canopen_parse(
             {
                 **PATIENT_NODE,
-                "bus/udp_port": udp_port,
+                **IN_MEMORY,
                 "signals/fault": {"signal": "0x603F", "mask": 0x0F},
                 "signals/warning": [{"signal": "0x603F", **words}],
             }
@@ -89,7 +89,7 @@ async def drive(
         case "modbus":
             opened = on_modbus(free_tcp_port)
         case _:
-            opened = on_canopen(monkeypatch, free_udp_port)
+            opened = on_canopen(monkeypatch)
     async with opened as found:
         yield found
 

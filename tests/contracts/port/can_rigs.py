@@ -1,4 +1,4 @@
-"""Rigs on CAN multicast: a drive of a DBC, and a CiA 402 node of the canopen library."""
+"""Rigs on a CAN bus in memory: a drive of a DBC, and a CiA 402 node of the canopen library."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from adaptdrive.config.bus import CanLink
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.link.bus import open_bus
 from tests.contracts.port.rig import Rig
-from tests.hardware.bench import MOTOR, STATUS, Drive, Ear, motor_bus, reference_database, with_crc
-from tests.hardware.canopen.documents import other_eds, parse, place
+from tests.hardware.bench import MOTOR, STATUS, Drive, Ear, memory_bus, reference_database, with_crc
+from tests.hardware.canopen.documents import MEMORY, other_eds, parse
 from tests.hardware.canopen.peer import ENABLED, FAULT, MEASURED, REST, Peer
 
 _LIMITED = "ParameterName=DC link circuit voltage\n"
@@ -63,8 +63,8 @@ class DbcRig(_CanRig):
 
     command_id = 0x080
 
-    def __init__(self, _: Path, udp_port: int, stop_s: float) -> None:
-        self._config = motor_bus(udp_port=udp_port)
+    def __init__(self, _: Path, stop_s: float) -> None:
+        self._config = memory_bus()
         interlocks = MOTOR.interlocks.model_copy(update={"stop_s": stop_s})
         changes = {"bus": self._config, "interlocks": interlocks}
         clock = asyncio.get_running_loop().time
@@ -149,10 +149,10 @@ class CanOpenRig(_CanRig):
     command_id = 0x205
     outlives_loss = False
 
-    def __init__(self, folder: Path, udp_port: int, stop_s: float) -> None:
+    def __init__(self, folder: Path, stop_s: float) -> None:
         self._eds = other_eds(folder, (_LIMITED, f"{_LIMITED}HighLimit=450000\n"))
         times = {"heartbeat_timeout_s": 2.0, "sdo_timeout_s": 2.0}
-        self._config = place(udp_port).model_copy(update={"eds": self._eds, **times})
+        self._config = MEMORY.model_copy(update={"eds": self._eds, **times})
         changed = parse({"interlocks/stop_s": stop_s}).model_copy(update={"bus": self._config})
         clock = asyncio.get_running_loop().time
         super().__init__(build_port(changed, clock, "bench.toml"), Ear())

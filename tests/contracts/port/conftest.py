@@ -15,9 +15,9 @@ RIGS = {"can": DbcRig, "canopen": CanOpenRig}
 
 
 @pytest.fixture(params=RIGS)
-def build(request: pytest.FixtureRequest, tmp_path: Path, free_udp_port: int) -> Build:
+def build(request: pytest.FixtureRequest, tmp_path: Path) -> Build:
     """Makes the rig of each bus in turn."""
-    return functools.partial(RIGS[request.param], tmp_path, free_udp_port)
+    return functools.partial(RIGS[request.param], tmp_path)
 
 
 @pytest.fixture

@@ -37,9 +37,9 @@ def bus_of(configuration: Configuration) -> CanOpenBus:
     return configuration.bus
 
 
-def place(udp_port: int) -> CanOpenBus:
-    """`[bus]` of the example on another port."""
-    return bus_of(parse({"bus/udp_port": udp_port}))
+IN_MEMORY = {"bus/interface": "virtual", "bus/channel": "cia402"}
+MEMORY = bus_of(parse(IN_MEMORY))
+"""`[bus]` of the example in this process."""
 
 
 def plan(changes: dict[str, Any] | None = None) -> CanOpenMapping:

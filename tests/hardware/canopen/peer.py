@@ -18,7 +18,7 @@ import canopen
 
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.hardware.link.bus import open_bus
-from tests.hardware.canopen.documents import EDS
+from tests.hardware.canopen.documents import EDS, MEMORY
 
 NODE = 5
 REST, READY, SWITCHED_ON, ENABLED, FAULT = 0x0240, 0x0221, 0x0233, 0x0237, 0x0208
@@ -108,7 +108,7 @@ class Peer:
         watch: Its watch over the daemon's heartbeat, which switches it off; None for none.
     """
 
-    def __init__(self, config: CanOpenBus, eds: Path = EDS) -> None:
+    def __init__(self, config: CanOpenBus = MEMORY, eds: Path = EDS) -> None:
         self.config = config
         self.network = LoopNetwork()
         self.join()

@@ -21,18 +21,13 @@ from adaptdrive.hardware.canopen.watch import CanOpenWatch
 from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import RUN, Bench, Ear, driven, ready, running
-from tests.hardware.canopen.documents import other_eds, parse, place, without
+from tests.hardware.canopen.documents import MEMORY, other_eds, parse, without
 from tests.hardware.canopen.peer import FAULT, MEASURED, NODE, REST, Peer
 
 
 @pytest.fixture
-def config(free_udp_port: int) -> CanOpenBus:
-    return place(free_udp_port)
-
-
-@pytest.fixture
-async def peer(config: CanOpenBus) -> AsyncIterator[Peer]:
-    peer = Peer(config)
+async def peer() -> AsyncIterator[Peer]:
+    peer = Peer()
     yield peer
     peer.close()
 
@@ -320,11 +315,11 @@ async def test_a_heartbeat_that_stays_away_is_told_and_the_node_set_up_again(pee
 
 
 async def test_a_node_without_values_confirms_its_stop_once_it_is_set_up_again(
-    tmp_path: Path, config: CanOpenBus, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limited = "ParameterName=DC link circuit voltage\n"
     eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=450000\n"))
-    with contextlib.closing(Peer(config, eds)) as peer:
+    with contextlib.closing(Peer(eds=eds)) as peer:
         async with driven(peer, eds=eds) as bench:
             bench.ear.command = SAFE_COMMAND
             peer.boot()
@@ -446,10 +441,10 @@ async def test_another_drive_than_that_of_the_eds_is_left_alone(
 
 @pytest.mark.parametrize(("index", "verb"), [("6007", "write 0x6007"), ("6060", "write 0x6060")])
 async def test_what_the_drive_has_not_though_the_eds_says_so_is_named(
-    tmp_path: Path, config: CanOpenBus, index: str, verb: str
+    tmp_path: Path, index: str, verb: str
 ) -> None:
     eds = other_eds(tmp_path, without(index))
-    with contextlib.closing(Peer(config, eds)) as peer:
+    with contextlib.closing(Peer(eds=eds)) as peer:
         async with running(peer) as bench:
             assert "object does not exist" in await bench.complains(f"cannot {verb}")
 
@@ -469,10 +464,10 @@ PDOMapping=0
     ("option", "written"), [(0, 0), (2, 2), (5, 1), (6, 2), (8, 4), (-1, 0xFFFF)]
 )
 async def test_a_quick_stop_ends_where_no_single_command_ends_it(
-    tmp_path: Path, config: CanOpenBus, option: int, written: int
+    tmp_path: Path, option: int, written: int
 ) -> None:
     eds = other_eds(tmp_path, ("[6060]", QUICK_STOP.format(option)))
-    with contextlib.closing(Peer(config, eds)) as peer:
+    with contextlib.closing(Peer(eds=eds)) as peer:
         async with running(peer, eds=eds) as bench:
             await bench.ready()
         assert peer.number(0x605A) == written
@@ -480,11 +475,10 @@ async def test_a_quick_stop_ends_where_no_single_command_ends_it(
 
 async def test_a_frame_id_that_is_too_long_is_refused_like_any_other_answer(
     tmp_path: Path,
-    config: CanOpenBus,
 ) -> None:
     entry = "DataType={}\nAccessType=rw\nDefaultValue=$NODEID+{}"
     longer = entry.format("0x0007", "0x80000300"), entry.format("0x001B", "0x300")
-    with contextlib.closing(Peer(config, other_eds(tmp_path, longer))) as peer:
+    with contextlib.closing(Peer(eds=other_eds(tmp_path, longer))) as peer:
         async with running(peer) as bench:
             await bench.complains("0x1401.1 has 8 bytes, a number has at most 4")
 
@@ -495,12 +489,12 @@ async def test_a_drive_that_keeps_another_value_is_not_trusted(peer: Peer) -> No
         await bench.complains("0x1016.1 is 0x007e07d0 after 0x007f07d0 was written")
 
 
-async def test_a_drive_that_is_not_there_is_waited_for(tmp_path: Path, config: CanOpenBus) -> None:
-    absent = Peer(config)
+async def test_a_drive_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
+    absent = Peer()
     absent.close()
     async with running(absent, sdo_timeout_s=0.1) as bench:
         await bench.complains("no answer when asked to read 0x1000")
-        with contextlib.closing(Peer(config)) as peer:
+        with contextlib.closing(Peer()) as peer:
             peer.boot()
             await bench.ready()
 
@@ -535,10 +529,8 @@ async def test_looking_at_a_drive_writes_nothing_to_it(peer: Peer) -> None:
     assert peer.node.nmt.state == "INITIALISING"  # as it was: nobody has said a word of NMT
 
 
-async def test_looking_at_a_drive_that_does_not_answer_says_so(
-    tmp_path: Path, config: CanOpenBus
-) -> None:
-    watch = watching(config.model_copy(update={"sdo_timeout_s": 0.05}))
+async def test_looking_at_a_drive_that_does_not_answer_says_so(tmp_path: Path) -> None:
+    watch = watching(MEMORY.model_copy(update={"sdo_timeout_s": 0.05}))
     ear = Ear()
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(watch.run(ear, lambda: None))

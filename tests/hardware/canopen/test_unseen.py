@@ -18,7 +18,7 @@ from adaptdrive.hardware.canopen.profile import (
 )
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import CHARGE, RUN, running
-from tests.hardware.canopen.documents import bus_of, flaws, parse, place
+from tests.hardware.canopen.documents import bus_of, flaws, parse
 from tests.hardware.canopen.peer import ENABLED, READY, REST, SWITCHED_ON, Peer
 from tests.runtime.bench import FAST, running_bench
 
@@ -91,10 +91,8 @@ def test_a_silence_before_it_is_commanded_on_stops_nothing() -> None:
     assert control.controlword(CHARGE) == SWITCH_ON
 
 
-async def test_the_port_complains_of_a_drive_that_was_silent_while_it_was_commanded_on(
-    free_udp_port: int,
-) -> None:
-    peer = Peer(place(free_udp_port))
+async def test_the_port_complains_of_a_drive_that_was_silent_while_it_was_commanded_on() -> None:
+    peer = Peer()
     try:
         async with running(peer, heartbeat_timeout_s=1.0, heartbeat_s=0.1) as bench:
             await bench.ready()
