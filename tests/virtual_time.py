@@ -20,6 +20,7 @@ import pytest
 from adaptdrive.clock import tick_timer
 from adaptdrive.hardware.canopen import node as canopen_node
 from adaptdrive.hardware.canopen import port as canopen_port
+from adaptdrive.hardware.dbc import port as dbc_port
 from adaptdrive.hardware.dbc import sensors
 from adaptdrive.hardware.link import connection
 from adaptdrive.hardware.link.arrival import ArrivalClock
@@ -91,7 +92,7 @@ def links_held() -> Iterator[None]:
         patch.setattr(can, "Bus", open_memory)
         for module in (connection, canopen_port):
             patch.setattr(module, "pulsing", pulsing)
-        for module in (canopen_node, sensors):
+        for module in (canopen_node, dbc_port, sensors):
             patch.setattr(module, "ArrivalClock", arrival_clock)
         yield
 
@@ -125,12 +126,12 @@ def pulsing(period_s: float, *due: Callable[[], object]) -> Iterator[None]:
 def arrival_clock(
     clock: Callable[[], float], wall_clock: Callable[[], float] = time.time
 ) -> ArrivalClock:
-    """Return a clock of arrivals that takes a frame as read at once in virtual time."""
+    """Return a clock of arrivals whose stamps are those of the loop in virtual time."""
     try:
         virtual = isinstance(asyncio.get_running_loop(), VirtualLoop)
     except RuntimeError:
         virtual = False
-    return ArrivalClock(clock, clock if virtual else wall_clock)
+    return ArrivalClock(clock, clock if virtual and wall_clock is time.time else wall_clock)
 
 
 def held(call: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
