@@ -53,33 +53,6 @@ def test_innovations_that_are_all_alike_are_one_sample() -> None:
     assert correlation_factor(state) == pytest.approx(math.sqrt(state.residual_weight), rel=0.01)
 
 
-@pytest.mark.parametrize("lag", [48.0, 50.0])
-def test_innovations_that_do_not_differ_are_one(lag: float) -> None:
-    """Their deviation is wider by the root of their number."""
-    state = fed(np.zeros(9))
-    state.residual_power, state.residual_lag = 48.0, lag
-    assert correlation_factor(state) == pytest.approx(math.sqrt(state.residual_weight))
-
-
-@pytest.mark.parametrize("lag", [-30.0, 0.0, 0.5, 12.0])
-def test_a_correlation_widens_by_its_factor_and_none_narrows(lag: float) -> None:
-    state = fed(np.zeros(9))
-    state.residual_power, state.residual_lag = 48.0, lag
-    correlation = max(0.0, lag / 48.0)
-    factor = math.sqrt((1.0 + correlation) / (1.0 - correlation))
-    assert correlation_factor(state) == pytest.approx(factor)
-
-
-def test_without_an_innovation_nothing_is_widened() -> None:
-    assert correlation_factor(fed(np.zeros(0))) == 1.0
-
-
-def test_an_estimate_whose_bias_walks_follows_what_correlates() -> None:
-    state = fed(np.full(500, 0.1))
-    state.integrated.in_force = True
-    assert correlation_factor(state) == 1.0
-
-
 def test_the_deviations_shown_are_wider_by_the_factor() -> None:
     state, values = fed(np.full(500, 0.1)), [0.011, 33.4, 234.0]
     wide = doubted_deviations(state, LONG, MOTOR, values)

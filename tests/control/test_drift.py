@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
+from adaptdrive.control.branch import Branch, Datum
 from adaptdrive.control.certainty import deviations_of
+from adaptdrive.control.drift import OFFSET_WALK, learn_sample
 from adaptdrive.control.settings import Learning
+from adaptdrive.control.ud_factors import covariance
 from tests.control.learning import (
     BATH,
     BATH_LEARNING,
@@ -87,3 +90,15 @@ def middle_error(courses: list[Course]) -> float:
 def test_an_inflow_that_stands_leaves_the_estimate_right() -> None:
     assert np.max(course(DRIFTS, 0.0).relative) < 0.005
     assert np.max(course(DRIFTS, 0.0, 0.02).relative) < 0.04
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+def test_an_offset_that_drifts_is_less_certain_by_its_walk(*, drifts: bool) -> None:
+    """A sample of it alone leaves 1/(1/p + 1), and the walk adds its variance."""
+    learning = replace(DRIFTS, drifts=drifts, forgetting=1.0)
+    branch = Branch([0.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.25, 0.5])
+    learn_sample(branch, Datum([0.0, 1.0], 0.3), learning, 0.0)
+    variances = np.diag(np.array(covariance(branch.upper, branch.diagonal)).reshape(2, 2))
+    walked = OFFSET_WALK**2 if drifts else 0.0
+    assert variances == pytest.approx([0.25, 0.5 / 1.5 + walked])
+    assert branch.theta == pytest.approx([0.0, 0.3 / 3.0])

@@ -14,6 +14,7 @@ from adaptdrive.control import estimator as est
 from adaptdrive.control import regression as reg
 from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
+from adaptdrive.control.regression import theta_of
 from adaptdrive.control.rls import predict
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.learning import fill_sample
@@ -209,6 +210,34 @@ def test_while_it_is_explained_the_load_is_in_doubt_and_shown_so(other_load: See
     assert np.mean(held) > 0.9
 
 
+def parameters(disks: float, offset_V: float) -> Array:
+    """θ of the motor, with an offset of the input and no initial state."""
+    values = theta_of(LEARNING, MOTOR, *MOTOR.realise(truth(disks).tolist()))
+    return np.array([*values, 0.0, 0.0, values[2] * offset_V / LEARNING.input_scale])
+
+
+@pytest.mark.parametrize(
+    ("disks", "offsets_V"),
+    [((1, 3), (0.0, 0.0)), ((3, 1), (-20.0, -20.0)), ((2, 2), (0.0, -20.0)), ((1, 2), (0.0, 15.0))],
+)
+def test_what_a_change_leaves_follows_from_the_change(
+    disks: tuple[float, float], offsets_V: tuple[float, float]
+) -> None:
+    """What a change of θ leaves in the filters is known from the samples at the change."""
+    voltages, outputs = course(disks, offsets_V)
+    y, u = outputs / LEARNING.output_scale, voltages / LEARNING.input_scale
+    y1, u1, one = lagged(y, held=False), lagged(u, held=True), np.ones_like(y)
+    y2, u2 = lagged(y1, held=False), lagged(u1, held=False)
+    plain = np.stack([-y1, -y2, u2, 0 * one, 0 * one, one], 1)
+    lowered = np.stack([-y, -y1, u1, 0 * one, 0 * one, one], 1)
+    new = parameters(disks[1], offsets_V[1])
+    step, change = new - parameters(disks[0], offsets_V[0]), CHANGE_s * STEPS
+    h = (np.arange(len(y)) - change)[change:] * STEP_s / TAU_s
+    left = -(plain[change] @ step + h * (lowered[change] @ step)) * np.exp(-h)
+    assert np.max(np.abs(left)) > 0.002
+    np.testing.assert_allclose((y - plain @ new)[change:], left, atol=2e-5)
+
+
 # doubt
 
 
@@ -222,59 +251,6 @@ def settled() -> est.EstimatorState:
     ud.open_up(state.estimate.upper, state.estimate.diagonal, 1e-3)
     state.residual_power, state.residual_weight = 30.0 * 1e-6, 36.0
     return state
-
-
-def shown_by(state: est.EstimatorState, index: int) -> float:
-    """How much a change of an α by 0.1, with the same dc gain, would move the sample."""
-    below = 1.0 + state.estimate.theta[0] + state.estimate.theta[1]
-    moved = list(state.estimate.theta)
-    moved[index] += 0.1
-    moved[2] += 0.1 * state.estimate.theta[2] / below
-    moved[5] += 0.1 * state.estimate.theta[5] / below
-    return abs(float(np.dot(np.array(moved) - state.estimate.theta, state.sample.regressor)))
-
-
-def test_information_is_as_old_as_the_last_sample_that_would_have_shown_another_load() -> None:
-    for factor, expected in ((1.01, 5), (0.99, 0)):
-        state = settled()
-        state.unseen_periods = 4
-        largest = max(shown_by(state, 0), shown_by(state, 1))
-        state.surprise.power = (factor * largest / 3.0) ** 2
-        doubt.note_age(state, LEARNING, MOTOR)
-        assert state.unseen_periods == expected
-
-
-@pytest.mark.parametrize(("unseen", "doubtful"), [(5, False), (6, True)])
-def test_five_periods_may_pass_unseen(unseen: int, doubtful: bool) -> None:
-    state = settled()
-    state.unseen_periods = unseen
-    assert doubt.is_doubtful(state) is doubtful
-    assert doubt.is_contested(state) is False
-
-
-def test_the_latest_samples_contest_the_estimate() -> None:
-    for change in ("sum", "rivals"):
-        state = settled()
-        if change == "sum":
-            state.surprise.sum = 0.1
-        else:
-            state.rivals.samples = 1
-        assert doubt.is_contested(state) is True
-        assert doubt.is_doubtful(state) is True
-
-
-@pytest.mark.parametrize(
-    ("judged", "logs", "contested"), [(9, -2.0, True), (10, -2.0, False), (10, 0.1, True)]
-)
-def test_a_challenger_contests_it_until_it_was_heard_and_while_it_leads(
-    judged: int, logs: float, contested: bool
-) -> None:
-    state = settled()
-    state.challenger.samples, state.challenger.judged = 20, judged
-    state.challenger.power, state.estimate.logs = 1e-6, logs
-    assert doubt.is_contested(state) is contested
-    state.challenger.samples = 0
-    assert doubt.is_contested(state) is False
 
 
 def deviations(state: est.EstimatorState, alert: bool = True) -> list[float]:

@@ -204,7 +204,7 @@ def compiled_rls() -> ModuleType:
     return module
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_p_stays_positive_definite_after_ten_million_poor_updates_compiled() -> None:
     update = compiled_rls().update
 
@@ -275,3 +275,37 @@ def test_a_sample_of_zeros_teaches_nothing_and_forgets_nothing_along_itself() ->
     theta, upper, diagonal = [0.1, -0.2], [1.0, 0.3, 0.0, 1.0], [2.0, 0.5]
     rls.update_along(theta, upper, diagonal, [0.0, 0.0], 0.9, 0.95)
     assert (theta, upper, diagonal) == ([0.1, -0.2], [1.0, 0.3, 0.0, 1.0], [2.0, 0.5])
+
+
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=16, max_size=16),
+    st.lists(st.floats(0.01, 9.0), min_size=4, max_size=4),
+)
+def test_a_transformed_covariance_is_that_of_numpy(
+    entries: list[float], diagonal: list[float]
+) -> None:
+    matrix = np.array(entries).reshape(4, 4) + 4.5 * np.eye(4)  # loses no direction
+    upper = np.triu(np.ones((4, 4)) * 0.3, 1) + np.eye(4)
+    expected = matrix @ upper @ np.diag(diagonal) @ upper.T @ matrix.T
+    factors, weights = upper.ravel().tolist(), list(diagonal)
+    ud.transform(factors, weights, matrix.ravel().tolist())
+    found = np.array(ud.covariance(factors, weights)).reshape(4, 4)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * max(1.0, np.abs(expected).max()))
+    assert min(weights) > 0.0
+
+
+def test_directional_forgetting_forgets_only_along_the_sample() -> None:
+    """Information afterwards: Λ - (1 - ρ)/(rᵀPr) r rᵀ + r rᵀ."""
+    random = np.random.default_rng(3)
+    upper = np.triu(random.normal(size=(3, 3)), 1) + np.eye(3)
+    diagonal, r = [2.0, 0.5, 3.0], random.normal(size=3)
+    before = upper @ np.diag(diagonal) @ upper.T
+    information = np.linalg.inv(before)
+    information += (1.0 - (1.0 - 0.97) / (r @ before @ r)) * np.outer(r, r)
+    factors, weights, parameters = upper.ravel().tolist(), list(diagonal), [0.1, 0.2, 0.3]
+    rls.update_along(parameters, factors, weights, r.tolist(), 1.5, 0.97)
+    found = np.array(ud.covariance(factors, weights)).reshape(3, 3)
+    np.testing.assert_allclose(np.linalg.inv(found), information, rtol=1e-9)
+    gain = found @ r
+    expected = np.array([0.1, 0.2, 0.3]) + gain * (1.5 - r @ [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(parameters, expected, rtol=1e-9)

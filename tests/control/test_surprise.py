@@ -1,7 +1,5 @@
 """The detector of abrupt changes: against Gaussian noise of numpy, and its documented limits."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -18,26 +16,12 @@ def settled(power: float = POWER) -> Surprise:
     return Surprise(power=power, noise=power, samples=20)
 
 
-def test_the_first_twenty_samples_give_no_alarm() -> None:
-    state = Surprise(noise=POWER)
-    assert [is_surprising(state, 1e6 * POWER) for _ in range(20)] == [False] * 20
-    assert state.power == POWER
-    assert is_surprising(state, 1e6 * POWER)
-
-
 def test_one_sample_above_twelve_times_the_variance_is_an_alarm() -> None:
     for ratio, expected in ((12.0, False), (12.01, True)):
         state = settled(1.0)
         assert is_surprising(state, ratio) is expected
         assert state.alarms == expected
         assert state.sum == (0.0 if expected else 9.0)
-
-
-def test_no_sample_is_too_large_and_what_is_no_number_is_none() -> None:
-    assert is_surprising(settled(), math.inf)
-    state = settled()
-    assert not is_surprising(state, math.nan)
-    assert state.sum == 0.0
 
 
 def test_several_smaller_ones_in_a_row_add_up_to_an_alarm() -> None:
@@ -48,17 +32,6 @@ def test_several_smaller_ones_in_a_row_add_up_to_an_alarm() -> None:
         assert state.sum == pytest.approx(expected)
     assert sums[-1] + 6.0 / 1.03**3 - 3.0 > 9.0
     assert is_surprising(state, 6.0)
-
-
-def test_samples_of_the_usual_size_take_the_sum_back_to_zero() -> None:
-    state = settled(1.0)
-    is_surprising(state, 10.0)
-    assert state.sum == pytest.approx(7.0)
-    is_surprising(state, 1.03)
-    assert state.sum == pytest.approx(5.0)
-    for _ in range(3):
-        is_surprising(state, 0.0)
-    assert state.sum == 0.0
 
 
 def test_noise_alone_gives_an_alarm_in_hundreds_of_samples_and_a_change_one_at_once() -> None:
@@ -88,16 +61,6 @@ def test_a_slow_error_is_no_noise() -> None:
         watch_noise(state, 0.5 + 0.01 * k + SIGMA * float(random.normal()))
         seen.append(state.noise)
     assert np.median(seen[500:]) == pytest.approx(POWER, rel=0.1)
-
-
-@pytest.mark.parametrize(("samples", "halving"), [(20, 2), (21, 23)])
-def test_the_noise_is_found_fast_at_first_and_slowly_later(samples: int, halving: int) -> None:
-    """Without noise each sample takes 30 % of it away at first, then 3 %."""
-    state, seen = Surprise(noise=1.0, samples=samples), []
-    for _ in range(30):
-        watch_noise(state, 0.0)
-        seen.append(state.noise <= 0.5)
-    assert seen.index(True) == halving - 1
 
 
 def test_a_noiseless_output_keeps_the_least_variance() -> None:

@@ -106,25 +106,23 @@ SUPERVISION = _control({
 LEARNING = _control({
     "lambda_transform": "test_lambda_transform",
     "lambda_filter": "test_lambda_filter",
-    "rls": "test_rls test_hypotheses test_beside",
-    "ud_factors": "test_rls test_hypotheses test_beside",
-    "regression": "test_estimator test_hypotheses test_charge",
-    "branch": "test_hypotheses test_rivals",
-    "hypotheses": "test_hypotheses",
-    "rivals": "test_rivals test_unsure_explanation",
-    "challenger": "test_rivals",
-    "explanation": "test_explanation test_settling test_challenger",
+    "rls": "test_rls test_beside",
+    "ud_factors": "test_rls test_beside",
+    "regression": "test_estimator test_explanation test_charge",
+    "branch": "test_rivals",
+    "hypotheses": "test_rivals test_explanation",
+    "rivals": "test_rivals test_explanation",
+    "challenger": "test_rivals test_challenger",
+    "explanation": "test_explanation test_challenger",
     "estimator": (
-        "test_estimator test_prior test_charge test_redesign test_explanation test_settling "
+        "test_estimator test_prior test_charge test_redesign test_explanation "
         "test_lambda_method test_correlation"
     ),
     "lambda_method": "test_lambda_method test_methods test_charge test_explanation",
     "direct_method": "test_direct_method test_estimator",
-    "drift": "test_drift test_in_force test_charge test_estimator",
-    "integrated": "test_integrated_samples test_in_force test_integrated",
-    "in_force": (
-        "test_in_force test_integrated test_explanation test_unsure_explanation test_correlation"
-    ),
+    "drift": "test_drift test_charge test_estimator",
+    "integrated": "test_integrated",
+    "in_force": "test_integrated test_explanation test_correlation",
 })  # fmt: skip
 
 DESIGN = _control({
