@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +10,11 @@ from scipy.signal import cont2discrete
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
-from adaptdrive.control import in_force
 from adaptdrive.control import regression as reg
-from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import SCALED_LEARNING, TICK_s
-from tests.control.systems import Array, row_norms
+from tests.control.systems import Array
 
 TURNS, SERIES_OHM, RELAXATION_OHM, RELAXATION_S = 0.25, 1.2, 0.4, 30.0
 RISE_V_PER_AS = 8.0 / 36000.0
@@ -94,36 +91,3 @@ def test_the_offset_is_the_emf_of_now() -> None:
     offset_V = reg.input_offset(state.estimate.theta, LEARNING, BATTERY, state.charge)
     assert offset_V == pytest.approx(-emf_V / TURNS, rel=2e-3)
     assert emf_V - 72.0 > 0.8
-
-
-def test_without_a_bias_there_is_no_offset() -> None:
-    learning = replace(LEARNING, bias=False, charge=False)
-    state = est.new_estimator(learning, BATTERY, 2)
-    assert math.isnan(reg.input_offset(state.estimate.theta, learning, BATTERY, 0.0))
-
-
-def test_a_wandering_emf_leaves_everything_else_as_sure_as_it_was() -> None:
-    state = learnt(LEARNING)
-    before = row_norms(in_force.parameter_root(state, LEARNING, BATTERY, TRUTH))
-    offset = state.estimate.theta[-1] + state.estimate.theta[-2] * state.charge
-    excitation = ud.excitation(
-        state.estimate.upper, state.estimate.diagonal, state.sample.regressor
-    )
-    est.let_emf_wander(state, LEARNING)
-    assert row_norms(in_force.parameter_root(state, LEARNING, BATTERY, TRUTH)) == pytest.approx(
-        before
-    )
-    assert state.estimate.theta[-1] + state.estimate.theta[-2] * state.charge == offset
-    added = (
-        ud.excitation(state.estimate.upper, state.estimate.diagonal, state.sample.regressor)
-        - excitation
-    )
-    assert added == pytest.approx(0.04, rel=1e-6)
-
-
-def test_without_a_charge_nothing_wanders() -> None:
-    learning = replace(LEARNING, charge=False)
-    state = est.new_estimator(learning, BATTERY, 2)
-    before = list(state.estimate.upper), list(state.estimate.diagonal)
-    est.let_emf_wander(state, learning)
-    assert (state.estimate.upper, state.estimate.diagonal) == before

@@ -70,13 +70,6 @@ def test_the_discrete_model_and_the_offset_of_the_input_are_found() -> None:
     assert method.input_offset(estimator, DIRECT, MOTOR) == pytest.approx(OFFSET_V, rel=1e-3)
 
 
-def test_a_model_that_no_load_has_shows_no_parameters() -> None:
-    state = new_slow_state(SETTINGS, MOTOR, 3.0, 280.0)
-    state.estimator.estimate.theta[:2] = [0.5, -0.1]  # poles at -0.65 and 0.15
-    DIRECT.method.model(SETTINGS, MOTOR, state, 1.0)
-    assert all(math.isnan(value) for value in state.values)
-
-
 def test_its_parameters_are_no_model_in_s_and_have_no_deviations() -> None:
     method, state = DIRECT.method, new_slow_state(SETTINGS, MOTOR, 3.0, 280.0)
     assert not method.physical
@@ -86,12 +79,6 @@ def test_its_parameters_are_no_model_in_s_and_have_no_deviations() -> None:
         found = known(state.estimator, DIRECT, MOTOR, values)
         assert len(found) == count
         assert all(math.isnan(one) for one in found)
-
-
-def test_without_a_bias_or_a_gain_no_offset_of_the_input_is_known() -> None:
-    for learning in (replace(DIRECT, bias=False), DIRECT):
-        state = est.new_estimator(learning, MOTOR, 2)
-        assert math.isnan(learning.method.input_offset(state, learning, MOTOR))
 
 
 @pytest.mark.parametrize("load", [motor_load(0.011, 11.7, 10.0), battery_load(0.25, 1.2, 0.4, 30)])

@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
-from adaptdrive.control import regression as reg
 from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.slow_state import SlowState, new_slow_state
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, SCALED_LEARNING
-from tests.control import test_explanation
 from tests.control.systems import Array
-from tests.control.test_explanation import propagated, settled
 
 BATTERY = battery_load(0.25, 1.2, 0.4, 30.0)
 SAMPLE = replace(
@@ -55,13 +52,6 @@ def test_the_regressor_of_a_motor_is_equation_29_and_the_initial_state_since_the
     assert found == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_explanations_have_it_with_every_power_of_lambda_one_lower() -> None:
-    learning = replace(SCALED_LEARNING, initial_state=True, bias=True)
-    lowered = filled(learning, MOTOR).estimator.rivals.lowered
-    assert lowered[:3] == pytest.approx([-3.3 / 3.0, -3.2 / 3.0, 290.0 / 280.0], rel=1e-12)
-    assert lowered[5] == 1.0
-
-
 def test_a_charge_is_beside_the_bias_and_its_rate_in_the_lowered_regressor() -> None:
     """(τ_λ p + 1) q/τ_λ is y + q/τ_λ."""
     learning = replace(SCALED_LEARNING, bias=True, charge=True)
@@ -81,19 +71,6 @@ def test_an_emf_wanders_along_the_bias_and_its_rise_along_both() -> None:
     expected[rise, bias] = expected[bias, rise] = -(0.1**2) * 0.7
     expected[bias, bias] = 0.2**2 + (0.1 * 0.7) ** 2
     np.testing.assert_allclose(widened, expected, atol=1e-9 * SCALED_LEARNING.initial_covariance)
-
-
-@pytest.mark.parametrize(("load", "first"), [(MOTOR, 3), (BATTERY, 3)])
-def test_without_learning_it_the_initial_state_is_known(load: Load, first: int) -> None:
-    """Explanations need its places in θ; the load was at rest at the start."""
-    learning = replace(SCALED_LEARNING, alert=True, bias=True)
-    p0 = learning.initial_covariance
-    known = est.new_estimator(learning, load, 2).estimate.diagonal
-    places = range(first, first + load.order)
-    for i, variance in enumerate(known[:-1]):
-        assert variance == pytest.approx(1e-8 * p0 if i in places else p0, rel=1e-12), i
-    learnt = est.new_estimator(replace(learning, initial_state=True), load, 2)
-    assert learnt.estimate.diagonal[:-1] == [p0] * (len(known) - 1)
 
 
 @pytest.mark.parametrize(
@@ -133,27 +110,6 @@ def test_a_ceiling_of_the_covariance_adds_its_information_to_each_sample(ceiling
         information += 0.1 / ceiling * np.eye(3)
     np.testing.assert_allclose(np.linalg.inv(covariance(state)), information, rtol=1e-6, atol=1e-6)
     assert state.idle_periods == 0
-
-
-def test_each_period_that_teaches_nothing_is_idle() -> None:
-    learning = replace(SCALED_LEARNING, forgetting=0.9)
-    state = est.new_estimator(learning, MOTOR, 2)
-    for expected in (1, 2, 3):
-        est.learn(state, learning, MOTOR, 0.0, usable=True)  # a regressor of zeros
-        assert state.idle_periods == expected
-    state.sample.regressor[:] = [-1.0, -0.9, 1.1]
-    est.learn(state, learning, MOTOR, 3.0, usable=False)
-    assert state.idle_periods == 4
-    est.learn(state, learning, MOTOR, 3.0, usable=True)
-    assert state.idle_periods == 0
-
-
-def test_the_deviations_are_those_of_p_by_the_noise_of_the_innovations() -> None:
-    state, learning = settled(), test_explanation.LEARNING
-    values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
-    expected = propagated(state, 1e-3 * np.eye(6), math.sqrt(30e-6 / (36.0 - 6.0)))
-    root = np.reshape(learning.method.root(state, learning, MOTOR, values), (3, 3))
-    assert np.linalg.norm(root, axis=1) == pytest.approx(expected, rel=1e-3)
 
 
 def test_the_offset_of_the_input_is_what_bias_and_charge_move_the_output_by_over_beta() -> None:

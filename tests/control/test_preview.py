@@ -14,8 +14,9 @@ from scipy.linalg import toeplitz
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
+from adaptdrive.control.bounded import minimise
 from adaptdrive.control.design import asked_loop, discrete_model
-from adaptdrive.control.preview import AHEAD, MOVES, UNREST, led_references, plan
+from adaptdrive.control.preview import AHEAD, MOVES, UNREST, plan
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import PreviewState, SlowState
 from tests.closed_loop.bench import EXACT, MOTOR
@@ -128,16 +129,14 @@ def test_what_a_disturbance_needs_is_left_to_the_feedback() -> None:
     assert highest == pytest.approx(HIGH - 30.0, abs=1e-6)
 
 
-def test_a_lead_is_that_of_the_law() -> None:
-    assert led_references(3.0, 2.0, [3.5, 3.5], 0.1) == pytest.approx([3.1, 3.55, 3.5])
-
-
-def stepped(upcoming: list[float], adaptive: bool = True, steps: int = 6) -> SlowState:
+def stepped(
+    upcoming: list[float], adaptive: bool = True, steps: int = 6, *, exact: bool = True
+) -> SlowState:
     """A slow half at rest that knows what comes."""
-    state = known()
+    state, settings = known(), replace(SETTINGS, exact=exact)
     for _ in range(steps):
         sample = replace(SAMPLE, upcoming=upcoming, adaptive=adaptive)
-        slow_step(SETTINGS, MOTOR, state, sample)
+        slow_step(settings, MOTOR, state, sample)
     return state
 
 
@@ -151,16 +150,31 @@ def test_without_knowledge_or_change_nothing_is_different(upcoming: list[float])
     assert stepped(upcoming).sent == pytest.approx(stepped([]).sent, abs=1e-9)
 
 
-def test_the_fixed_law_knows_nothing_of_it() -> None:
+def test_the_fixed_law_and_the_papers_design_know_nothing_of_it() -> None:
     edge = [REST] * 6 + [4.4] * (AHEAD - 7)
     assert stepped(edge, adaptive=False).inputs == stepped([], adaptive=False).inputs
+    assert stepped(edge, exact=False).inputs == stepped([], exact=False).inputs
 
 
-def test_the_design_of_the_paper_has_none_of_it() -> None:
-    edge = [REST] * 6 + [4.4] * (AHEAD - 7)
-    paper = replace(SETTINGS, exact=False)
-    states = [known(), known()]
-    for state, upcoming in zip(states, (edge, []), strict=True):
-        for _ in range(6):
-            slow_step(paper, MOTOR, state, replace(SAMPLE, upcoming=upcoming))
-    assert states[0].inputs == states[1].inputs
+LEAST, MOST = -1.0, 2.0
+
+
+def problem(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of a least-squares problem with decaying influence, as moves further ahead have it."""
+    generator = np.random.default_rng(seed)
+    rows = generator.standard_normal((count + 8, count)) * 0.6 ** np.arange(count)
+    return rows, 3.0 * generator.standard_normal(count + 8)
+
+
+def found(rows: np.ndarray, aims: np.ndarray) -> np.ndarray:
+    flat = (rows.T @ rows).ravel().tolist()
+    return np.array(minimise(flat, (rows.T @ aims).tolist(), LEAST, MOST))
+
+
+@given(st.integers(0, 10**6), st.integers(1, 8))
+def test_it_is_the_bounded_least_squares(seed: int, count: int) -> None:
+    rows, aims = problem(seed, count)
+    best = lsq_linear(rows, aims, (LEAST, MOST), method="bvls", tol=1e-14).x
+    x = found(rows, aims)
+    assert x == pytest.approx(best, abs=1e-6)
+    assert np.all((x >= LEAST) & (x <= MOST))

@@ -11,7 +11,6 @@ import pytest
 
 from adaptdrive.control import assurance, redesign
 from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
-from adaptdrive.control.methods import METHODS
 from adaptdrive.control.noise_limit import noise_gain
 from adaptdrive.control.pole_placement import equation
 from adaptdrive.control.regression import theta_of
@@ -23,7 +22,6 @@ from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
 from tests.control.systems import distance
 
 POLE = 0.7
-HEAVY = 6.0
 JACKET = replace(
     EXACT.jacket, warm_up_periods=0, spread_max=0.05, confidence=2.0, residual_margin=1.5
 )
@@ -66,6 +64,10 @@ def test_an_estimate_that_is_trusted_becomes_gains_and_the_trusted_model() -> No
     assert state.trusted_b == pytest.approx(b)
     assert state.values == pytest.approx(parameters(2.0))
     assert 0.0 < state.spread < 0.05
+    asked = asked_loop(b, 2, POLE)
+    assert state.reference_filter.asked == pytest.approx(asked)
+    padded = [*asked, *[0.0] * (len(state.reference_filter.loop) - len(asked))]
+    assert state.reference_filter.loop == pytest.approx(padded)
 
 
 @pytest.mark.parametrize(
@@ -107,16 +109,6 @@ def test_the_fast_law_is_the_quiet_one_where_the_covariance_leaves_it_unsure(
     adapted(unsure, settings)
     assert unsure.fast_gains == unsure.adaptive_gains == sure.adaptive_gains
     assert unsure.fast_loop == unsure.new_loop
-
-
-def test_the_reference_filter_gets_the_loop_and_the_poles_asked_for() -> None:
-    state = known()
-    adapted(state)
-    _, b = model(2.0)
-    asked = asked_loop(b, 2, POLE)
-    assert state.reference_filter.asked == pytest.approx(asked)
-    padded = [*asked, *[0.0] * (len(state.reference_filter.loop) - len(asked))]
-    assert state.reference_filter.loop == pytest.approx(padded)
 
 
 @pytest.mark.parametrize(
@@ -219,14 +211,6 @@ def test_noise_of_the_output_makes_the_poles_slower(noise: float, rounding: floa
     assert distance(found, expected.tolist()) < 0.02
 
 
-def test_no_noise_of_direct_least_squares_is_known() -> None:
-    direct = replace(LEARNING, method=METHODS["rls"])
-    settings = replace(CAREFUL, learning=direct)
-    state = new_slow_state(settings, MOTOR, 3.0, REST_V)
-    state.estimator.surprise.noise = 1.0
-    assert redesign._output_noise(settings, state) == 0.0
-
-
 # the way back
 
 
@@ -251,49 +235,21 @@ def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods() -> 
     assert estimator.estimate.theta == pytest.approx([*state.nominal_theta])
     assert estimator.estimate.diagonal == [LEARNING.initial_covariance] * 6
     assert estimator.estimate.origin_s == 500.0
-    assert estimator.surprise.sum == 0.0
-    assert estimator.rivals.samples == estimator.challenger.samples == 0
-    assert estimator.rivals.calm.theta == estimator.estimate.theta
-    assert estimator.rivals.calm.diagonal == estimator.estimate.diagonal
-    assert estimator.rivals.anchor.time_s == 500.0
+    assert estimator.surprise.sum == estimator.rivals.samples == estimator.challenger.samples == 0
     assert adapted(state) == Verdict.UNCERTAIN
 
 
-def test_where_the_walking_bias_is_in_force_its_estimate_alone_begins_anew() -> None:
-    """The estimate whose bias rests goes on, and is in force again."""
-    state = known(30.0)
-    estimator = state.estimator
-    estimator.integrated.in_force, estimator.integrated.samples = True, 200
-    estimator.integrated.branch.theta[:] = estimator.estimate.theta
-    estimator.integrated.branch.diagonal[:] = estimator.estimate.diagonal
-    before = list(estimator.estimate.theta)
-    assert lost(state, CAREFUL, 61)[-2:] == [60, 0]
-    assert not estimator.integrated.in_force
-    assert estimator.integrated.samples == 0
-    assert estimator.estimate.theta == before
-    assert estimator.estimate.origin_s == 0.0
-
-
-def test_periods_that_teach_nothing_do_not_count() -> None:
+def test_only_periods_in_a_row_that_teach_another_load_count() -> None:
     state = known(30.0)
     lost(state, CAREFUL, 30)
     state.estimator.idle_periods = 1
     assert lost(state, CAREFUL, 1) == [0]
     state.estimator.idle_periods = 0
     assert lost(state, CAREFUL, 2) == [1, 2]
-
-
-def test_an_estimate_that_a_load_can_have_ends_the_count() -> None:
-    state = known(30.0)
-    lost(state, CAREFUL, 30)
     state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
     assert lost(state, CAREFUL, 1) == [0]
-
-
-def test_without_the_detector_nothing_begins_anew() -> None:
     plain = replace(CAREFUL, learning=replace(LEARNING, alert=False, initial_state=True))
-    state = known(30.0, plain)
-    assert lost(state, plain, 70) == [0] * 70
+    assert lost(known(30.0, plain), plain, 70) == [0] * 70
 
 
 @pytest.mark.parametrize(

@@ -22,11 +22,6 @@ def gaussian(count: int, sigma: float) -> Array:
     return 3.0 + sigma * np.random.default_rng(8).normal(size=count)
 
 
-def test_what_rests_passes_unchanged() -> None:
-    passed, _ = screened(np.full(5000, 3.0))
-    assert (passed == 3.0).all()
-
-
 def test_the_deviation_is_that_of_gaussian_noise() -> None:
     samples = gaussian(5000, 0.01)
     passed, screen = screened(samples)
@@ -41,12 +36,6 @@ def test_a_spike_counts_as_no_more_than_the_clip() -> None:
     passed, _ = screened(samples)
     assert abs(passed[1500] - 3.0) < 2.0 * CLIP * 0.001
     assert abs(passed[1501:] - samples[1501:]).max() < 0.001
-
-
-def test_a_ramp_passes_without_being_clipped_for_long() -> None:
-    samples = gaussian(2400, 0.001) + np.maximum(0.0, np.arange(2400) - 1200) * 1e-3
-    passed, _ = screened(samples)
-    assert abs(passed - samples)[1200 + 60 :].max() < 0.005
 
 
 def test_a_lasting_step_opens_the_screen_within_half_a_second() -> None:
@@ -129,13 +118,6 @@ def test_one_spike_widens_the_screen_no_more_than_twice_the_clip() -> None:
         passed = pass_sample(screen, 3.0 + spike, CLIP, 1)
         assert passed == pytest.approx(3.0 + CLIP)
         assert screen.deviation - 1.0 == pytest.approx(expected)
-
-
-def test_the_first_second_is_as_wide_as_a_hundredth_of_the_output() -> None:
-    samples = 3.0 + np.array([1.0, -1.0] * 60) * 0.01 * 3.0
-    passed, _ = screened(samples)
-    assert passed == pytest.approx(samples, abs=EXACT)
-    assert Screen(3.0, 0.0, WIDE * 3.0).deviation == pytest.approx(0.03)
 
 
 def test_a_noiseless_output_does_not_close_the_screen() -> None:

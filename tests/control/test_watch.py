@@ -1,12 +1,15 @@
-"""The watch: each of its rules, one at a time, and what must not set it off."""
+"""The watches over the loop and for limit cycles: each rule, and what must not set it off."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptdrive.app.settings import controller_settings
+from adaptdrive.control.cycling import CyclingState, watch_cycling
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.watch import (
     Fallback,
@@ -15,6 +18,7 @@ from adaptdrive.control.watch import (
     watch_loop,
     watch_response,
 )
+from tests.config.documents import parse
 
 JACKET = Jacket(
     warm_up_periods=0,
@@ -42,55 +46,70 @@ def look(
     return watch_loop(state, jacket, error, error, rest, 0.7, held, saturated)
 
 
-def first(reasons: list[int]) -> int | None:
-    """Periods until the first reason."""
-    return next((i for i, reason in enumerate(reasons) if reason), None)
+def first(reasons: list[int], expected: int = 0) -> int | None:
+    """Periods until the first reason, which is the expected one."""
+    found = next((i for i, reason in enumerate(reasons) if reason), None)
+    assert found is None or not expected or reasons[found] == expected
+    return found
 
 
-def test_a_limit_away_from_rest_falls_back() -> None:
+@pytest.mark.parametrize(
+    ("rests", "expected"),
+    [
+        ([1.0] * 300, 240),
+        ([0.0] * 10_000, None),
+        ([0.05] * 10_000, None),
+        ([5.0 * math.exp(-k / 600.0) for k in range(3000)], None),  # on its way to rest
+        ([1.0] + [0.9] * 300, 240),
+        ([1.0] + [0.8999] * 300, 241),  # a tenth of the way begins the wait anew
+        ([0.1 + 0.01 * k for k in range(300)], 240),
+        ([1.0] * 200 + [math.nan] + [1.0] * 300, 201 + 240),
+    ],
+)
+def test_a_limit_away_from_rest_falls_back(rests: list[float], expected: int | None) -> None:
+    """The input is at its limit in all periods but where there is no number."""
     state = WatchState()
-    reasons = [look(state, rest=1.0, saturated=True) for _ in range(300)]
-    assert first(reasons) == 240
-    assert reasons[-1] == Fallback.SATURATED
+    reasons = [look(state, rest=rest, saturated=not math.isnan(rest)) for rest in rests]
+    assert first(reasons, Fallback.SATURATED) == expected
 
 
-@pytest.mark.parametrize("rest", [0.0, 0.05])
-def test_an_output_at_rest_stays_at_a_limit_for_ever(rest: float) -> None:
-    state = WatchState()
-    assert not any(look(state, rest=rest, saturated=True) for _ in range(10_000))
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [
+        ([0.5] * 40, 33),  # ten time constants of 1 / (1 - 0.7) periods
+        ([0.4] * 300, None),
+        ([-0.39] * 300, None),
+        ([0.5] * 30 + [0.1] + [0.5] * 40, 31 + 33),
+    ],
+)
+def test_a_large_error_with_a_free_input_falls_back(
+    errors: list[float], expected: int | None
+) -> None:
+    state, limited = WatchState(), WatchState()
+    assert first([look(state, error=error) for error in errors], Fallback.ERROR) == expected
+    assert not any(look(limited, error=9.0, saturated=True) for _ in range(300))
 
 
-def test_an_output_on_its_way_to_rest_may_take_long() -> None:
-    state = WatchState()
-    course = [5.0 * math.exp(-k / 600.0) for k in range(3000)]
-    assert not any(look(state, rest=distance, saturated=True) for distance in course)
-
-
-@pytest.mark.parametrize(("after", "expected"), [(0.9, 240), (0.8999, 241)])
-def test_a_tenth_of_the_way_to_rest_begins_the_wait_anew(after: float, expected: int) -> None:
-    state = WatchState()
-    course = [1.0] + [after] * 300
-    assert first([look(state, rest=distance, saturated=True) for distance in course]) == expected
-
-
-def test_a_moment_off_the_limit_begins_the_wait_anew() -> None:
-    state = WatchState()
-    course = [True] * 200 + [False] + [True] * 300
-    reasons = [look(state, rest=1.0, saturated=limited) for limited in course]
-    assert first(reasons) == 201 + 240
-
-
-def test_an_output_that_leaves_its_rest_falls_back() -> None:
-    state = WatchState()
-    reasons = [look(state, rest=0.1 + 0.01 * k, saturated=True) for k in range(300)]
-    assert first(reasons) == 240
-
-
-def test_a_large_error_with_a_free_input_falls_back() -> None:
-    state = WatchState()
-    reasons = [look(state, error=0.5) for _ in range(40)]
-    assert first(reasons) == 33  # ten time constants of 1 / (1 - 0.7) periods
-    assert reasons[-1] == Fallback.ERROR
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [
+        ([0.06 * (-1.2) ** k for k in range(12)], 6),
+        ([0.05 * (-1.2) ** k for k in range(12)], 6),
+        ([0.049 * (-1.2) ** k for k in range(12)], 7),
+        ([0.001 * (-1.2) ** k for k in range(20)], None),
+        ([0.06 * (-1.0) ** k for k in range(12)], None),
+        # a swing that does not grow begins the count anew
+        ([0.06 * 1.2 ** (k - (k > 4)) * (-1.0) ** k for k in range(11)], None),
+        ([0.06 * 1.2**k * (k % 2) for k in range(40)], None),
+        ([0.06 * 1.2**k * (1.0 + k % 2) for k in range(20)], None),
+        # each side lasts three periods, and its peak is its largest error
+        ([0.06 * share * (-1.2) ** k for k in range(10) for share in (0.5, 1.0, 0.001)], 18),
+    ],
+)
+def test_six_swings_that_grow_fall_back(errors: list[float], expected: int | None) -> None:
+    state, jacket = WatchState(), replace(JACKET, error_limit=0.0)
+    reasons = [look(state, error=error, jacket=jacket) for error in errors]
+    assert first(reasons, Fallback.OSCILLATING) == expected
 
 
 def test_a_step_over_the_whole_range_is_settled_before_it_falls_back() -> None:
@@ -102,18 +121,6 @@ def test_a_step_over_the_whole_range_is_settled_before_it_falls_back() -> None:
     jacket = replace(JACKET, error_limit=0.1 * whole)
     assert sum(error > jacket.error_limit for error in errors) in {22, 23}
     assert not any(look(state, error=error, jacket=jacket) for error in errors)
-
-
-@pytest.mark.parametrize(("error", "saturated"), [(0.4, False), (-0.39, False), (9.0, True)])
-def test_a_small_error_or_a_limit_is_no_trouble(error: float, saturated: bool) -> None:
-    state = WatchState()
-    assert not any(look(state, error=error, saturated=saturated) for _ in range(300))
-
-
-def test_a_moment_without_the_error_begins_the_wait_anew() -> None:
-    state = WatchState()
-    course = [0.5] * 30 + [0.1] + [0.5] * 40
-    assert first([look(state, error=error) for error in course]) == 31 + 33
 
 
 @pytest.mark.parametrize("pole", [0.75, 0.5])
@@ -131,60 +138,12 @@ def test_the_shortest_wait_is_one_period() -> None:
     assert found == [False] + [True] * 8
 
 
-@pytest.mark.parametrize(("growth", "expected"), [(1.2, Fallback.OSCILLATING), (1.0, 0)])
-def test_swings_fall_back_only_if_they_grow(growth: float, expected: int) -> None:
-    state = WatchState()
-    jacket = replace(JACKET, error_limit=0.0)
-    reasons = [look(state, error=0.06 * (-growth) ** k, jacket=jacket) for k in range(12)]
-    assert reasons[-1] == expected
-
-
-@pytest.mark.parametrize(("peak", "expected"), [(0.05, 6), (0.049, 7)])
-def test_six_growing_swings_from_the_smallest_peak_on_fall_back(peak: float, expected: int) -> None:
-    state = WatchState()
-    reasons = [look(state, error=peak * (-1.2) ** k) for k in range(12)]
-    assert first(reasons) == expected
-    assert reasons[expected] == Fallback.OSCILLATING
-
-
-def test_a_swing_that_does_not_grow_begins_the_count_anew() -> None:
-    state, peaks = WatchState(), [0.06 * 1.2**k for k in (0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9, 10)]
-    reasons = [look(state, error=peak * (-1.0) ** k) for k, peak in enumerate(peaks)]
-    assert first(reasons) is None
-
-
-def test_an_error_of_nothing_between_two_of_one_sign_is_no_swing() -> None:
-    state, jacket = WatchState(), replace(JACKET, error_limit=0.0)
-    course = [0.06 * 1.2**k * (k % 2) for k in range(40)]
-    assert not any(look(state, error=error, jacket=jacket) for error in course)
-
-
-def test_a_peak_is_the_largest_error_of_its_side() -> None:
-    """Each side lasts three periods; the peaks grow, the last errors of the sides do not."""
-    state = WatchState()
-    course = [0.06 * share * (-1.2) ** k for k in range(10) for share in (0.5, 1.0, 0.001)]
-    reasons = [look(state, error=error) for error in course]
-    assert first(reasons) == 18
-
-
-def test_errors_that_grow_on_one_side_are_no_swings() -> None:
-    state, jacket = WatchState(), replace(JACKET, error_limit=0.0)
-    course = [0.06 * 1.2**k * (1.0 + k % 2) for k in range(20)]
-    assert not any(look(state, error=error, jacket=jacket) for error in course)
-
-
 def test_without_limits_nothing_is_watched_but_the_measurements() -> None:
     off = replace(JACKET, saturated_periods=0, error_limit=0.0, swing_min=math.inf)
     state = WatchState()
     course = [9.0 * (-1.2) ** k for k in range(50)]
     assert not any(look(state, error=e, rest=e, saturated=True, jacket=off) for e in course)
     assert not any(look(WatchState(), error=9.0, jacket=off) for _ in range(50))
-
-
-def test_swings_below_the_smallest_peak_do_not_count() -> None:
-    state = WatchState()
-    reasons = [look(state, error=0.001 * (-1.2) ** k) for k in range(20)]
-    assert not any(reasons)
 
 
 @pytest.mark.parametrize(("held", "expected"), [(0.5, 0), (0.51, Fallback.BLIND)])
@@ -283,10 +242,6 @@ def response(
     return None
 
 
-def test_a_dead_sensor_trips_after_the_waiting_time() -> None:
-    assert response(LAG, 1.0, 3.0, 4.4, dead=True) == 120
-
-
 def test_a_moment_off_the_limit_begins_the_wait_for_a_response_anew() -> None:
     state = WatchState(fast=3.0, slow=3.0)
     trips = [
@@ -327,5 +282,96 @@ def test_no_load_within_the_bounds_trips(
     assert response(lag * LAG, gain, before, after, seconds=2000) is None
 
 
-def test_a_limit_close_to_the_present_input_does_not_trip() -> None:
+def test_a_dead_sensor_trips_after_the_waiting_time_unless_the_limit_is_near() -> None:
+    assert response(LAG, 1.0, 3.0, 4.4, dead=True) == 120
     assert response(LAG, 1.0, 4.3, 4.4, dead=True, seconds=5000) is None
+
+
+BETTER = 5.0
+WAYS = 60
+LONGEST = 60
+"""Slow periods."""
+
+
+def cycle_found(
+    positions: Iterable[float],
+    *,
+    better: float = BETTER,
+) -> int | None:
+    """Periods until a limit cycle is found at a constant set-point."""
+    state = CyclingState()
+    for number, position in enumerate(positions):
+        if watch_cycling(state, position, 1.0, 0.01, better, fixed=True):
+            return number
+    return None
+
+
+@pytest.mark.parametrize("half", [1, 5, 40])
+def test_an_input_that_goes_from_limit_to_limit_is_found(half: int) -> None:
+    course = ([0.0] * half + [1.0] * half) * WAYS
+    assert cycle_found(course) == WAYS * half
+
+
+@pytest.mark.parametrize(
+    ("course", "period"),
+    [
+        (([0.0] + [0.5] * LONGEST + [1.0] + [0.5] * LONGEST) * 100, None),
+        (([0.0] + [0.5] * (LONGEST - 1) + [1.0] + [0.5] * (LONGEST - 1)) * 100, WAYS * LONGEST),
+        # a pause begins the count anew
+        ([0.0, 1.0] * 20 + [0.5] * (LONGEST + 1) + [0.0, 1.0] * 100, 40 + LONGEST + 1 + WAYS),
+    ],
+)
+def test_ways_far_apart_are_none(course: list[float], period: int | None) -> None:
+    assert cycle_found(course) == period
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "cycles"),
+    [(0.1, 0.9, True), (0.101, 0.9, False), (0.1, 0.899, False), (-0.5, 1.5, True)],
+)
+def test_a_tenth_of_the_range_from_a_limit_is_at_the_limit(
+    low: float, high: float, cycles: bool
+) -> None:
+    assert (cycle_found([low, high] * 200) is not None) is cycles
+
+
+@pytest.mark.parametrize(("better", "cycles"), [(3.0, False), (3.01, True)])
+def test_an_estimate_must_predict_three_times_better(better: float, cycles: bool) -> None:
+    assert (cycle_found([0.0, 1.0] * 200, better=better) is not None) is cycles
+
+
+@pytest.mark.parametrize(("step", "cycles"), [(0.0078125, True), (0.0079, False)])
+def test_a_set_point_that_trembles_by_less_than_its_step_rests(step: float, cycles: bool) -> None:
+    state = CyclingState(reference=1.0)
+    seen = [
+        watch_cycling(state, float(k % 2), 1.0 + (k % 2) * step, 0.0078125, BETTER, fixed=True)
+        for k in range(200)
+    ]
+    assert any(seen) is cycles
+
+
+def test_the_adaptive_controller_begins_the_count_anew() -> None:
+    state = CyclingState()
+    fixed = [True] * 50 + [False] + [True] * 200
+    seen = [watch_cycling(state, float(k % 2), 1.0, 0.01, BETTER, f) for k, f in enumerate(fixed)]
+    assert not any(seen[:50])
+    # at the period of the other controller the input arrives at a limit already
+    assert seen.index(True) == 50 + WAYS
+
+
+def test_the_papers_controller_is_not_watched() -> None:
+    state = CyclingState()
+    step = controller_settings(parse(load__design='"paper"')).jacket.swing_min
+    course = [0.0, 1.0] * WAYS
+    seen = [watch_cycling(state, position, 1.0, step, BETTER, True) for position in course]
+    assert seen == [False] * len(course)
+
+
+def test_a_set_point_that_moves_begins_the_count_anew() -> None:
+    state = CyclingState()
+    course = ([0.0] * 3 + [1.0] * 3) * 1000
+    seen = [
+        watch_cycling(state, position, 1.0 + (number // 60) % 2, 0.01, BETTER, fixed=True)
+        for number, position in enumerate(course)
+    ]
+    assert not any(seen)
