@@ -18,6 +18,10 @@ from adaptdrive.control.charging import (
     terminal_voltage,
     voltage_limit,
 )
+from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from tests.closed_loop.bench import AT_REST, EXACT
 
 LIMITS = Charging(
     turns_ratio=0.25, droop_Ohm=1.0, internal_Ohm=0.2, voltage_max_V=58.0, end_current_A=1.0
@@ -49,13 +53,10 @@ def test_it_charges_with_the_set_point_then_at_the_limit_of_the_voltage_and_ends
     assert trace[full][1] == pytest.approx(58.0, rel=0.01)
 
 
-def test_the_terminal_voltage_is_what_the_droop_leaves() -> None:
-    assert terminal_voltage(LIMITS, 280.0, 10.0) == 60.0
-
-
 @pytest.mark.parametrize(("current_A", "boost_V"), [(10.0, 272.0), (0.0, 232.0), (-5.0, 232.0)])
 def test_a_voltage_puts_the_terminals_at_their_limit(current_A: float, boost_V: float) -> None:
     assert highest_boost_voltage(LIMITS, current_A) == boost_V
+    assert terminal_voltage(LIMITS, boost_V, max(current_A, 0.0)) == pytest.approx(58.0)
 
 
 @pytest.mark.parametrize(("reads_A", "proven_A"), [(9.0, 9.0), (10.0, 10.0), (15.0, 10.0)])
@@ -75,43 +76,29 @@ def test_the_current_falls_by_a_twentieth_of_what_the_resistance_asks_for() -> N
     assert taper(LIMITS, state, 9.0, 1000.0, 10.0) == 0.0
 
 
-def ending(terminal_V: float, current_A: float, allowed_A: float, setpoint_A: float = 10.0) -> int:
-    """Periods of the end after one at a terminal voltage, with what it allows then."""
-    state = ChargeState(allowed_A - 0.05 * (58.0 - terminal_V) / 0.2, ending_periods=4)
-    taper(LIMITS, state, setpoint_A, terminal_V, current_A)
-    assert state.current_A == pytest.approx(min(max(allowed_A, 0.0), setpoint_A))
-    return state.ending_periods
-
-
 @pytest.mark.parametrize(
-    ("terminal_V", "current_A", "allowed_A", "expected"),
+    ("terminal_V", "current_A", "allowed_A", "setpoint_A", "expected"),
     [
-        (58.0, 0.9, 0.9, 5),
-        (0.99 * 58.0, 0.9, 0.9, 5),  # the taper never reaches all of it
-        (0.989 * 58.0, 0.9, 0.9, 0),
-        (58.0, 1.0, 0.9, 0),
-        (58.0, 0.9, 1.0, 0),
-        (58.0, 0.99, 0.99, 5),
-        (70.0, -3.0, -2.0, 5),
+        (58.0, 0.9, 0.9, 10.0, 5),
+        (0.99 * 58.0, 0.9, 0.9, 10.0, 5),  # the taper never reaches all of it
+        (0.989 * 58.0, 0.9, 0.9, 10.0, 0),
+        (58.0, 1.0, 0.9, 10.0, 0),
+        (58.0, 0.9, 1.0, 10.0, 0),
+        (58.0, 0.99, 0.99, 10.0, 5),
+        (70.0, -3.0, -2.0, 10.0, 5),
+        (58.0, 0.5, 0.5, 0.5, 0),  # a set-point that is all that is allowed
+        (58.0, 0.5, 0.5, 0.51, 5),
     ],
 )
 def test_the_end_is_near_the_voltage_with_both_currents_below_the_last(
-    terminal_V: float, current_A: float, allowed_A: float, expected: int
+    terminal_V: float, current_A: float, allowed_A: float, setpoint_A: float, expected: int
 ) -> None:
-    assert ending(terminal_V, current_A, allowed_A) == expected
-
-
-def test_a_set_point_that_is_all_that_is_allowed_is_not_the_end() -> None:
-    assert ending(58.0, 0.5, 0.5, setpoint_A=0.5) == 0
-    assert ending(58.0, 0.5, 0.5, setpoint_A=0.51) == 5
-
-
-def test_ten_periods_at_the_end_are_full() -> None:
-    state, seen = ChargeState(0.5), []
-    for _ in range(12):
-        taper(LIMITS, state, 10.0, 58.0, 0.5)
-        seen.append(is_complete(LIMITS, state))
-    assert seen == [False] * 9 + [True] * 3
+    """Ten such periods in a row are a full battery."""
+    state = ChargeState(allowed_A - 0.05 * (58.0 - terminal_V) / 0.2, ending_periods=4)
+    taper(LIMITS, state, setpoint_A, terminal_V, current_A)
+    assert state.current_A == pytest.approx(min(max(allowed_A, 0.0), setpoint_A))
+    assert state.ending_periods == expected
+    assert [is_complete(LIMITS, replace(state, ending_periods=n)) for n in (9, 10)] == [False, True]
 
 
 def ended(currents_A: list[float], setpoint_A: float = 10.0) -> tuple[bool, bool]:
@@ -161,14 +148,6 @@ def test_a_charge_that_begins_anew_is_a_new_charge(current_A: float) -> None:
     assert (is_complete(LIMITS, state), is_disconnected(LIMITS, state)) == (False, False)
 
 
-def test_a_set_point_that_was_lowered_explains_a_current_that_left() -> None:
-    state = ChargeState(10.0)
-    taper(LIMITS, state, 10.0, 58.0, 10.0)
-    for _ in range(60):
-        taper(LIMITS, state, 2.0, 58.0 * 1.02, 0.0)
-    assert is_complete(LIMITS, state)
-
-
 @pytest.mark.parametrize(("lasted_s", "trips"), [(0.0, False), (3600.0, False), (3601.0, True)])
 def test_a_charge_may_last_for_its_longest_time(lasted_s: float, *, trips: bool) -> None:
     state = ChargeState(10.0, lasted_s=lasted_s)
@@ -181,3 +160,63 @@ def test_the_terminals_may_be_as_far_above_the_limit_as_its_key_says(current_A: 
     highest_V = terminal_voltage(LIMITS, voltage_limit(LIMITS, current_A), current_A)
     share = highest_V / LIMITS.voltage_max_V - 1.0
     assert f"by {100.0 * share:.3g} % at most" in str(Charge.model_fields["voltage_max_V"])
+
+
+RATIO, SERIES_Ohm, END_A = 0.25, 1.2, 1.0
+BATTERY = battery_load(RATIO, SERIES_Ohm, 0.3, 60.0, Charging(RATIO, 1.0, 0.2, 58.0, END_A))
+JACKET = replace(EXACT.jacket, response_periods=10, response_distance=0.2)
+SETTINGS = replace(EXACT, jacket=JACKET)
+LOWEST_V, HIGHEST_V = 100.0, 400.0
+
+
+def sample(output_A: float, reference_A: float, newest_V: float, oldest_V: float) -> SlowSample:
+    """Return a sample of a battery; the second of the filtered inputs is not the terminal's."""
+    return replace(
+        AT_REST, output=output_A, reference=reference_A, adaptive=False, applied=newest_V,
+        output_filtered=[output_A], input_filtered=[newest_V, oldest_V],
+        low=LOWEST_V, high=HIGHEST_V,
+    )  # fmt: skip
+
+
+def below_the_emf(newest_V: float) -> SlowState:
+    """Return a slow half that has just raised its input to `newest_V`; no current flows."""
+    state = new_slow_state(SETTINGS, BATTERY, 0.0, newest_V)
+    state.inputs[1:] = [newest_V - 30.0] * (len(state.inputs) - 1)
+    state.charge.current_A = 100.0  # so that the voltage limit lowers no set-point here
+    return state
+
+
+@pytest.mark.parametrize(
+    ("reference_A", "current_A"), [(8.0, 8.0), (5.0, 5.0), (0.5, END_A), (END_A, END_A)]
+)
+def test_below_its_emf_a_battery_is_raised_by_what_the_set_point_needs_at_once(
+    reference_A: float, current_A: float
+) -> None:
+    """N2 ΔV_c over R_s is the current that flows at once, if the EMF is reached."""
+    state, before_V = below_the_emf(200.0), 200.0
+    raised = []
+    for _ in range(12):
+        asked = sample(0.0, reference_A, before_V, 0.0)
+        now_V = slow_step(SETTINGS, BATTERY, state, asked)
+        raised.append(RATIO * (now_V - before_V) / SERIES_Ohm)
+        before_V = now_V
+    assert max(raised) == pytest.approx(current_A)
+    assert before_V <= HIGHEST_V
+
+
+def test_a_battery_is_never_raised_above_the_highest_input() -> None:
+    state = below_the_emf(395.0)
+    assert slow_step(SETTINGS, BATTERY, state, sample(0.0, 20.0, 395.0, 0.0)) == HIGHEST_V
+
+
+@pytest.mark.parametrize(("high_V", "unresponsive"), [(HIGHEST_V, False), (250.0, True)])
+def test_below_its_own_voltage_a_battery_need_not_answer(
+    high_V: float, *, unresponsive: bool
+) -> None:
+    """At the highest input it must: that is above the voltage of every battery it is made for."""
+    state = new_slow_state(SETTINGS, BATTERY, 0.0, 200.0)
+    for number in range(60):
+        asked = sample(0.0, 20.0, 250.0 if number else 200.0, 0.0)
+        asked = replace(asked, followed=number == 0, high=high_V)
+        slow_step(SETTINGS, BATTERY, state, asked)
+    assert state.unresponsive is unresponsive

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.signal import lsim
 
 from adaptdrive.control import fast_half as fast
+from adaptdrive.control.rounding import rounding_error
 from adaptdrive.control.signals import Measurement
-from tests.closed_loop.bench import EXACT, MOTOR, RATES, STAGE, TICK_s
+from tests.closed_loop.bench import EXACT, MOTOR, RATES, STAGE, TICKS, TICK_s
 from tests.control.systems import Array
 
 plausible = st.floats(-10.0, 400.0)
@@ -28,14 +29,6 @@ def state(**changes: float) -> fast.FastState:
     for name, value in changes.items():
         setattr(made, name, value)
     return made
-
-
-def test_a_new_bank_has_seen_the_present_for_ever() -> None:
-    filters = bank()
-    for _ in range(1000):
-        fast.filter_sample(filters, 3.0, 280.0, 1)
-    assert filters.outputs == pytest.approx([3.0, 3.0], rel=1e-12)
-    assert filters.inputs == pytest.approx([280.0, 280.0], rel=1e-12)
 
 
 def filtered_line(corners: Array, time_s: NDArray[Any], order: int) -> Array:
@@ -91,10 +84,6 @@ def regulate(
     return fast.regulate_voltage(books, STAGE, reference, voltage, line, power, TICK_s)
 
 
-def test_at_rest_the_scale_carries_the_load_alone() -> None:
-    assert regulate(state()) == pytest.approx(500.0 / 120.0**2)
-
-
 def test_without_feed_forward_the_load_power_is_not_looked_at() -> None:
     blind = replace(STAGE, feed_forward=False)
     scales = {
@@ -139,17 +128,12 @@ def test_the_command_carries_the_load_and_names_V_c() -> None:
 def test_a_drive_with_its_own_voltage_loop_is_told_V_c_alone() -> None:
     holding = replace(STAGE, holds_voltage=True)
     assert fast.drive(state(), holding, measured(1)) == (0.0, 300.0)
-    held_back = fast.drive(state(), holding, measured(1, power_W=1.21 * STAGE.load_power_max_W))
-    assert held_back == pytest.approx((0.0, 300.0 / 1.1))
-
-
-@pytest.mark.parametrize(("ticks", "first_V"), [(0, 310.0), (1, 315.0)])
-def test_a_change_is_kicked_where_the_stage_kicks(ticks: int, first_V: float) -> None:
-    kicking = replace(STAGE, holds_voltage=True, kick_ticks=ticks, kick_first=0.5)
-    books = state()
+    kicking, books = replace(holding, kick_ticks=1, kick_first=0.5), state()
     fast.drive(books, kicking, measured(1))
     books.boost_reference_V = 310.0
-    assert fast.drive(books, kicking, measured(2))[1] == first_V
+    assert fast.drive(books, kicking, measured(2))[1] == 315.0
+    held_back = fast.drive(state(), holding, measured(1, power_W=1.21 * STAGE.load_power_max_W))
+    assert held_back == pytest.approx((0.0, 300.0 / 1.1))
 
 
 @pytest.mark.parametrize(("ticks", "bridged"), [(1, 1), (5, 5), (120, 120), (1000, 120)])
@@ -167,10 +151,10 @@ def test_each_tick_is_in_the_books_of_its_period() -> None:
         fresh = replace(measured(tick), boost_voltage_V=300.0 + tick, fresh=tick % 3 != 0)
         ended = fast.take_in(EXACT, MOTOR, books, filters, fresh)
         assert ended is (tick == 120)
-    applied_V, followed, held = fast.close_period(books, EXACT)
-    assert applied_V == pytest.approx(360.5)
-    assert followed
-    assert held == 40
+    assert fast.close_period(books, EXACT) == (pytest.approx(360.5), True, 40)
+    fast.count_tick(books, 280.0, fresh=True)
+    assert fast.close_period(books, EXACT) == (280.0, True, 0)
+    assert math.isnan(fast.close_period(books, EXACT)[0])
 
 
 @pytest.mark.parametrize("clip", [0.0, 0.5, 6.0])
@@ -224,12 +208,6 @@ def test_a_load_holds_V_c_below_what_it_bears(highest_V: float, ceiling_V: float
     assert books.ceiling_V == ceiling_V
 
 
-def test_at_just_the_power_of_the_drive_V_c_is_not_held_back_further() -> None:
-    books = state(boost_reference_V=400.0, ceiling_V=300.0)
-    assert fast.limit_power(books, STAGE, 310.0, STAGE.load_power_max_W) > 300.0
-    assert 300.0 < books.ceiling_V < 310.0
-
-
 def test_too_much_power_holds_the_voltage_back_and_lets_it_rise_slowly() -> None:
     books = state(boost_reference_V=400.0)
     held = fast.limit_power(books, STAGE, 390.0, 1.21 * STAGE.load_power_max_W)
@@ -250,20 +228,6 @@ def test_the_reference_in_force_never_leaves_its_limits(
         assert STAGE.boost_reference_min_V <= held <= STAGE.boost_reference_max_V
 
 
-def test_the_books_of_a_period_start_again_empty() -> None:
-    books = state()
-    for n in range(120):
-        books.limit = 1 if n < 31 else 0
-        fast.count_tick(books, 300.0 + n, fresh=n % 10 != 0)
-    applied_V, followed, held = fast.close_period(books, EXACT)
-    assert applied_V == pytest.approx(300.0 + 59.5)
-    assert not followed
-    assert held == 12
-    fast.count_tick(books, 280.0, fresh=True)
-    assert fast.close_period(books, EXACT) == (280.0, True, 0)
-    assert math.isnan(fast.close_period(books, EXACT)[0])
-
-
 @pytest.mark.parametrize(("limited", "followed"), [(0, True), (30, True), (31, False)])
 def test_a_quarter_of_a_period_at_a_limit_is_still_followed(limited: int, followed: bool) -> None:
     books = state()
@@ -271,3 +235,96 @@ def test_a_quarter_of_a_period_at_a_limit_is_still_followed(limited: int, follow
         books.limit = -1 if n < limited else 0
         fast.count_tick(books, 300.0, fresh=True)
     assert fast.close_period(books, EXACT)[1] is followed
+
+
+KICKING = replace(STAGE, kick_ticks=3, kick_first=1.5, kick_second=-0.5)
+
+
+def moving(voltage_V: float) -> fast.FastState:
+    return fast.FastState(tick=0, boost_reference_V=voltage_V, error_sum=0.0)
+
+
+def kicked(of: fast.FastState, ticks: int, stride: int = 1) -> list[float]:
+    """V_c at each reading of so many ticks."""
+    sent = []
+    for _ in range(0, ticks, stride):
+        of.tick += stride
+        sent.append(fast.kick(of, KICKING, of.boost_reference_V, of.tick))
+    return sent
+
+
+def test_a_change_of_V_c_is_exaggerated_in_two_parts_and_then_held() -> None:
+    of = moving(280.0)
+    assert kicked(of, 5) == [280.0] * 5
+    of.boost_reference_V = 290.0
+    assert kicked(of, 10) == [305.0] * 3 + [285.0] * 3 + [290.0] * 4
+    of.boost_reference_V = 286.0
+    assert kicked(of, 4) == [280.0] * 3 + [288.0]
+    of.boost_reference_V = 288.0
+    assert kicked(of, 2) == [291.0] * 2
+    polled = moving(280.0)
+    kicked(polled, 9, stride=3)  # as many half-cycles, in fewer readings
+    polled.boost_reference_V = 290.0
+    assert kicked(polled, 12, stride=3) == [305.0, 285.0, 290.0, 290.0]
+
+
+def test_a_kick_stays_within_the_limits_of_the_drive_and_of_its_power() -> None:
+    of = moving(280.0)
+    kicked(of, 1)
+    of.boost_reference_V = 395.0
+    assert kicked(of, 1) == [400.0]
+    of.boost_reference_V = 205.0
+    assert kicked(of, 1) == [200.0]
+    of.boost_reference_V, of.ceiling_V = 300.0, 310.0
+    assert kicked(of, 1) == [310.0]
+
+
+def test_what_the_operator_sets_is_not_kicked() -> None:
+    of = moving(280.0)
+    kicked(of, 4)
+    fast.set_by_hand(of, KICKING, 300.0)
+    assert kicked(of, 8) == [300.0] * 8
+    of.by_hand = False
+    assert kicked(of, 2) == [300.0] * 2
+
+
+@pytest.mark.parametrize(("asked_V", "set_V"), [(100.0, 200.0), (320.0, 320.0), (900.0, 400.0)])
+def test_the_operator_sets_V_c_within_the_limits_of_the_drive(asked_V: float, set_V: float) -> None:
+    of = moving(280.0)
+    fast.set_by_hand(of, STAGE, asked_V)
+    assert (of.boost_reference_V, of.by_hand) == (set_V, True)
+    fast.set_by_hand(of, STAGE, math.nan)
+    assert of.boost_reference_V == set_V
+
+
+@pytest.mark.parametrize("samples", [1, 7, 60])
+def test_the_window_is_the_last_samples_of_a_period_with_its_end(samples: int) -> None:
+    settings = replace(EXACT, rates=replace(EXACT.rates, samples=samples, clip=0.0))
+    of, bank = moving(280.0), fast.new_filter_bank(MOTOR, TICK_s, 10.0, 3.0, 280.0)
+    for tick in range(1, 2 * TICKS + 1):
+        measurement = Measurement(tick, TICK_s, 280.0, 120.0, 430.0, float(tick))
+        ends = fast.take_in(settings, MOTOR, of, bank, measurement)
+        assert ends is (tick % TICKS == 0)
+        if ends:
+            assert bank.count == samples
+            assert fast.take_means(bank)[0] == pytest.approx(tick - (samples - 1) / 2)
+
+
+def test_the_rounding_error_counts_the_changes_of_each_period_anew() -> None:
+    bank = fast.new_filter_bank(MOTOR, TICK_s, 10.0, 3.0, 280.0)
+    settings = replace(EXACT, learning=replace(EXACT.learning, resolution=0.01))
+    shares = []
+    for changes in (30, 60, 0):
+        bank.grid.changes = changes
+        shares.append(changes / TICKS)
+        expected = rounding_error(0.01, sum(shares) / len(shares))
+        assert fast.take_rounding(settings, bank) == pytest.approx((0.01, expected))
+        assert bank.grid.changes == 0
+
+
+def test_a_new_screen_is_as_wide_as_the_larger_of_present_and_expected_output() -> None:
+    for output, largest in ((3.5, 3.5), (-3.5, 3.5), (1.0, 0.011 * 280.0)):
+        screen = fast.new_filter_bank(MOTOR, TICK_s, 10.0, output, 280.0).screen
+        assert screen.slope == 0.0
+        at_rest = fast.new_filter_bank(MOTOR, TICK_s, 10.0, largest, 0.0).screen
+        assert replace(screen, level=largest) == replace(at_rest, level=largest)

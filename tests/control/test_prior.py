@@ -38,6 +38,8 @@ def first_adaptive(
 def test_the_gains_of_what_an_earlier_run_has_learnt_act_at_once_and_stay() -> None:
     start, bench = first_adaptive(THREE_DISKS, 3)
     assert start == 0
+    values = [bench.decisions[0].estimates[name].value for name in MOTOR.names]
+    assert values == pytest.approx(THREE_DISKS, rel=1e-3)
     assert all(decision.controller is Mode.ADAPTIVE for decision in bench.decisions)
     assert first_adaptive(None, 3)[0] >= 90
 
@@ -55,17 +57,13 @@ def test_while_nothing_is_learnt_the_gains_fit_the_noise_as_it_becomes_known() -
 
 
 def test_the_trusted_values_are_those_of_the_last_accepted_estimate() -> None:
+    assert Controller(CAREFUL, MOTOR, THREE_DISKS).trusted is None
     _, bench = first_adaptive(THREE_DISKS, 3)
     assert bench.controller.trusted == pytest.approx(THREE_DISKS, rel=0.01)
     accepted = [d for d in bench.decisions if d.accepted][-1]
     assert bench.controller.trusted == tuple(accepted.estimates[name].value for name in MOTOR.names)
     assert all(0.0 < accepted.estimates[name].std < 0.1 * value
                for name, value in zip(MOTOR.names, THREE_DISKS, strict=True))  # fmt: skip
-
-
-def test_nothing_is_trusted_before_it_is_accepted() -> None:
-    controller = Controller(CAREFUL, MOTOR, THREE_DISKS)
-    assert controller.trusted is None
 
 
 def test_gains_for_a_load_that_is_another_one_by_now_do_not_stay() -> None:
@@ -79,15 +77,6 @@ def test_gains_for_a_load_that_is_another_one_by_now_do_not_stay() -> None:
     assert modes[0] is Mode.ADAPTIVE
     assert modes.index(Mode.FIXED) < 40
     assert 2.99 < min(outputs) < max(outputs) < 3.21
-
-
-def test_the_first_estimate_is_the_prior() -> None:
-    bench = Bench(CAREFUL)
-    bench.controller = Controller(CAREFUL, MOTOR, THREE_DISKS)
-    bench.run(1.0, order())
-    bench.run(1.0, order())
-    values = [bench.decisions[0].estimates[name].value for name in MOTOR.names]
-    assert values == pytest.approx(THREE_DISKS, rel=1e-3)
 
 
 def test_a_prior_changes_nothing_of_direct_least_squares() -> None:

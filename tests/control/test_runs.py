@@ -12,7 +12,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import ControllerSettings, Probing, Rates
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
-from tests.closed_loop.bench import EXACT, MOTOR, PLAIN_LEARNING, REST_V, TICKS, TICK_s, order
+from tests.closed_loop.bench import EXACT, MOTOR, REST_V, TICKS, TICK_s, order
 
 
 def measured(
@@ -39,13 +39,6 @@ def test_after_a_precharge_the_filters_have_seen_the_voltage_that_the_output_res
         controller.tick(measured(tick, output, boost_V=215.0), order())
     seen_V = snapshot_of(controller).input_filtered[2]
     assert seen_V == pytest.approx(resting_V, abs=0.0047 * abs(215.0 - resting_V) + 1e-9)
-
-
-def test_a_drive_that_was_fed_has_filters_that_have_seen_its_voltage() -> None:
-    controller = Controller(EXACT, MOTOR)
-    for tick in range(1, TICKS + 1):
-        controller.tick(measured(tick, 3.3, boost_V=215.0), order())
-    assert snapshot_of(controller).input_filtered[2] == pytest.approx(215.0)
 
 
 BATTERY = replace(
@@ -108,14 +101,6 @@ def test_a_voltage_by_hand_and_a_law_do_not_overwrite_each_other(mode: Mode) -> 
     before_V = controller.tick(measured(TICKS + 1), now).boost_reference_V
     controller.apply(replace(decision, boost_reference_V=350.0, controller=mode))
     assert controller.tick(measured(TICKS + 2), now).boost_reference_V == before_V
-
-
-def test_a_snapshot_that_nobody_took_ends_with_its_run() -> None:
-    controller = Controller(EXACT, MOTOR)
-    for tick in range(TICKS + 1):
-        controller.tick(measured(tick), order())
-    controller.tick(measured(TICKS + 1), order(stage=Stage.OFF))
-    assert controller.take_snapshot() is None
 
 
 @pytest.mark.parametrize("after_A", [0.0, 8.0])
@@ -218,21 +203,6 @@ def test_a_load_that_does_not_answer_is_a_fault_and_named(reference: float) -> N
     }
     assert faults == sorted(faults)
     assert faults[:6] == [""] * 6
-
-
-@pytest.mark.parametrize("mode", Mode)
-def test_without_a_probe_none_is_shown_and_a_load_at_rest_has_no_fault(mode: Mode) -> None:
-    found = stuck(RESPONDING, order(mode=mode), 3)
-    assert len(found) == 3
-    for decision in found:
-        assert math.isnan(decision.probe)
-        assert decision.fault == ""
-
-
-def test_before_an_estimate_its_deviations_are_unknown() -> None:
-    unknown = stuck(replace(RESPONDING, learning=PLAIN_LEARNING), order(), 1)[0].estimates
-    assert [*unknown] == list(MOTOR.names)
-    assert all(math.isnan(one.std) for one in unknown.values())
 
 
 UNSURE = replace(  # no motor is damped so well: its estimate stays in doubt

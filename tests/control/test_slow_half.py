@@ -15,7 +15,7 @@ from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from adaptdrive.control.vectors import copy_into
 from adaptdrive.control.watch import Fallback
-from tests.closed_loop.bench import EXACT, MOTOR, PAPER, PLAIN_LEARNING, REST_V
+from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, PAPER, PLAIN_LEARNING, REST_V
 from tests.control.systems import motor_system
 
 BOTH = pytest.mark.parametrize("settings", [EXACT, PAPER])
@@ -75,12 +75,9 @@ def test_where_the_drive_could_not_follow_the_history_holds_what_was_applied() -
         state = at_rest()
         slow_step(EXACT, MOTOR, state, sample(applied=250.0, followed=followed))
         assert state.inputs[1] == remembered
-
-
-def test_what_was_applied_is_not_believed_while_it_is_unknown() -> None:
     state = at_rest()
     slow_step(EXACT, MOTOR, state, sample(applied=math.nan, followed=False))
-    assert np.isfinite(state.inputs).all()
+    assert np.isfinite(state.inputs).all()  # what is unknown is not believed
 
 
 @BOTH
@@ -219,3 +216,66 @@ def test_the_history_goes_beyond_a_limit_by_the_noise_of_the_law_in_force(adapti
     far = sample(reference=4000.0, adaptive=adaptive)
     assert slow_step(settings, MOTOR, state, far) == state.sent == 400.0
     assert state.inputs[0] == (416.0 if adaptive else 400.0)
+
+
+FIXED = replace(AT_REST, adaptive=False)
+
+
+@pytest.mark.parametrize("followed", [True, False])
+def test_an_error_counts_only_while_the_drive_follows(*, followed: bool) -> None:
+    """The output stays although the set-point is 0.2 V away."""
+    jacket = replace(EXACT.jacket, error_limit=0.1, response_distance=1.0)
+    settings, state = replace(EXACT, jacket=jacket), at_rest()
+    for _ in range(60):
+        applied = REST_V if followed else REST_V + 1.0
+        asked = replace(AT_REST, reference=3.2, followed=followed, applied=applied, high=1e9)
+        slow_step(settings, MOTOR, state, asked)
+    assert state.watch.fallback == (Fallback.ERROR if followed else Fallback.NONE)
+
+
+def test_by_hand_no_law_is_in_force_and_the_fixed_one_is_the_first_after_it() -> None:
+    state = at_rest()
+    state.adaptive, state.blend, state.handover_step = True, 1.0, 3.0
+    before = list(state.inputs)
+    assert slow_step(EXACT, MOTOR, state, replace(FIXED, manual=True, held=250.0)) == 250.0
+    assert state.inputs == [250.0, 250.0, *before[1:-1]]
+    assert not state.adaptive
+    assert state.blend == 0.0
+    assert math.isnan(state.handover_step)
+
+
+@pytest.mark.parametrize(
+    ("held_V", "unresponsive"), [(200.0, True), (400.0, True), (210.0, False), (390.0, False)]
+)
+def test_an_input_by_hand_at_a_limit_shows_a_load_that_does_not_answer(
+    held_V: float, *, unresponsive: bool
+) -> None:
+    """One within the limits is the operator's own, and judged by the operator."""
+    jacket = replace(EXACT.jacket, response_periods=20, response_distance=0.05)
+    settings, state = replace(EXACT, jacket=jacket), at_rest()
+    for _ in range(400):
+        slow_step(settings, MOTOR, state, replace(FIXED, manual=True, held=held_V))
+    assert state.unresponsive is unresponsive
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 4.0])
+def test_the_error_of_the_nominal_load_is_none_where_it_rests_whatever_the_scale(
+    scale: float,
+) -> None:
+    settings = replace(EXACT, learning=replace(PLAIN_LEARNING, output_scale=scale))
+    state = at_rest(settings)
+    slow_step(settings, MOTOR, state, FIXED)
+    assert state.supervisor.fixed_power == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "teaches"), [((3.125,), True), ((3.0625,), False), ((2.75, 2.75), False)]
+)
+def test_a_dead_band_begins_at_the_output_of_the_last_period(
+    outputs: tuple[float, ...], *, teaches: bool
+) -> None:
+    settings = replace(EXACT, learning=replace(PLAIN_LEARNING, dead_band=0.125))
+    state = at_rest(settings)
+    for output in outputs:
+        slow_step(settings, MOTOR, state, replace(FIXED, output=output))
+    assert (state.estimator.idle_periods == 0) is teaches
