@@ -1,4 +1,4 @@
-"""Discrete models against scipy, exact simulation and residues."""
+"""Discrete models against scipy, exact simulation and residues, and the way back."""
 
 import math
 
@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, dlsim, lfilter
 
+from adaptdrive.control.continuous import continuous_model
 from adaptdrive.control.discretise import (
     held_model,
     impulse_invariant_pair,
     input_taps,
     propagate,
 )
+from adaptdrive.control.vectors import Vector
 from tests.control.systems import (
     Array,
     System,
@@ -88,16 +90,6 @@ def test_no_delay_or_window_changes_poles_or_dc_gain(
     assert sum(b) == pytest.approx(system.dc_gain * sum(a), rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("delay_s", "window_s", "taps"),
-    [(0.0, 0.0, 2), (0.1, 0.0, 3), (1.0, 0.0, 3), (1.01, 0.0, 4), (0.5, 0.5, 3), (0.6, 0.5, 4)],
-)
-def test_input_taps_counts_the_periods_that_a_delay_reaches_into(
-    delay_s: float, window_s: float, taps: int
-) -> None:
-    assert input_taps(2, 1.0, delay_s, window_s) == taps
-
-
 @given(stable_systems(direct=True), st.floats(0.0, 40.0))
 def test_propagate_is_the_matrix_exponential(system: System, duration_s: float) -> None:
     order = system.order
@@ -142,13 +134,6 @@ def test_equal_time_constants_are_no_special_case() -> None:
         assert [*a, *b] == pytest.approx([*at[0], *at[1]], rel=1e-8)
 
 
-def test_a_load_without_a_state_is_its_gain() -> None:
-    """y = 2 u: the input stays, and the integral of the output is 2 u t."""
-    state = [3.0, 0.0]
-    propagate([2.0], state, 5.0)
-    assert state == pytest.approx([3.0, 30.0])
-
-
 @pytest.mark.parametrize(
     ("system", "state", "duration_s"),
     [([-1e9, 1.0, 0.0], [1.0, 1.0, 0.0], 1e9), ([-0.1, 1.0, 0.0], [math.nan] * 3, 1.0)],
@@ -169,3 +154,22 @@ def test_a_load_that_grows_beyond_all_numbers_has_no_discrete_model(
     a, b = impulse_invariant_pair(0.011, 2.0 * tau_s, tau_s * tau_s, 0.5)
     assert (len(a), len(b)) == (3, 3)
     assert np.isfinite([*a[:2], b[1]]).all() == finite
+
+
+@pytest.mark.parametrize(
+    "a",
+    [[1.0, 0.5], [1.0, 0.0], [1.0, 0.2, -0.5], [1.0, 0.9, 0.2], [1.0, 0.0, 0.0], [1.0, 0, 0, 0.1]],
+)
+def test_where_there_is_no_such_load_the_answer_is_not_a_number(a: Vector) -> None:
+    numerator, denominator = continuous_model(a, [0.0, 1.0], 1.0)
+    assert math.isnan(denominator[-1])
+    assert math.isnan(numerator[-1])
+
+
+@given(stable_systems((1, 2)), st.floats(0.1, 1.0))
+def test_it_undoes_the_discretisation_of_scipy(system: System, period_s: float) -> None:
+    plain = System([0.0] * system.order + system.numerator[-1:], system.denominator)
+    a, b = held_polynomials(plain, period_s)
+    numerator, denominator = continuous_model(a.tolist(), b.tolist(), period_s)
+    assert denominator == pytest.approx(system.denominator, rel=1e-6)
+    assert numerator == pytest.approx(plain.numerator, rel=1e-6)

@@ -1,23 +1,44 @@
-"""Estimation methods behind their interface: a third one needs no change of the controller."""
+"""The estimation methods: what is the λ-method's own, direct least squares, and a third one."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from typing import get_args
+from functools import cache
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
 from adaptdrive.config.load import Estimator
+from adaptdrive.control import estimator as est
+from adaptdrive.control import in_force
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.lambda_method import LambdaMethod
 from adaptdrive.control.load import Load
+from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.method import Method
 from adaptdrive.control.methods import METHODS
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import ControllerSettings, Learning
 from adaptdrive.control.signals import Mode
+from adaptdrive.control.slow_state import SlowState, new_slow_state
+from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.vectors import shift_in
 from adaptdrive.pure import build_name
-from tests.closed_loop.bench import EXACT, Bench, order, square_wave
+from tests.closed_loop.bench import (
+    AT_REST,
+    EXACT,
+    MOTOR,
+    PAPER,
+    PLAIN_LEARNING,
+    SCALED_LEARNING,
+    Bench,
+    order,
+    square_wave,
+)
+from tests.control.systems import Array, held_polynomials, motor_system
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,14 +61,199 @@ def innovations(method: Method) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.array([decision.innovation for decision in bench.decisions])
 
 
-def test_the_configuration_offers_every_method() -> None:
-    assert get_args(Estimator.model_fields["method"].annotation) == tuple(METHODS)
-
-
 @pytest.mark.skipif(
     build_name() == "compiled", reason="a class in Python cannot inherit from a compiled one"
 )
 def test_a_third_method_learns_in_the_same_controller() -> None:
+    assert get_args(Estimator.model_fields["method"].annotation) == tuple(METHODS)
     learnt, frozen = innovations(Projection()), innovations(Projection(step=0.0))
     last = slice(-120, None)
     assert np.sqrt(np.mean(learnt[last] ** 2)) < 0.2 * np.sqrt(np.mean(frozen[last] ** 2))
+
+
+BATTERY = battery_load(0.25, 1.2, 0.4, 30.0)
+MEASURED = replace(
+    AT_REST,
+    output=3.3,
+    output_filtered=[3.2, 3.1],
+    input_filtered=[300.0, 290.0, 285.0],
+)
+TAU_s = SCALED_LEARNING.tau_lambda_s
+
+
+def filled(learning: Learning, load: Load) -> SlowState:
+    """A state 60 s after its start, 20 s after its origin, whose r has been filled in."""
+    state = new_slow_state(replace(EXACT, learning=learning), load, 3.0, 280.0)
+    estimator = state.estimator
+    estimator.sample.time_s, estimator.estimate.origin_s, estimator.charge = 60.0, 40.0, 0.7
+    learning.method.fill_regressor(state, learning, load, MEASURED)
+    return state
+
+
+def covariance(state: est.EstimatorState) -> Array:
+    count = len(state.estimate.theta)
+    flat = ud.covariance(state.estimate.upper, state.estimate.diagonal)
+    return np.reshape(np.array(flat), (count, count))
+
+
+def test_the_regressor_of_a_motor_is_equation_29_and_the_initial_state_since_the_origin() -> None:
+    learning = replace(SCALED_LEARNING, initial_state=True, bias=True)
+    found = filled(learning, MOTOR).estimator.sample.regressor
+    ratio = 20.0 / TAU_s
+    expected = [-3.2 / 3.0, -3.1 / 3.0, 285.0 / 280.0]
+    expected += [math.exp(-ratio), ratio * math.exp(-ratio), 1.0]
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_charge_is_beside_the_bias_and_its_rate_in_the_lowered_regressor() -> None:
+    """(τ_λ p + 1) q/τ_λ is y + q/τ_λ."""
+    learning = replace(SCALED_LEARNING, bias=True, charge=True)
+    estimator = filled(learning, BATTERY).estimator
+    assert estimator.sample.regressor[-2:] == [0.7, 1.0]
+    assert estimator.rivals.lowered[-2:] == pytest.approx([0.7 + 3.3 / 3.0, 1.0], rel=1e-12)
+
+
+def test_an_emf_wanders_along_the_bias_and_its_rise_along_both() -> None:
+    """0.2 σ of the bias, and 0.1 σ of a rise that is zero at the present charge of 0.7."""
+    learning = replace(SCALED_LEARNING, bias=True, charge=True)
+    fresh = new_slow_state(replace(EXACT, learning=learning), BATTERY, 3.0, 280.0).estimator
+    widened = covariance(filled(learning, BATTERY).estimator) - covariance(fresh)
+    rise, bias = len(fresh.estimate.theta) - 2, len(fresh.estimate.theta) - 1
+    expected = np.zeros_like(widened)
+    expected[rise, rise] = 0.1**2
+    expected[rise, bias] = expected[bias, rise] = -(0.1**2) * 0.7
+    expected[bias, bias] = 0.2**2 + (0.1 * 0.7) ** 2
+    np.testing.assert_allclose(widened, expected, atol=1e-9 * SCALED_LEARNING.initial_covariance)
+
+
+@pytest.mark.parametrize(
+    ("options", "share"),
+    [
+        ({}, 0.1),
+        ({"charge": True}, 1.0),
+        ({"drifts": True}, 1.0),
+        ({"start_at_nominal": False}, 1.0),
+        ({"initial_covariance": 1e7}, math.sqrt(0.1)),
+        ({"initial_covariance": 1e4}, 1.0),
+    ],
+)
+def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
+    options: dict[str, Any], share: float
+) -> None:
+    """P[0] is a deviation of 1 at the least σ: an EMF or the drift of an inflow may be as large."""
+    usual = {"alert": True, "bias": True, "initial_covariance": 1e8}
+    learning = replace(SCALED_LEARNING, **(usual | options))
+    state = est.new_estimator(learning, MOTOR, 2)
+    variance = share**2 * learning.initial_covariance
+    assert state.estimate.diagonal[-1] == pytest.approx(variance, rel=1e-12)
+    state.estimate.diagonal[-1] = 1.0
+    est.begin_anew(state, learning, MOTOR)
+    assert state.estimate.diagonal[-1] == pytest.approx(variance, rel=1e-12)
+
+
+@pytest.mark.parametrize("ceiling", [0.0, 0.5])
+def test_a_ceiling_of_the_covariance_adds_its_information_to_each_sample(ceiling: float) -> None:
+    learning = replace(SCALED_LEARNING, forgetting=0.9, covariance_max=ceiling)
+    state = est.new_estimator(learning, MOTOR, 2)
+    state.sample.regressor[:] = [-1.0, -0.9, 1.1]
+    before = np.linalg.inv(covariance(state))
+    est.learn(state, learning, MOTOR, 3.0, usable=True)
+    information = 0.9 * before + np.outer(state.sample.regressor, state.sample.regressor)
+    if ceiling > 0.0:
+        information += 0.1 / ceiling * np.eye(3)
+    np.testing.assert_allclose(np.linalg.inv(covariance(state)), information, rtol=1e-6, atol=1e-6)
+    assert state.idle_periods == 0
+
+
+def test_the_offset_of_the_input_is_what_bias_and_charge_move_the_output_by_over_beta() -> None:
+    learning = replace(SCALED_LEARNING, bias=True, charge=True)
+    state = filled(learning, BATTERY).estimator
+    state.estimate.theta[:] = [-0.4, 0.3, 0.5, *state.estimate.theta[3:-2], 0.2, 0.1]
+    offset_V = learning.method.input_offset(state, learning, BATTERY)
+    assert offset_V == pytest.approx((0.1 + 0.2 * 0.7) / 0.8 * 280.0, rel=1e-12)
+    without = replace(SCALED_LEARNING, bias=False)
+    assert math.isnan(without.method.input_offset(state, without, BATTERY))
+
+
+DIRECT = replace(
+    SCALED_LEARNING, method=METHODS["rls"], start_at_nominal=False, gate=0.0, bias=True,
+    initial_covariance=1e6,
+)  # fmt: skip
+SETTINGS = replace(PAPER, learning=DIRECT)
+OFFSET_V = 25.0
+
+
+@cache
+def held(disks: int) -> tuple[Array, Array]:
+    return held_polynomials(motor_system(disks), 1.0)
+
+
+def learn(
+    settings: ControllerSettings, disks: list[int], noise: float = 0.0
+) -> tuple[SlowState, Array]:
+    """An estimator that has seen a motor with so many disks in each period; its innovations."""
+    random = np.random.default_rng(5)
+    state, learning = new_slow_state(settings, MOTOR, 3.0, 280.0), settings.learning
+    outputs, inputs, innovations = [3.0, 3.0], [280.0, 280.0], []
+    for count in disks:
+        a, b = held(count)
+        y = float(-np.dot(a[1:], outputs) + np.dot(b[1:], np.add(inputs, OFFSET_V)))
+        outputs = [y, outputs[0]]
+        sample = replace(AT_REST, output=y + noise * random.normal())
+        learning.method.fill_regressor(state, learning, MOTOR, sample)
+        target = learning.method.target(learning, sample)
+        est.learn(state.estimator, learning, MOTOR, target, usable=True)
+        innovations.append(state.estimator.innovation)
+        shift_in(state.outputs, sample.output)
+        inputs = [280.0 + 20.0 * random.normal(), inputs[0]]
+        shift_in(state.inputs, inputs[0])
+    return state, np.array(innovations)
+
+
+def test_the_discrete_model_and_the_offset_of_the_input_are_found() -> None:
+    state, _ = learn(SETTINGS, [2] * 600)
+    method, estimator = DIRECT.method, state.estimator
+    a, b, verdict = method.model(SETTINGS, MOTOR, state, 1.0)
+    bottom, top = held(2)
+    assert a == pytest.approx(bottom, rel=1e-5)
+    assert b[:3] == pytest.approx(top, abs=1e-8)
+    assert b[3:] == pytest.approx([0.0] * len(b[3:]), abs=1e-8)
+    assert verdict == Verdict.TRUSTED
+    assert state.values == pytest.approx([0.011, 33.4, 234.0], rel=1e-3)
+    assert method.input_offset(estimator, DIRECT, MOTOR) == pytest.approx(OFFSET_V, rel=1e-3)
+
+
+def test_its_parameters_are_no_model_in_s_and_have_no_deviations() -> None:
+    method, state = DIRECT.method, new_slow_state(SETTINGS, MOTOR, 3.0, 280.0)
+    assert not method.physical
+    assert not any(est.nominal_theta(DIRECT, MOTOR, 2))
+    values = [0.011, 33.4, 234.0]
+    for known, count in ((method.root, 9), (method.shown_deviations, 3)):
+        found = known(state.estimator, DIRECT, MOTOR, values)
+        assert len(found) == count
+        assert all(math.isnan(one) for one in found)
+
+
+@pytest.mark.parametrize("load", [motor_load(0.011, 11.7, 10.0), battery_load(0.25, 1.2, 0.4, 30)])
+@pytest.mark.parametrize("bias", [False, True])
+def test_it_has_a_parameter_for_each_past_sample(load: Load, *, bias: bool) -> None:
+    learning = replace(PLAIN_LEARNING, method=METHODS["rls"], bias=bias)
+    assert learning.method.parameter_count(learning, load, 4) == load.order + 4 + bias
+
+
+def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> None:
+    """Two disks drop: P opens, so that some samples later the innovations are noise again.
+
+    What they were before does not count any more.
+    """
+    errors, shown = {}, {}
+    for alert in (False, True):
+        learning = replace(DIRECT, alert=alert, forgetting=0.999)
+        settings = replace(SETTINGS, learning=learning)
+        state, innovations = learn(settings, [1] * 200 + [3] * 60, noise=1e-4)
+        errors[alert] = math.sqrt(float(np.mean(innovations[-30:] ** 2)))
+        shown[alert] = in_force.residual_noise(state.estimator) * learning.output_scale
+        assert state.estimator.surprise.alarms == (1 if alert else 0)
+    assert shown[True] == pytest.approx(errors[True], rel=0.5)
+    assert errors[True] < 5e-4
+    assert errors[False] > 2.0 * errors[True]

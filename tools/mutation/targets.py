@@ -84,12 +84,12 @@ def _control(tests: dict[str, str]) -> dict[str, tuple[str, ...]]:
 
 SUPERVISION = _control({
     "watch": "test_watch",
-    "cycling": "test_cycling",
-    "surprise": "test_surprise",
+    "cycling": "test_watch",
+    "surprise": "test_explanation",
     "screen": "test_screen",
-    "rounding": "test_rounding_search",
+    "rounding": "test_rounding",
     "probing": "test_probing",
-    "charging": "test_charging test_slow_laws test_slow_battery",
+    "charging": "test_charging test_slow_laws",
     "supervisor": "test_supervisor",
     "assurance": "test_assurance",
     "noise_limit": "test_noise_limit",
@@ -99,7 +99,7 @@ SUPERVISION = _control({
     "reach": "test_rest",
     "reasons": "test_reasons",
     "redesign": "test_redesign",
-    "doubt": "test_explanation test_correlation",
+    "doubt": "test_explanation test_certainty",
     "certainty": "test_certainty",
 })  # fmt: skip
 
@@ -116,36 +116,35 @@ LEARNING = _control({
     "explanation": "test_explanation test_challenger",
     "estimator": (
         "test_estimator test_prior test_charge test_redesign test_explanation "
-        "test_lambda_method test_correlation"
+        "test_methods test_certainty"
     ),
-    "lambda_method": "test_lambda_method test_methods test_charge test_explanation",
-    "direct_method": "test_direct_method test_estimator",
+    "lambda_method": "test_methods test_charge test_explanation",
+    "direct_method": "test_methods test_estimator",
     "drift": "test_drift test_charge test_estimator",
-    "integrated": "test_integrated",
-    "in_force": "test_integrated test_explanation test_correlation",
+    "integrated": "test_drift",
+    "in_force": "test_drift test_explanation test_certainty",
 })  # fmt: skip
 
 DESIGN = _control({
     "vectors": "test_vectors",
     "discretise": "test_discretise",
-    "continuous": "test_continuous",
+    "continuous": "test_discretise",
     "pole_placement": "test_pole_placement",
-    "compensator": "test_compensator",
+    "compensator": "test_pole_placement",
     "design": "test_design",
     "impulse_hold": "test_impulse_hold",
     "voltage_loop": "test_voltage_loop",
     "waveform": "test_waveform",
-    "load": "test_load",
-    "loads.motor": "loads/test_motor loads/test_kinds test_assurance",
-    "loads.bath": "loads/test_bath loads/test_kinds test_assurance",
-    "loads.battery": "loads/test_battery loads/test_kinds test_assurance",
+    "load": "test_loads",
+    "loads.motor": "test_loads test_assurance",
+    "loads.bath": "test_loads test_assurance",
+    "loads.battery": "test_loads test_assurance",
 })  # fmt: skip
 
 HALVES = _control({
-    "fast_half": "test_fast_half test_kick test_rounding",
+    "fast_half": "test_fast_half test_rounding",
     "slow_half": (
-        "test_slow_half test_slow_laws test_slow_battery test_slow_watches test_assurance "
-        "test_probing test_runs"
+        "test_slow_half test_slow_laws test_charging test_assurance test_probing test_runs"
     ),
     "slow_state": "test_slow_half test_slow_laws test_probing",
     "controller": "test_controller test_schedule test_runs test_prior",
