@@ -91,6 +91,8 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
     """
     written: list[Path] = []
     failures: list[str] = []
+    if not folder.exists():  # a daemon that begins may not have made it yet
+        return written
     with _alone(folder):
         # listed once: what the daemon begins meanwhile is for the next run, and stays
         files, live = log_files(folder), is_live(folder)

@@ -209,7 +209,7 @@ class Recorder:
             self._log.append(kind, msgspec.msgpack.encode(rows), len(rows))
 
     def _count(self, *, last: bool = False) -> None:
-        """Report what was dropped, once that has ended, and have the log say so."""
+        """Report what was dropped, once that or the recording ends, and have the log say so."""
         overflow = self._log.dropped
         queued = Dropped(self._ticks.dropped, self._slow.dropped, self._events.dropped)
         dropped = overflow + queued
@@ -221,7 +221,7 @@ class Recorder:
                 why = "no more ticks can wait until recording continues"
             self._report(Severity.WARNING, f"{why}; ticks are lost")
         self._stalled = stalled
-        new = dropped != self._reported_loss and not stalled
+        new = dropped != self._reported_loss and (last or not stalled)
         if new:
             self._reported_loss = dropped
             self._report(Severity.WARNING, f"not recorded so far: {dropped}")
@@ -235,6 +235,7 @@ class Recorder:
         await self._gather()
         self._note(self._events.drain())
         self._count(last=True)
+        self._note(self._events.drain())  # with the loss that this has told
         self._log.append(Kind.END, b"")
         written = await self._log.close(part_s)
         sessions, made = self._place.sessions, self._archiving.directory is not None
