@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import time
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from adaptdrive.clock.now import now_s
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Stage
 from adaptdrive.recording.archive import archive, close_segment
 from adaptdrive.recording.frames import Kind, Record, framed
@@ -38,8 +36,6 @@ from adaptdrive.recording.session import (
     write_info,
 )
 from adaptdrive.runtime.reports import LoadReport, TickReport
-
-PATIENCE_S = 120.0
 
 INFO = SessionInfo(
     drive="motor",
@@ -138,22 +134,5 @@ def record_messages(directory: Path, header: Header, *batches: Batch) -> Session
 def archive_all(folder: Path) -> list[str]:
     """Do to a log what the archiver process does; what it reports."""
     told: list[str] = []
-    archive(folder, time.monotonic(), 10.0, lambda _severity, detail: told.append(detail))
+    archive(folder, now_s(), 10.0, lambda _severity, detail: told.append(detail))
     return told
-
-
-def fill(disk: Path) -> None:
-    """Leave no room on a disk."""
-    descriptor = os.open(disk / "fill", os.O_CREAT | os.O_WRONLY | os.O_APPEND)
-    with contextlib.suppress(OSError):
-        while True:
-            os.write(descriptor, bytes(4096))
-    os.close(descriptor)
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    """Wait for what another thread or process does."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)

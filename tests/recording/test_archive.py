@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import msgspec
@@ -33,7 +28,6 @@ from tests.recording.material import (
     archive_all,
     make_batch,
     make_tick,
-    wait_until,
     write_log,
 )
 
@@ -124,38 +118,6 @@ def test_what_is_in_the_log_only_is_read_from_there(place: Place) -> None:
     assert session.info.ended is Ending.OPEN
     assert list(directory.glob("*.parquet")) == []
     assert verify(session).whole
-
-
-def test_an_archiver_that_is_killed_anywhere_gives_the_same_session_when_run_again(
-    place: Place,
-) -> None:
-    place.begin()
-    for part in range(1, 7):
-        place.write(10 * (part - 1), part=part, last=part == 6)
-    copies = [place.log.parent / f"copy-{number}" for number in range(8)]
-    for copy in copies:
-        copy.mkdir()
-        for folder in (place.log, place.sessions):
-            shutil.copytree(folder, copy / folder.name)
-    began_s = time.monotonic()
-    run_archiver(place).wait()
-    whole_s, whole = time.monotonic() - began_s, fingerprint(place.sessions)
-    for number, copy in enumerate(copies, 1):
-        other = Place(copy)
-        killed = run_archiver(other)
-        time.sleep(whole_s * (0.3 + 0.7 * number / len(copies)))
-        killed.send_signal(signal.SIGKILL)
-        killed.wait()
-        archive_all(other.log)
-        assert fingerprint(other.sessions) == whole
-        assert [one.number for one in other.session.events] == [1, 11, 21, 31, 41, 51]
-
-
-def run_archiver(place: Place) -> subprocess.Popen[bytes]:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    words = [str(place.log), "10"]
-    command = [sys.executable, "-m", "adaptdrive.recording.archiver", *words]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
 
 
 def test_a_killed_session_is_closed_and_reported_once(place: Place) -> None:
@@ -344,41 +306,3 @@ def test_ticks_that_the_record_of_a_trip_began_with_are_missed(place: Place) -> 
     info = msgspec.structs.replace(read_info(trip), first_sequence=1196)
     (trip / "session.json").write_bytes(msgspec.json.encode(info))
     assert verify(read_session(trip)).missing_ticks == 4
-
-
-def test_the_archiver_outlives_signals_that_end_the_daemon(place: Place) -> None:
-    place.begin()
-    trip_in(place, ticks=50_000)
-    archiver = run_archiver(place)
-    wait_until(lambda: bool(list(place.sessions.glob("*/.trip-*"))) or bool(trips_of(place)))
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGABRT):
-        archiver.send_signal(number)
-    assert archiver.wait() == 0
-    assert verify(place.session).whole
-
-
-ARCHIVER = """
-import sys
-from adaptdrive.recording import archiver
-archiver.main()
-lines = open("/proc/self/status").read().splitlines()
-print(next(line for line in lines if line.startswith("VmHWM")).split()[1])
-print([name for name in ("numpy", "pandas", "pyarrow.compute") if name in sys.modules])
-"""
-
-
-def test_an_archiver_takes_the_memory_of_minutes(place: Place) -> None:
-    """Ten minutes of ticks; an hour takes as much, to be held by 90 MiB with the log's threads."""
-    place.begin()
-    for part in range(3):
-        batches = [
-            make_batch([make_tick(first + number) for number in range(30)])
-            for first in range(24_000 * part, 24_000 * (part + 1), 30)
-        ]
-        write_log(place.log, place.header(), *batches)
-    command = [sys.executable, "-c", ARCHIVER, str(place.log), "10"]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    answer = subprocess.check_output(command, env=environment, text=True).splitlines()
-    assert place.session.ticks.num_rows == 72_000
-    assert answer[-1] == "[]"
-    assert int(answer[-2]) / 1024 < 88.0

@@ -6,7 +6,6 @@ import asyncio
 import errno
 import os
 import threading
-import time
 from pathlib import Path
 
 import msgspec
@@ -21,9 +20,11 @@ from adaptdrive.recording.log_writer import LogWriter
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import Dropped
+from tests.recording.disk import Disk
 from tests.recording.material import INFO
+from tests.virtual_time import held
 
-PATIENCE_S = 60.0
+PATIENCE_S = 5.0
 
 
 class Bench:
@@ -52,18 +53,17 @@ class Bench:
     def ticks(self, number: int, size: int = 100) -> None:
         self.log.append(Kind.TICKS, number.to_bytes(4, "little") * (size // 4), rows=30)
 
-    def problems(self) -> list[str]:
-        return [text for one in self.outcomes for text in one.problems.values()]
-
-    async def until_told(self, text: str) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            while not any(text in problem for problem in self.problems()):  # noqa: ASYNC110
-                await asyncio.sleep(0.01)
+    async def problems(self) -> str:
+        await asyncio.sleep(0)
+        return "; ".join(text for one in self.outcomes for text in one.problems.values())
 
     def events(self) -> list[int]:
         found = records(log_files(self.folder))
         rows = [msgspec.msgpack.decode(one.payload) for one in found if one.kind is Kind.EVENT]
         return [row["number"] for row in rows]
+
+    def batches(self) -> int:
+        return sum(one.kind is Kind.TICKS for one in records(log_files(self.folder)))
 
 
 @pytest.fixture
@@ -71,112 +71,90 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "state" / "motor.log"
 
 
+@pytest.fixture
+def syncs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Descriptors that were synced."""
+    found: list[int] = []
+    monkeypatch.setattr(os, "fdatasync", found.append)
+    return found
+
+
 async def test_whoever_waits_goes_on_when_the_disk_keeps_what_was_appended(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    synced = threading.Event()
-    sync = os.fdatasync
-
-    def slow(descriptor: int) -> None:
-        synced.wait(PATIENCE_S)
-        sync(descriptor)
-
-    monkeypatch.setattr(os, "fdatasync", slow)
-    bench = Bench(folder)
-    bench.event(1)
-    waiting = asyncio.create_task(bench.log.kept(PATIENCE_S))
-    await asyncio.sleep(0.2)
-    assert not waiting.done()
-    assert bench.events() == [1]  # a kill leaves it, if not a power cut
-    synced.set()
-    await asyncio.wait_for(waiting, PATIENCE_S)
-    assert await bench.log.close(PATIENCE_S)
-
-
-async def test_rows_are_never_synced(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(folder)
-    bench.ticks(0)
-    await asyncio.sleep(0.3)  # the beginning of the file was synced
-    syncs: list[int] = []
-    monkeypatch.setattr(os, "fdatasync", syncs.append)
-    for number in range(1, 20):
-        bench.ticks(number)
-        await asyncio.sleep(0.01)
-    await bench.log.kept(PATIENCE_S)
-    assert syncs == []
-    assert len(list(records(log_files(folder)))) == 21
-    await bench.log.close(PATIENCE_S)
-
-
-async def test_many_events_share_a_sync(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    syncs: list[int] = []
-
-    def slow(descriptor: int) -> None:
-        time.sleep(0.05)
-        syncs.append(descriptor)
-
-    monkeypatch.setattr(os, "fdatasync", slow)
-    bench = Bench(folder)
-    for number in range(200):
-        bench.event(number)
-    await bench.log.kept(PATIENCE_S)
-    assert len(syncs) < 10
-    assert bench.events() == list(range(200))
-    await bench.log.close(PATIENCE_S)
-
-
-async def test_a_disk_that_hangs_is_waited_for_once(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    """In the threads of the log: a sync that hangs keeps nothing from being written."""
     answers = threading.Event()
     monkeypatch.setattr(os, "fdatasync", lambda _: answers.wait(PATIENCE_S))
     bench = Bench(folder)
     bench.event(1)
-    await bench.log.kept(0.05)
-    for patience_s in (0.05, 0.01):
-        with pytest.raises(StopIteration):  # it does not wait
-            bench.log.kept(patience_s).send(None)
-    began_s = time.monotonic()
-    await bench.log.kept(0.2)  # a command is worth more than an event
-    assert time.monotonic() - began_s >= 0.2
-    with pytest.raises(StopIteration):
-        bench.log.kept(0.2).send(None)
+    waiting = asyncio.create_task(held(bench.log.kept)(PATIENCE_S))
+    for _ in range(1000):  # a kill leaves it, if not a power cut
+        if bench.events() == [1]:
+            break
+        answers.wait(0.005)
+    await asyncio.sleep(0)
+    assert bench.events() == [1]
+    assert not waiting.done()
     answers.set()
+    await waiting
+    assert bench.log._synced == 1
+    assert await held(bench.log.close)(PATIENCE_S)
+
+
+async def test_rows_are_never_synced(folder: Path, disk: Disk, syncs: list[int]) -> None:
+    bench = Bench(folder)
+    bench.ticks(0)
+    assert len(syncs) == 1  # the beginning of the file
+    for number in range(1, 20):
+        bench.ticks(number)
+    assert len(syncs) == 1
+    assert bench.batches() == 20
+    await bench.log.close(PATIENCE_S)
+
+
+async def test_many_events_share_a_sync(folder: Path, disk: Disk, syncs: list[int]) -> None:
+    with disk.stalled():
+        bench = Bench(folder)
+        for number in range(200):
+            bench.event(number)
+    await bench.log.kept(PATIENCE_S)
+    assert len(syncs) == 1
+    assert bench.events() == list(range(200))
+    await bench.log.close(PATIENCE_S)
+
+
+async def test_a_disk_that_hangs_is_waited_for_once(folder: Path, disk: Disk) -> None:
+    now_s = asyncio.get_running_loop().time
+    with disk.stalled():
+        bench = Bench(folder)
+        bench.event(1)
+        for patience_s, waits_s in ((0.05, 0.05), (0.05, 0.0), (0.01, 0.0), (0.2, 0.2), (0.2, 0.0)):
+            began_s = now_s()  # a command is worth more than an event
+            await bench.log.kept(patience_s)
+            assert now_s() - began_s == pytest.approx(waits_s)
     assert await bench.log.close(PATIENCE_S)
-    bench.outcomes.clear()
 
 
 async def test_what_a_hanging_disk_leaves_waiting_is_bounded_and_the_oldest_ticks_go(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, disk: Disk
 ) -> None:
-    answers, write = threading.Event(), LogWriter._write
-
-    def hang(writer: LogWriter, content: bytes) -> None:
-        answers.wait(PATIENCE_S)
-        write(writer, content)
-
-    monkeypatch.setattr(LogWriter, "_write", hang)
-    bench = Bench(folder, backlog_bytes=10_000)
-    for number in range(1000):
-        bench.ticks(number)
-        if number % 10 == 0:
-            bench.event(number)
-    dropped = bench.log.dropped
-    assert dropped.ticks >= 30 * (1000 - 150)
-    answers.set()
+    with disk.stalled():
+        bench = Bench(folder, backlog_bytes=10_000)
+        for number in range(1000):
+            bench.ticks(number)
+            if number % 10 == 0:
+                bench.event(number)
+    assert bench.log.dropped == Dropped(ticks=30 * 900)
     assert await bench.log.close(PATIENCE_S)
     assert bench.events() == list(range(0, 1000, 10))
-    kept = sum(one.kind is Kind.TICKS for one in records(log_files(folder)))
-    assert 30 * kept + dropped.ticks == 30 * 1000
-    assert bench.log.dropped == Dropped(ticks=dropped.ticks)
+    assert bench.batches() == 100
 
 
 async def test_a_full_disk_takes_events_into_its_reserve_and_ticks_wait(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, disk: Disk
 ) -> None:
     bench = Bench(folder)
     bench.ticks(0)
-    await asyncio.sleep(0.3)
     kept = folder / ".reserve"
     assert kept.exists()
     write = LogWriter._write
@@ -189,30 +167,28 @@ async def test_a_full_disk_takes_events_into_its_reserve_and_ticks_wait(
     def no_room(_: Path) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    with monkeypatch.context() as disk:
-        disk.setattr(LogWriter, "_write", refuse)
-        disk.setattr(reserve, "set_aside", no_room)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(LogWriter, "_write", refuse)
+        patch.setattr(reserve, "set_aside", no_room)
         bench.ticks(1)
-        await bench.until_told("No space left")
+        assert "No space left" in await bench.problems()
         assert bench.log.failing
         bench.event(1)
-        await bench.log.kept(PATIENCE_S)
         assert bench.events() == [1]
         assert not kept.exists()
         bench.ticks(2)
-        await asyncio.sleep(0.2)
+        assert bench.batches() == 1
     assert await bench.log.close(PATIENCE_S)
     assert kept.exists()
     assert not bench.log.failing
-    assert sum(one.kind is Kind.TICKS for one in records(log_files(folder))) == 3
+    assert bench.batches() == 3
 
 
 async def test_a_write_that_is_cut_short_and_cannot_be_undone_loses_and_repeats_nothing(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, disk: Disk
 ) -> None:
     bench = Bench(folder)
     bench.event(1)
-    await bench.log.kept(PATIENCE_S)
     write = os.write
 
     def refuse(descriptor: int, content: bytes) -> int:
@@ -220,26 +196,24 @@ async def test_a_write_that_is_cut_short_and_cannot_be_undone_loses_and_repeats_
             return write(descriptor, content[: len(content) // 2])
         raise OSError(errno.EIO, "Input/output error")
 
-    with monkeypatch.context() as disk:
-        disk.setattr(os, "write", refuse)
-        disk.setattr(os, "ftruncate", lambda *_: refuse(0, b""))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "write", refuse)
+        patch.setattr(os, "ftruncate", lambda *_: refuse(0, b""))
         bench.event(2)
         bench.event(3)
-        await bench.until_told("Input/output error")
+    assert "Input/output error" in await bench.problems()
     assert await bench.log.close(PATIENCE_S)
     assert bench.events() == [1, 2, 3]
-    assert len(log_files(folder)) == 2
     assert [one.number for one in recall(folder, INFO.started).unsent] == [1, 2, 3]
 
 
 async def test_a_file_that_is_long_enough_is_followed_by_one_that_knows_what_it_left(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(log_writer, "_LARGEST_FILE_BYTES", 2000)
     bench = Bench(folder)
     for number in range(100):
         bench.event(number)
-        await bench.log.kept(PATIENCE_S)
     assert await bench.log.close(PATIENCE_S)
     files = log_files(folder)
     assert len(files) > 3
@@ -248,22 +222,23 @@ async def test_a_file_that_is_long_enough_is_followed_by_one_that_knows_what_it_
     assert [one.number for one in recall(folder, INFO.started).unsent] == list(range(100))
 
 
-async def test_a_segment_of_the_session_begins_in_a_file_of_its_own(folder: Path) -> None:
+async def test_a_segment_of_the_session_begins_in_a_file_of_its_own(
+    folder: Path, disk: Disk
+) -> None:
     bench = Bench(folder, segment_s=10.0)
-    for number in range(3):
+    for number, passed_s in enumerate((9.9, 0.1, 10.0)):
         bench.event(number)
-        await bench.log.kept(PATIENCE_S)
-        bench.now_s += 10.5
+        bench.now_s += passed_s
+    bench.event(3)
     assert await bench.log.close(PATIENCE_S)
     assert [file.part for file in log_files(folder)] == [1, 2, 3]
     assert [one.part for one in bench.outcomes if one.part] == [1, 2, 3]
 
 
-async def test_a_log_is_live_while_its_daemon_is(folder: Path) -> None:
+async def test_a_log_is_live_while_its_daemon_is(folder: Path, disk: Disk) -> None:
     assert not is_live(folder)
     bench = Bench(folder)
     bench.event(1)
-    await bench.log.kept(PATIENCE_S)
     assert is_live(folder)
     assert await bench.log.close(PATIENCE_S)
     assert not is_live(folder)

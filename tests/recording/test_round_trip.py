@@ -96,7 +96,7 @@ def values(tick: TickReport) -> Any:
     )
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.too_slow])
 @given(ticks=st.lists(TICKS, min_size=1, max_size=8), split=st.integers(0, 8))
 def test_ticks_come_back_to_the_last_bit(ticks: list[TickReport], split: int) -> None:
     batches = [make_batch(ticks[:split]), make_batch(ticks[split:], last=True)]
@@ -114,7 +114,7 @@ def test_ticks_come_back_to_the_last_bit(ticks: list[TickReport], split: int) ->
     assert sum(counted) == sum(not math.isnan(time_us) for time_us in turnaround)
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.too_slow])
 @given(slow=st.lists(SLOW, min_size=1, max_size=5))
 def test_slow_steps_come_back_to_the_last_bit(slow: list[LoadReport]) -> None:
     with tempfile.TemporaryDirectory() as name:
