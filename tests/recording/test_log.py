@@ -87,7 +87,7 @@ async def test_whoever_waits_goes_on_when_the_disk_keeps_what_was_appended(
     monkeypatch.setattr(os, "fdatasync", lambda _: answers.wait(PATIENCE_S))
     bench = Bench(folder)
     bench.event(1)
-    waiting = asyncio.create_task(held(bench.log.kept)(PATIENCE_S))
+    waiting = asyncio.ensure_future(held(bench.log.kept)(PATIENCE_S))
     for _ in range(1000):  # a kill leaves it, if not a power cut
         if bench.events() == [1]:
             break
