@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.link.bus import _obstacles, describe_bus, open_bus
+from adaptdrive.hardware.link.bus import _obstacles, open_bus
 from adaptdrive.hardware.link.codec import frame_key
 from adaptdrive.hardware.link.multicast import parse
 from tests.hardware.bench import motor_bus
@@ -74,6 +74,8 @@ ALONE = ["unshare", "--map-root-user", "--net", "sh", "-c"]
 HEARS = "test_two_buses_of_a_group_hear_each_other"
 
 
+@pytest.mark.proof
+@pytest.mark.usefixtures("outside")
 def test_frames_are_heard_where_multicast_is_routed_through_loopback() -> None:
     """A machine of its own, whose default interface of the group is loopback itself."""
     route = "ip link set lo up && ip route add 224.0.0.0/4 dev lo"
@@ -120,18 +122,6 @@ def test_a_port_that_is_taken_is_a_bus_error(free_udp_port: int) -> None:
         holder.bind(("0.0.0.0", free_udp_port))
         with pytest.raises(BusError, match=f"udp_multicast 239.74.163.2:{free_udp_port}: "):
             open_bus(on_port(free_udp_port))
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"interface": "socketcan", "channel": "can0"}, "socketcan can0"),
-        ({"interface": "virtual", "channel": "bench"}, "virtual bench"),
-        ({"udp_port": 5000}, "udp_multicast 239.74.163.2:5000"),
-    ],
-)
-def test_a_bus_is_described_in_one_phrase(changes: dict[str, object], expected: str) -> None:
-    assert describe_bus(motor_bus(**changes)) == expected
 
 
 def test_an_extended_id_never_equals_a_standard_one() -> None:

@@ -124,22 +124,11 @@ def dbc(signals: str) -> Message:
     return odd_database(signals).get_message_by_name("Odd")
 
 
-BIG_ENDIAN = ' SG_ Volts : 7|12@0+ (0.1,0) [0|400] "V" X\n SG_ Amps : 24|9@1- (1,0) [0|0] "A" X'
 MULTIPLEXED = (
     ' SG_ Page M : 0|2@1+ (1,0) [0|0] "" X\n'
     ' SG_ Volts m0 : 8|16@1+ (0.1,0) [0|4000] "V" X\n'
     ' SG_ Amps m1 : 8|16@1- (0.5,0) [0|0] "A" X'
 )
-
-
-@given(st.binary(min_size=8, max_size=8))
-def test_big_endian_signals_of_a_database_are_those_of_cantools(data: bytes) -> None:
-    message = dbc(BIG_ENDIAN)
-    expected = message.decode_simple(data)
-    decoded = MessageCodec(message).decode(data)
-    in_range = float(str(expected["Volts"])) <= 400.0
-    assert decoded.verdict is (FrameVerdict.GOOD if in_range else FrameVerdict.OUT_OF_RANGE)
-    assert decoded.values == (expected if in_range else {"Amps": expected["Amps"]})
 
 
 def test_a_multiplexed_frame_of_an_unknown_page_is_refused() -> None:
@@ -242,14 +231,10 @@ def test_commands_reach_a_stranger(commands: list[dict[str, float]]) -> None:
     ],
 )
 def test_what_a_signal_cannot_hold_is_not_sent(signal: str, value: float) -> None:
-    with pytest.raises(ValueError, match=signal):
-        reference("DriveCommand").encode({signal: value})
-
-
-def test_a_refused_value_costs_no_count_of_the_alive_counter() -> None:
+    """It costs no count of the alive counter."""
     codec = reference("DriveCommand")
-    with pytest.raises(ValueError, match="BoostReference"):
-        codec.encode({"BoostReference": 1e9})
+    with pytest.raises(ValueError, match=signal):
+        codec.encode({signal: value})
     assert codec.encode({})[6] >> 4 == 0
 
 
@@ -279,15 +264,11 @@ def test_a_frame_of_another_length_without_proofs_gives_what_it_has(
     decoded = MessageCodec(message, wanted=["Volts"]).decode(data[:length])
     assert decoded.values == {"Volts": pytest.approx(123.4)}
     assert MessageCodec(message, wanted=["Volts"]).needed == 4
+    for short in (0, 1, 3):
+        verdict = MessageCodec(message, wanted=["Volts"]).decode(data[:short]).verdict
+        assert verdict is FrameVerdict.WRONG_LENGTH
     both = MessageCodec(message, wanted=["Volts", "Late"]).decode(data[:length])
     assert both.verdict is (FrameVerdict.GOOD if length > 7 else FrameVerdict.WRONG_LENGTH)
-
-
-@pytest.mark.parametrize("length", [0, 1, 3])
-def test_a_frame_that_ends_before_a_used_signal_is_refused(length: int) -> None:
-    message = odd_database(' SG_ Volts : 16|16@1+ (0.1,0) [0|6553.4] "V" X').messages[0]
-    decoded = MessageCodec(message, wanted=["Volts"]).decode(bytes(length))
-    assert decoded.verdict is FrameVerdict.WRONG_LENGTH
 
 
 def test_a_short_frame_of_a_multiplexed_message_is_read_by_its_page() -> None:
@@ -300,19 +281,10 @@ def test_a_short_frame_of_a_multiplexed_message_is_read_by_its_page() -> None:
     assert codec.decode(b"\x01\x0a").verdict is FrameVerdict.WRONG_LENGTH
 
 
-@pytest.mark.parametrize(
-    ("message", "signal"),
-    [
-        ("DriveStatus", "BoostVoltage"),
-        ("DriveStatus", "LineVoltage"),
-        ("DriveStatus", "LoadPower"),
-        ("DriveLoad", "Tachometer"),
-        ("DriveLoad", "LoadCurrent"),
-    ],
-)
-def test_a_measurement_that_is_not_available_is_refused(message: str, signal: str) -> None:
-    frame = reference(message).encode({signal: None})
-    assert reference(message).decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
+@pytest.mark.parametrize("signal", ["BoostVoltage", "LineVoltage", "LoadPower"])
+def test_a_measurement_that_is_not_available_is_refused(signal: str) -> None:
+    frame = reference("DriveStatus").encode({signal: None})
+    assert reference("DriveStatus").decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
 
 
 WORDS = """ SG_ Volts : 0|16@1+ (0.1,0) [0|6553.4] "V" X
@@ -400,9 +372,3 @@ def test_a_counter_that_the_database_ends_early_wraps_there() -> None:
     assert frames[1][:2] == b"\x91\x01"
     assert [frame[1] for frame in frames] == [*range(15), *range(15), 0]
     assert {receiver.decode(frame).verdict for frame in frames} == {FrameVerdict.GOOD}
-
-
-def test_a_counter_beyond_its_end_is_out_of_range() -> None:
-    message = dbc(' SG_ Alive : 8|4@1+ (1,0) [0|14] "" X')
-    codec = MessageCodec(message, FrameIntegrity(counter="Alive"))
-    assert codec.decode(b"\x00\x0f" + bytes(6)).verdict is FrameVerdict.OUT_OF_RANGE

@@ -26,6 +26,13 @@ def integrity(message: str, **changes: object) -> dict[str, FrameIntegrity]:
     return {**MOTOR_BUS.integrity, message: changed}
 
 
+def flaws_of(bus: CanBus) -> dict[str, str]:
+    """Message by place of every flaw of the example on a bus."""
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(bus, MOTOR.signals, TIMING)
+    return {flaw.place: flaw.message for flaw in caught.value.flaws}
+
+
 def commanding(**changes: str) -> CommandSignals:
     return CommandSignals.model_validate({**dict(MOTOR.signals.command), **changes})
 
@@ -33,120 +40,85 @@ def commanding(**changes: str) -> CommandSignals:
 def test_the_example_maps_without_a_flaw() -> None:
     mapping = map_drive(MOTOR_BUS, MOTOR.signals, TIMING)
     assert mapping.counter_modulus == 65536
+    assert map_drive(MOTOR_BUS, motor_signals(counter=None), TIMING).counter_modulus is None
     assert {status.codec.name for status in mapping.statuses} == {"DriveStatus", "DriveLoad"}
     assert [order.codec.name for order in mapping.orders] == ["DriveCommand"]
 
 
-def test_a_drive_without_a_counter_has_no_modulus() -> None:
-    assert map_drive(MOTOR_BUS, motor_signals(counter=None), TIMING).counter_modulus is None
+NEVER_ON = "the bridge would never be on: BridgeOn = 8 is outside 0…1"
+OF_BUS: list[tuple[dict[str, object], str, str]] = [
+    ({"clock": "DriveLod"}, "clock", "did you mean 'DriveLoad'"),
+    ({"clock": "DriveCommand"}, "clock", "no entry of [signals]"),
+    ({"channel": "can0"}, "channel", "'can0'"),
+    ({"channel": "10.0.0.1"}, "channel", "multicast group"),
+    ({"interface": "socketcan", "channel": ""}, "channel", "such as can0"),
+    ({"polled": {"DriveLod": "rtr"}}, "polled.DriveLod", "did you mean 'DriveLoad'"),
+    ({"polled": {"DriveLoad": "pgn"}}, "polled.DriveLoad", "address; ask by 'rtr'"),
+    ({"polled": {"DriveCommand": "rtr"}}, "polled.DriveCommand", "carries the com"),
+]
+OF_SIGNALS: list[tuple[dict[str, object], str]] = [
+    ({"output": "DriveLoad.Tacho"}, "did you mean 'Tachometer'"),
+    ({"output": "Tachometer"}, "Message.Signal"),
+    ({"output": {"signal": "Tachometer"}}, "Message.Signal"),
+    ({"output": "a.b.c"}, "no message 'a'"),
+    ({"fault": "Nothing.Fault"}, "no message 'Nothing'"),
+    ({"fault": "DriveStatus.LoadPower"}, "factor 1"),
+    ({"bridge": "DriveLoad.Tachometer"}, "factor 1"),
+    ({"counter": "DriveLoad.Tachometer"}, "cannot count"),
+    ({"counter": "DriveStatus.BridgeOn"}, "cannot count"),
+    ({"counter": SignalSource(signal="DriveLoad.HalfCycle", scale=2.0)}, "no scale"),
+]
+OF_BRIDGE = [
+    ("DriveCommand.Bridge", "did you mean 'BridgeEnable'"),
+    ("DriveCommand.CommandCrc", "counter or checksum"),
+    ("DriveCommand.CurrentScale", "could not be switched"),
+]
+OF_INTEGRITY: list[tuple[dict[str, object], str, str]] = [
+    ({"counter": "Alive"}, ".counter", "'Alive'"),
+    ({"counter": "Tachometer"}, ".counter", "cannot count"),
+    ({"max_jump": 16}, ".max_jump", "16 must be below"),
+    ({"checksum": "LoadCurrent"}, ".checksum", "one whole byte"),
+    ({"counter": "LoadCrc"}, "", "both counter and checksum"),
+]
+FLAWS: list[tuple[dict[str, object], dict[str, object], str, str]] = [
+    *((bus, {}, f"bus.{place}", words) for bus, place, words in OF_BUS),
+    *(({}, signals, f"signals.{next(iter(signals))}", words) for signals, words in OF_SIGNALS),
+    *(
+        ({}, {"command": commanding(bridge=signal)}, "signals.command.bridge", words)
+        for signal, words in OF_BRIDGE
+    ),
+    *(
+        ({"integrity": integrity("DriveLoad", **changes)}, {}, f"bus.integrity.DriveLoad{at}", said)
+        for changes, at, said in OF_INTEGRITY
+    ),
+    (
+        {"integrity": {"DriveStats": FrameIntegrity()}},
+        {},
+        "bus.integrity.DriveStats",
+        "did you mean 'DriveStatus'",
+    ),
+    (
+        {},
+        {"command": commanding(boost_reference_V="DriveStatus.BoostVoltage")},
+        "signals.command",
+        "carries measurements too",
+    ),
+    (
+        {},
+        {"bridge": SwitchSource(signal="DriveStatus.BridgeOn", on=8)},
+        "signals.bridge.on",
+        NEVER_ON,
+    ),
+]
 
 
-@pytest.mark.parametrize(
-    ("bus", "signals", "place", "words"),
-    [
-        ({"clock": "DriveLod"}, {}, "bus.clock", "did you mean 'DriveLoad'"),
-        ({"clock": "DriveCommand"}, {}, "bus.clock", "no entry of [signals]"),
-        ({"channel": "can0"}, {}, "bus.channel", "'can0'"),
-        ({"channel": "10.0.0.1"}, {}, "bus.channel", "multicast group"),
-        ({"interface": "socketcan", "channel": ""}, {}, "bus.channel", "such as can0"),
-        ({}, {"output": "DriveLoad.Tacho"}, "signals.output", "did you mean 'Tachometer'"),
-        ({}, {"output": "Tachometer"}, "signals.output", "Message.Signal"),
-        ({}, {"output": {"signal": "Tachometer"}}, "signals.output", "Message.Signal"),
-        ({}, {"output": "a.b.c"}, "signals.output", "no message 'a'"),
-        ({}, {"fault": "Nothing.Fault"}, "signals.fault", "no message 'Nothing'"),
-        ({}, {"fault": "DriveStatus.LoadPower"}, "signals.fault", "factor 1"),
-        ({}, {"bridge": "DriveLoad.Tachometer"}, "signals.bridge", "factor 1"),
-        (
-            {},
-            {"bridge": SwitchSource(signal="DriveStatus.BridgeOn", on=8)},
-            "signals.bridge.on",
-            "the bridge would never be on: BridgeOn = 8 is outside 0…1",
-        ),
-        ({}, {"counter": "DriveLoad.Tachometer"}, "signals.counter", "cannot count"),
-        ({}, {"counter": "DriveStatus.BridgeOn"}, "signals.counter", "cannot count"),
-        (
-            {},
-            {"counter": SignalSource(signal="DriveLoad.HalfCycle", scale=2.0)},
-            "signals.counter",
-            "no scale",
-        ),
-        (
-            {},
-            {"command": commanding(bridge="DriveCommand.Bridge")},
-            "signals.command.bridge",
-            "did you mean 'BridgeEnable'",
-        ),
-        (
-            {},
-            {"command": commanding(bridge="DriveCommand.CommandCrc")},
-            "signals.command.bridge",
-            "counter or checksum",
-        ),
-        (
-            {},
-            {"command": commanding(bridge="DriveCommand.CurrentScale")},
-            "signals.command.bridge",
-            "could not be switched",
-        ),
-        (
-            {},
-            {"command": commanding(boost_reference_V="DriveStatus.BoostVoltage")},
-            "signals.command",
-            "carries measurements too",
-        ),
-        ({"polled": {"DriveLod": "rtr"}}, {}, "bus.polled.DriveLod", "did you mean 'DriveLoad'"),
-        ({"polled": {"DriveLoad": "pgn"}}, {}, "bus.polled.DriveLoad", "address; ask by 'rtr'"),
-        (
-            {"polled": {"DriveCommand": "rtr"}},
-            {},
-            "bus.polled.DriveCommand",
-            "carries the com",
-        ),
-        (
-            {"integrity": {"DriveStats": FrameIntegrity()}},
-            {},
-            "bus.integrity.DriveStats",
-            "did you mean 'DriveStatus'",
-        ),
-        (
-            {"integrity": integrity("DriveLoad", counter="Alive")},
-            {},
-            "bus.integrity.DriveLoad.counter",
-            "'Alive'",
-        ),
-        (
-            {"integrity": integrity("DriveLoad", counter="Tachometer")},
-            {},
-            "bus.integrity.DriveLoad.counter",
-            "cannot count",
-        ),
-        (
-            {"integrity": integrity("DriveLoad", max_jump=16)},
-            {},
-            "bus.integrity.DriveLoad.max_jump",
-            "16 must be below",
-        ),
-        (
-            {"integrity": integrity("DriveLoad", checksum="LoadCurrent")},
-            {},
-            "bus.integrity.DriveLoad.checksum",
-            "one whole byte",
-        ),
-        (
-            {"integrity": integrity("DriveLoad", counter="LoadCrc")},
-            {},
-            "bus.integrity.DriveLoad",
-            "both counter and checksum",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("bus", "signals", "place", "words"), FLAWS)
 def test_each_flaw_names_its_place(
     bus: dict[str, object], signals: dict[str, object], place: str, words: str
 ) -> None:
     with pytest.raises(ConfigurationError) as caught:
         map_drive(motor_bus(**bus), motor_signals(**signals), TIMING)
     found = {flaw.place: flaw.message for flaw in caught.value.flaws}
-    assert place in found
     assert words in found[place]
 
 
@@ -215,12 +187,10 @@ def test_an_initial_value_of_either_kind_is_sent(tmp_path: Path, kind: str, valu
 @pytest.mark.parametrize("value", ["0.5", "8", "-9", "1e9"])
 def test_an_initial_value_that_its_signal_cannot_hold_is_a_flaw(tmp_path: Path, value: str) -> None:
     bus = with_initial(tmp_path, "DriveCommand", "Spare", "FLOAT -100 100", value)
-    with pytest.raises(ConfigurationError) as caught:
-        map_drive(bus, MOTOR.signals, TIMING)
-    (flaw,) = caught.value.flaws
-    assert flaw.place == "signals.command"
+    found = flaws_of(bus)
+    assert list(found) == ["signals.command"]
     named = "'Spare' of 4 bits cannot hold its initial value (GenSigStartValue)"
-    assert f"{named} {float(value):.12g}" in flaw.message
+    assert f"{named} {float(value):.12g}" in found["signals.command"]
 
 
 @pytest.mark.parametrize(
@@ -241,10 +211,9 @@ def test_what_selects_a_page_cannot_be_commanded_itself(tmp_path: Path) -> None:
         ("BridgeEnable : 32", "BridgeEnable M : 32"),
         ("BoostReference : 16", "BoostReference m1 : 16"),
     )
-    with pytest.raises(ConfigurationError) as caught:
-        map_drive(bus, MOTOR.signals, TIMING)
-    assert {flaw.place for flaw in caught.value.flaws} == {"signals.command.bridge"}
-    assert "selects what else" in str(caught.value)
+    found = flaws_of(bus)
+    assert list(found) == ["signals.command.bridge"]
+    assert "selects what else" in found["signals.command.bridge"]
 
 
 @pytest.mark.parametrize("content", [None, "no database\n", "VERSION 1\nBO_ one"])
@@ -252,10 +221,9 @@ def test_a_file_that_is_no_database_is_one_flaw(tmp_path: Path, content: str | N
     path = tmp_path / "some.dbc"
     if content is not None:
         path.write_text(content)
-    with pytest.raises(ConfigurationError) as caught:
-        map_drive(motor_bus(database=path), MOTOR.signals, TIMING)
-    assert [flaw.place for flaw in caught.value.flaws] == ["bus.database"]
-    assert "\n" not in str(caught.value)
+    found = flaws_of(motor_bus(database=path))
+    assert list(found) == ["bus.database"]
+    assert "\n" not in found["bus.database"]
 
 
 TEXT_CYCLES = (
@@ -279,11 +247,8 @@ def test_a_cycle_time_that_is_a_text_is_none(tmp_path: Path) -> None:
 def test_a_message_with_the_id_of_a_measurement_is_a_flaw(
     tmp_path: Path, number: str, place: str, message: str
 ) -> None:
-    with pytest.raises(ConfigurationError) as caught:
-        map_drive(rewritten(tmp_path, (number, " 256 ")), MOTOR.signals, TIMING)
-    (flaw,) = caught.value.flaws
-    assert flaw.place == place
-    assert flaw.message == f"messages 'DriveStatus' and {message!r} have the same id 0x100"
+    same = f"messages 'DriveStatus' and {message!r} have the same id 0x100"
+    assert flaws_of(rewritten(tmp_path, (number, " 256 "))) == {place: same}
 
 
 def test_the_same_number_of_both_lengths_is_two_ids(tmp_path: Path) -> None:
@@ -302,11 +267,8 @@ def test_a_range_that_ends_below_its_start_is_a_flaw(
     tmp_path: Path, range_: str, place: str
 ) -> None:
     low, high = range_.strip("[]").split("|")
-    bus = rewritten(tmp_path, (range_, f"[{high}|{low}]"))
-    with pytest.raises(ConfigurationError) as caught:
-        map_drive(bus, MOTOR.signals, TIMING)
-    (flaw,) = [one for one in caught.value.flaws if one.place == place]
-    assert "ends below its start" in flaw.message
+    found = flaws_of(rewritten(tmp_path, (range_, f"[{high}|{low}]")))
+    assert "ends below its start" in found[place]
 
 
 @pytest.mark.parametrize(

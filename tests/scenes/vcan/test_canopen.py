@@ -13,7 +13,7 @@ from tests.hardware.canopen.documents import bus_of, parse
 from tests.hardware.canopen.peer import Peer
 from tests.scenes.vcan.peers import Link
 
-pytestmark = pytest.mark.vcan
+pytestmark = [pytest.mark.vcan, pytest.mark.proof]
 
 
 @pytest.fixture

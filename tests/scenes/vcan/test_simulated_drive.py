@@ -15,7 +15,7 @@ from tests.scenes.system.site import until as until_started
 from tests.scenes.vcan.peers import Link
 from tests.support import Spawn, logged_events
 
-pytestmark = pytest.mark.vcan
+pytestmark = [pytest.mark.vcan, pytest.mark.proof]
 
 COMMAND = Command(current_scale_S=0.01, boost_reference_V=280.0, bridge=True)
 
