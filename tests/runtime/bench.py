@@ -195,6 +195,14 @@ class FastBench:
         self.around.now = deadline_s + seconds
         self.loop.on_deadline(deadline_s)
 
+    def thaw(self, frozen_s: float, *, bridge: bool = False) -> None:
+        """Let time pass while nothing runs, and a frame that waited be the first that is seen."""
+        self.around.now += frozen_s
+        self.counter += round(frozen_s / TICK_S)
+        now_s = self.around.now
+        frame = replace(self.measured, arrival_s=now_s, oldest_s=now_s, bridge=bridge)
+        self.port.deliver(replace(frame, counter=self.counter % 65536))
+
     def stand_still_in_ticks(self, seconds: float) -> None:
         """Let each tick stand still from now on, before it has its command."""
         decide = self.controller.replace_tick
@@ -306,6 +314,27 @@ async def running_bench(
         bench.start()
         bench.frames(frames)
         yield bench
+
+
+class LoopTimer:
+    """Keeps deadlines by the clock of the event loop, in place of the kernel's timer."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        callback: Callable[[float], None],
+        _spin_s: float = 0.0,
+    ) -> None:
+        self._loop, self._callback = loop, callback
+        self._handle: asyncio.TimerHandle | None = None
+
+    def arm(self, deadline_s: float) -> None:
+        self.close()
+        self._handle = self._loop.call_at(deadline_s, self._callback, deadline_s)
+
+    def close(self) -> None:
+        if self._handle is not None:
+            self._handle.cancel()
 
 
 def timed(**changes: float | None) -> FastLoopSettings:

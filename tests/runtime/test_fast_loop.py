@@ -12,46 +12,37 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command, Stage
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
+from adaptdrive.runtime.requests import Disable, Enable, Reset
 from tests.runtime.bench import (
     FAST,
     MOTOR,
     RATE_FRAMES,
     TICK_S,
-    FastBench,
     fast_bench,
     running_bench,
     timed,
 )
 
-TIMERLESS = replace(FAST, timer_standin=False)
 STALE_S = FAST.timing.stale_s
 
 
 async def test_each_frame_makes_exactly_one_tick_and_one_command() -> None:
+    """Before the first one, and in standby, every command is safe."""
     async with fast_bench() as bench:
+        bench.wait(10.5 * TICK_S)
+        assert (len(bench.sent), bench.reports) == (10, [])
         bench.frame()
-        sent = len(bench.sent)
-        bench.frames(50)
-        assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 51))
+        sent, first = len(bench.sent), bench.ticks[0]
+        bench.frames(50, boost_voltage_V=222.0, line_voltage_V=118.0, load_power_W=7.0, output=1.5)
+        assert bench.ticks == list(range(first, first + 51))
         assert len(bench.sent) - sent == 50
-        assert all(report.measurement.fresh for report in bench.reports)
         assert [report.sequence for report in bench.reports] == list(range(51))
-
-
-async def test_the_counter_of_the_drive_may_wrap() -> None:
-    async with fast_bench() as bench:
-        bench.counter = 65530
-        bench.frames(20)
-        assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 20))
-
-
-async def test_the_measurement_is_the_one_that_came() -> None:
-    async with fast_bench() as bench:
-        bench.frame(boost_voltage_V=222.0, line_voltage_V=118.0, load_power_W=7.0, output=1.5)
+        assert all(report.measurement.fresh for report in bench.reports)
         measured = bench.reports[-1].measurement
         values = (measured.boost_voltage_V, measured.line_voltage_V, measured.load_power_W)
         assert (*values, measured.output) == (222.0, 118.0, 7.0, 1.5)
+        bench.wait(5.0)
+        assert set(bench.sent) == {SAFE_COMMAND}
 
 
 async def test_a_late_frame_replaces_the_stand_in_and_makes_no_second_tick() -> None:
@@ -87,17 +78,6 @@ async def test_a_fault_that_one_late_frame_alone_shows_trips() -> None:
         bench.frame(after_s=0.3 * TICK_S)
         assert bench.state() is State.TRIPPED
         assert bench.machine.trip == "drive fault: word 0x8"
-        assert bench.sent[-1] == SAFE_COMMAND
-
-
-async def test_a_voltage_beyond_its_limit_that_one_late_frame_alone_shows_trips() -> None:
-    async with running_bench() as bench:
-        usual, bench.measured = bench.measured, replace(bench.measured, boost_voltage_V=440.0)
-        bench.frame(after_s=1.7 * TICK_S)
-        bench.measured = usual
-        bench.frame(after_s=0.3 * TICK_S)
-        assert bench.state() is State.TRIPPED
-        assert "over-voltage" in bench.trip
         assert bench.sent[-1] == SAFE_COMMAND
 
 
@@ -140,28 +120,6 @@ async def test_ticks_that_the_machine_overslept_are_missed_not_repeated() -> Non
         assert bench.loop.tick == before + 6
         assert bench.loop.counts.missed == 5
         assert bench.around.deadline_s == pytest.approx(deadline_s + 6 * TICK_S)
-
-
-async def test_without_the_timer_only_frames_make_ticks() -> None:
-    async with fast_bench(TIMERLESS) as bench:
-        bench.frames(5)
-        bench.wait(10.0)
-        assert len(bench.reports) == 5
-
-
-async def test_before_the_first_frame_the_drive_is_told_to_be_safe() -> None:
-    async with fast_bench() as bench:
-        bench.wait(10.5 * TICK_S)
-        assert len(bench.sent) == 10
-        assert set(bench.sent) == {SAFE_COMMAND}
-        assert bench.reports == []
-
-
-async def test_in_standby_every_command_is_safe() -> None:
-    async with fast_bench() as bench:
-        bench.frames(200)
-        bench.wait(5.0)
-        assert set(bench.sent) == {SAFE_COMMAND}
 
 
 async def test_enabled_it_precharges_with_the_bridge_off_and_then_runs() -> None:
@@ -220,13 +178,6 @@ async def test_silence_trips_within_the_limit_and_one_half_cycle() -> None:
         assert bench.reports[-1].command == SAFE_COMMAND
 
 
-async def test_silence_trips_without_the_timer_too() -> None:
-    async with running_bench(TIMERLESS) as bench:
-        bench.wait(STALE_S + 1.1 * TICK_S)
-        assert bench.state() is State.TRIPPED
-        assert bench.sent[-1] == SAFE_COMMAND
-
-
 async def test_one_value_that_grows_old_trips_though_frames_come() -> None:
     async with running_bench() as bench:
         oldest_s = bench.around.now
@@ -238,13 +189,9 @@ async def test_one_value_that_grows_old_trips_though_frames_come() -> None:
     ("changes", "cause"),
     [
         ({"output": math.nan}, "invalid: output = nan is not"),
-        ({"boost_voltage_V": math.inf}, "invalid: boost_voltage_V = inf is not"),
-        ({"line_voltage_V": math.nan}, "invalid: line_voltage_V = nan is not"),
-        ({"load_power_W": -math.inf}, "invalid: load_power_W = -inf is not"),
         ({"fault": 4}, "drive fault: word 0x4"),
         ({"boost_voltage_V": 440.0}, "over-voltage"),
         ({"output": 5.5}, "output above its limit"),
-        ({"output": -1.2}, "output below its limit"),
     ],
 )
 async def test_an_interlock_trips_in_the_tick_that_sees_it(
@@ -268,20 +215,23 @@ async def test_values_that_are_no_numbers_do_no_harm_in_standby() -> None:
         assert bench.state() is State.RUNNING
 
 
-def start_off(bench: FastBench) -> None:
-    """Enable a drive whose bridge does not come on."""
-    bench.frames(RATE_FRAMES)
-    bench.ask(Enable())
-    bench.frames(4, bridge=False)
-    assert bench.state() is State.RUNNING
-    assert bench.sent[-1].bridge
-
-
 async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
     async with running_bench(frames=40) as bench:
         bench.frame(bridge=False)
         assert bench.trip.startswith("drive stopped")
         assert bench.sent[-1] == SAFE_COMMAND
+
+
+@pytest.mark.parametrize("late", [25, 60])
+async def test_a_bridge_that_does_not_come_on_trips(late: int) -> None:
+    """One that takes its time does not."""
+    async with fast_bench() as bench:
+        bench.frames(RATE_FRAMES)
+        bench.ask(Enable())
+        bench.frames(4 + late, bridge=False)
+        assert bench.trip.startswith("drive stopped" if late > 25 else "")
+        bench.frames(100)
+        assert (bench.state() is State.RUNNING) is (late == 25)
 
 
 async def test_a_bridge_that_bounces_while_it_switches_on_gets_no_command_until_it_is_on() -> None:
@@ -294,33 +244,7 @@ async def test_a_bridge_that_bounces_while_it_switches_on_gets_no_command_until_
         assert len(bench.sent) == before + 2
 
 
-async def test_a_bridge_that_does_not_come_on_trips() -> None:
-    async with fast_bench() as bench:
-        start_off(bench)
-        ticks = 0
-        while bench.state() is State.RUNNING and ticks < 100:
-            bench.frame(bridge=False)
-            ticks += 1
-        assert bench.trip.startswith("drive stopped")
-        assert 10 < ticks < 60
-
-
-@pytest.mark.parametrize("silent_s", [TICK_S, 0.03, 0.15])
-async def test_a_drive_that_starts_anew_in_a_run_is_not_driven_on(silent_s: float) -> None:
-    """Its counter begins at 0, so that its frames belong to no tick that time allows."""
-    async with fast_bench(timed(stale_s=0.3)) as bench:
-        bench.counter = 60_000
-        bench.start()
-        bench.frames(10)
-        bench.wait(silent_s)
-        known, bench.counter = len(bench.sent), -1
-        for number in range(30):
-            bench.frame(TICK_S if number else 0.0, bridge=False)
-        assert bench.trip.startswith("drive stopped")
-        assert set(bench.sent[known:]) == {SAFE_COMMAND}
-
-
-@pytest.mark.parametrize("silent_s", [0.02, 0.03, 0.045, 0.06, 0.075])
+@pytest.mark.parametrize("silent_s", [0.02, 0.045, 0.075])
 async def test_a_drive_that_started_anew_and_came_on_before_its_first_report_is_not_driven_on(
     silent_s: float,
 ) -> None:
@@ -341,7 +265,7 @@ async def test_a_drive_that_started_anew_and_came_on_before_its_first_report_is_
 @pytest.mark.parametrize(
     ("timeout_s", "earliest_s", "latest_s"), [(None, 0.05, 0.1), (0.05, 0.02, 0.05)]
 )
-@pytest.mark.parametrize("silent_s", [0.2, 0.25, 0.3, 0.35])
+@pytest.mark.parametrize("silent_s", [0.2, 0.35])
 async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
     silent_s: float, timeout_s: float | None, earliest_s: float, latest_s: float
 ) -> None:
@@ -439,20 +363,6 @@ async def test_reports_that_waited_show_whether_a_drive_stopped_before_a_late_co
         assert bench.sent[-1].bridge is not (trips or stopped)
 
 
-@pytest.mark.parametrize(("frames", "trips"), [(1, False), (5, True)])
-async def test_where_reports_of_the_bridge_come_seldom_none_may_have_waited(
-    frames: int, *, trips: bool
-) -> None:
-    async with running_bench(timed(stale_s=0.5, command_timeout_s=1.0), frames=10) as bench:
-        heard_s = bench.around.now
-        for _ in range(frames):
-            bench.frame(bridge=True, bridge_s=heard_s)
-        bench.frame()
-        bench.stand_still_in_next_command(0.4)
-        bench.frame()
-        assert bench.machine.energised is not trips
-
-
 async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
     """Its own cable was out for longer than its time-out; what clocks the readings still came."""
     async with running_bench(timed(stale_s=0.5), frames=10) as bench:
@@ -478,86 +388,26 @@ async def test_a_drive_that_went_on_while_it_was_silent_is_driven_on() -> None:
         assert bench.state() is State.RUNNING
 
 
-async def test_a_drive_that_never_reports_its_bridge_is_driven_on_through_a_silence() -> None:
-    """No report could show that it has not stopped."""
-    async with running_bench(timed(stale_s=0.5), slack_s=None, frames=10) as bench:
-        known = len(bench.sent)
-        bench.wait(0.3)
-        assert len(bench.sent) - known > 30
-
-
-async def test_a_drive_whose_bridge_still_goes_off_for_the_command_before_is_driven_on() -> None:
-    """It coasts for three half cycles, in which its bridge has not opened yet."""
-    async with running_bench() as bench:
-        bench.ask(SetSetpoint(0.0))
-        bench.frames(3, bridge=True)
-        bench.ask(SetSetpoint(3.0))
-        for number in range(30):
-            bench.frame(bridge=number < 6 or number > 12)
-        assert bench.state() is State.RUNNING
-        bench.frames(40)
-        bench.frame(bridge=False)
-        assert bench.trip.startswith("drive stopped")
-
-
-async def test_a_drive_that_falls_silent_before_its_bridge_is_on_is_stale_and_not_stopped() -> None:
-    """Its last frame reports the bridge off: the drive may have switched it on since."""
-    async with fast_bench(timed(stale_s=0.5)) as bench:
-        start_off(bench)
-        bench.wait(0.5 + 1.1 * TICK_S)
-        assert bench.trip.startswith("stale: ")
-
-
-def thaw(bench: FastBench, frozen_s: float, *, bridge: bool) -> None:
-    """The process runs again after a while; the first that it sees is a frame that waited."""
-    bench.around.now += frozen_s
-    bench.counter += round(frozen_s / TICK_S)
-    now_s = bench.around.now
-    frame = replace(bench.measured, arrival_s=now_s, oldest_s=now_s, bridge=bridge)
-    bench.port.deliver(replace(frame, counter=bench.counter % 65536))
-
-
 @pytest.mark.parametrize("bridge", [False, True])
 @pytest.mark.parametrize("frozen_s", [1.1 * STALE_S, 0.09, 0.5, 10.0])
 async def test_a_daemon_frozen_beyond_the_limit_trips(frozen_s: float, bridge: bool) -> None:
     """However fresh the frame, and whatever the drive says of its bridge, if it says anything."""
     async with running_bench(frames=10) as bench:
         known = len(bench.sent)
-        thaw(bench, frozen_s, bridge=bridge)
+        bench.thaw(frozen_s, bridge=bridge)
         assert bench.trip.startswith("overslept: the daemon did not run for ")
         assert bench.sent[known:] == [SAFE_COMMAND]
 
 
-async def test_a_timer_that_overslept_trips_too() -> None:
-    async with running_bench() as bench:
-        known = len(bench.sent)
-        bench.oversleep(STALE_S)
-        assert bench.trip.startswith("overslept: ")
-        assert bench.sent[known:] == [SAFE_COMMAND]
-
-
-async def test_a_short_pause_with_the_drive_on_goes_on() -> None:
-    async with running_bench(frames=10) as bench:
-        thaw(bench, 0.9 * STALE_S, bridge=True)
-        assert bench.state() is State.RUNNING
-
-
-async def test_a_drive_that_stopped_in_a_short_pause_trips() -> None:
+@pytest.mark.parametrize("bridge", [False, True])
+async def test_a_drive_that_went_on_in_a_short_pause_is_driven_on(*, bridge: bool) -> None:
     """Within `stale_s`, and within the grace of a drive that takes its time to switch on."""
     async with running_bench(frames=10) as bench:
         known = len(bench.sent)
-        thaw(bench, 0.9 * STALE_S, bridge=False)
-        assert bench.trip.startswith("drive stopped")
-        assert bench.sent[known:] == [SAFE_COMMAND]
-
-
-async def test_a_tick_frozen_before_its_command_sends_none() -> None:
-    async with running_bench() as bench:
-        known = len(bench.sent)
-        bench.stand_still_in_ticks(0.5)
-        bench.frame()
-        assert bench.trip.startswith("overslept: ")
-        assert bench.sent[known:] == [SAFE_COMMAND]
+        bench.thaw(0.9 * STALE_S, bridge=bridge)
+        assert (bench.state() is State.RUNNING) is bridge
+        assert bridge or bench.trip.startswith("drive stopped")
+        assert bridge or bench.sent[known:] == [SAFE_COMMAND]
 
 
 async def test_a_tick_frozen_in_its_command_ends_safe(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -603,21 +453,6 @@ async def test_what_the_drives_protocol_complains_of_trips_in_the_next_tick() ->
         assert bench.state() is State.STANDBY
 
 
-async def test_a_silent_drive_that_complained_trips_with_its_own_words() -> None:
-    async with running_bench() as bench:
-        bench.port.complaint = "emergency 0x3210"
-        bench.wait(2 * TICK_S)
-        assert bench.machine.trip == "emergency 0x3210"
-
-
-async def test_a_bridge_that_takes_its_time_does_not_trip() -> None:
-    async with fast_bench() as bench:
-        start_off(bench)
-        bench.frames(25, bridge=False)
-        bench.frames(100)
-        assert bench.state() is State.RUNNING
-
-
 async def test_a_command_that_the_wire_cannot_carry_trips_the_drive_not_the_daemon() -> None:
     async with running_bench() as bench:
         bench.unsendable = lambda command: command.bridge
@@ -626,16 +461,6 @@ async def test_a_command_that_the_wire_cannot_carry_trips_the_drive_not_the_daem
         assert bench.sent[-1] == SAFE_COMMAND
         bench.frames(10)
         assert set(bench.sent[-10:]) == {SAFE_COMMAND}
-
-
-async def test_a_bus_that_takes_nothing_does_no_harm() -> None:
-    async with running_bench() as bench:
-        bench.port.lose()
-        bench.wait(1.0)
-        assert bench.trip.startswith("stale: ")
-        bench.port.restore()
-        bench.frames(3)
-        assert bench.sent[-1] == SAFE_COMMAND
 
 
 async def test_a_restarted_drive_is_followed_again() -> None:
@@ -649,18 +474,3 @@ async def test_a_restarted_drive_is_followed_again() -> None:
         assert bench.loop.tick == pytest.approx(before + 100, abs=2)
         fresh = [report.measurement.fresh for report in bench.reports[-90:]]
         assert all(fresh)
-
-
-async def test_a_drive_without_a_counter_is_followed_too() -> None:
-    async with fast_bench(modulus=None) as bench:
-        bench.frames(50, counter=None)
-        bench.frame(after_s=1.7 * TICK_S, counter=None)
-        bench.frame(after_s=0.3 * TICK_S, counter=None)
-        assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 52))
-
-
-async def test_the_order_tells_what_the_operator_asked_for() -> None:
-    async with running_bench() as bench:
-        bench.ask(SetSetpoint(3.25))
-        bench.frame()
-        assert bench.reports[-1].order.reference == 3.25

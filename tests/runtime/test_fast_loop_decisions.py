@@ -1,13 +1,35 @@
-"""From a snapshot to the tick at which its decision takes effect."""
+"""Requests and decisions reach the controller at their tick; a drive coasts until a set-point."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Mode, Stage
-from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Enable, SetMode, SetPole, SetSetpoint
-from tests.runtime.bench import LATENCY, FastBench, Q, decision, fast_bench, running_bench
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.runtime.reports import State, StopWord
+from adaptdrive.runtime.requests import (
+    Disable,
+    Enable,
+    Request,
+    Reset,
+    SetMode,
+    SetPole,
+    SetSetpoint,
+    SetWaveform,
+)
+from tests.runtime.bench import (
+    FAST,
+    LATENCY,
+    RATE_FRAMES,
+    TICK_S,
+    FastBench,
+    Q,
+    decision,
+    fast_bench,
+    running_bench,
+)
 
 
 def applied(bench: FastBench) -> dict[int, int]:
@@ -17,10 +39,6 @@ def applied(bench: FastBench) -> dict[int, int]:
         for report in bench.reports
         if report.applied_k >= 0
     }
-
-
-def boost_references(bench: FastBench) -> dict[int, float]:
-    return {report.measurement.tick: report.command.boost_reference_V for report in bench.reports}
 
 
 async def test_snapshots_are_taken_at_multiples_of_the_slow_period() -> None:
@@ -42,19 +60,30 @@ async def test_a_snapshot_carries_the_order_of_its_tick() -> None:
         assert (order.mode, order.pole) == (Mode.ADAPTIVE, 0.8)
 
 
+async def test_a_slow_loop_that_has_fallen_hopelessly_behind_trips() -> None:
+    async with running_bench() as bench:
+        bench.around.room = False
+        bench.run_to_snapshot()
+        bench.frame()
+        assert bench.trip.startswith("slow loop: ")
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
 @pytest.mark.parametrize("delivered_after", [0, 1])
 async def test_a_decision_takes_effect_at_its_fixed_tick(delivered_after: int) -> None:
+    """Be it a stand-in."""
     async with running_bench() as bench:
         taken = bench.run_to_snapshot()
         bench.frames(delivered_after)
-        bench.loop.deliver(taken, decision(taken.k, 333.0))
-        bench.frames(5)
-        due = taken.tick + LATENCY
-        assert applied(bench) == {due: taken.k}
-        references = boost_references(bench)
-        assert references[due - 1] != 333.0
-        assert all(references[tick] == 333.0 for tick in range(due, due + 3))
+        made = decision(taken.k, 333.0)
+        bench.loop.deliver(taken, made)
+        bench.wait(5.0 * TICK_S)
+        assert applied(bench) == {taken.tick + LATENCY: taken.k}
+        references = {one.measurement.tick: one.command.boost_reference_V for one in bench.reports}
+        in_force = [tick for tick, reference_V in references.items() if reference_V == 333.0]
+        assert in_force[0] == taken.tick + LATENCY
         assert bench.loop._schedule.late_decisions == 0
+        assert bench.around.decisions == [made]
 
 
 async def test_a_late_decision_takes_effect_at_the_next_tick_and_is_flagged() -> None:
@@ -67,56 +96,118 @@ async def test_a_late_decision_takes_effect_at_the_next_tick_and_is_flagged() ->
         assert bench.loop._schedule.late_decisions == 1
 
 
-async def test_a_decision_is_applied_on_a_stand_in_tick_too() -> None:
+@pytest.mark.parametrize("delivered", ["before", "after", "in the next run"])
+@pytest.mark.parametrize("trips", [False, True])
+async def test_a_decision_of_a_run_that_has_ended_is_dropped(
+    delivered: str, *, trips: bool
+) -> None:
     async with running_bench() as bench:
         taken = bench.run_to_snapshot()
-        bench.loop.deliver(taken, decision(taken.k, 333.0))
-        bench.wait(0.04)
-        assert applied(bench) == {taken.tick + LATENCY: taken.k}
-
-
-async def test_a_decision_in_flight_across_a_restart_is_dropped() -> None:
-    async with running_bench() as bench:
-        taken = bench.run_to_snapshot()
-        bench.ask(Disable())
-        bench.frame()
-        bench.start()
-        bench.loop.deliver(taken, decision(taken.k, 333.0))
-        bench.frames(Q // 2)
-        assert applied(bench) == {}
-        assert bench.around.decisions == []
-
-
-async def test_a_decision_that_waits_for_its_tick_is_dropped_by_a_restart() -> None:
-    async with running_bench() as bench:
-        taken = bench.run_to_snapshot()
-        bench.loop.deliver(taken, decision(taken.k, 333.0))
-        bench.ask(Disable())
-        bench.frames(2)
-        bench.ask(Enable())
-        bench.frames(10)
-        assert bench.state() is State.RUNNING
-        assert applied(bench) == {}
-
-
-@pytest.mark.parametrize("ending", ["disable", "trip"])
-async def test_a_decision_after_the_end_of_a_run_is_dropped(ending: str) -> None:
-    async with running_bench() as bench:
-        taken = bench.run_to_snapshot()
-        if ending == "disable":
-            bench.ask(Disable())
-        else:
+        made = decision(taken.k, 333.0)
+        if delivered == "before":
+            bench.loop.deliver(taken, made)
+        if trips:
             bench.machine.latch("a test")
-        bench.loop.deliver(taken, decision(taken.k, 333.0))
+        bench.ask(Disable())
+        if delivered == "after":
+            bench.loop.deliver(taken, made)
+        bench.frames(2)
+        assert set(bench.sent[-2:]) == {SAFE_COMMAND}
+        bench.ask(Reset())
+        bench.start()
+        if delivered == "in the next run":
+            bench.loop.deliver(taken, made)
         bench.frames(10)
         assert applied(bench) == {}
-        assert set(bench.sent[-10:]) == {SAFE_COMMAND}
+        assert bench.around.decisions == [made] * (delivered == "before")
 
 
-async def test_a_slow_loop_that_has_fallen_hopelessly_behind_trips() -> None:
+CHANGES: dict[str, tuple[Request, dict[str, object]]] = {
+    "reference": (SetSetpoint(2.5), {"reference": 2.5}),
+    "mode": (SetMode(Mode.ADAPTIVE), {"mode": Mode.ADAPTIVE}),
+    "pole": (SetPole(0.8), {"pole": 0.8}),
+    "steady": (
+        SetWaveform(Waveform(Shape.SQUARE, 2.5, 3.0, 60.0), preview=False),
+        {"steady": False},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+async def test_one_change_reaches_the_next_tick_and_nothing_else_does(name: str) -> None:
+    request, expected = CHANGES[name]
     async with running_bench() as bench:
-        bench.around.room = False
-        bench.run_to_snapshot()
+        bench.ask(SetSetpoint(3.0))  # where the waveform begins
+        bench.frames(2)
+        before = bench.reports[-1].order
+        assert bench.reports[-2].order is before
+        bench.ask(request)
         bench.frame()
-        assert bench.trip.startswith("slow loop: ")
+        assert bench.reports[-1].order == replace(before, **expected)  # type: ignore[arg-type]
+
+
+async def test_a_drive_that_is_polled_has_no_rate_of_its_own() -> None:
+    stride = 12
+    timing = replace(FAST.timing, stale_s=1.0, ticks_per_reading=stride)
+    polled = replace(FAST, timing=timing, drive_clocks=False)
+    async with fast_bench(polled, modulus=None) as bench:
+        bench.frames(100, after_s=1.3 * stride * TICK_S, counter=None)
+        assert bench.loop.cause is None
+
+
+async def test_silence_without_the_timer_sends_nothing_until_it_trips() -> None:
+    async with running_bench(replace(FAST, timer_standin=False)) as bench:
+        known = len(bench.sent)
+        bench.wait(0.8 * FAST.timing.stale_s)
+        assert len(bench.sent) == known
+        bench.wait(10 * TICK_S)
+        assert bench.state() is State.TRIPPED
+        tripped = len(bench.sent)
+        bench.wait(10 * TICK_S)
+        assert bench.sent[known:] == [SAFE_COMMAND] * (len(bench.sent) - known)
+        assert len(bench.sent) - tripped == 10
+
+
+LONG_FRAMES = round(2.0 * FAST.timing.stop_s / TICK_S)
+
+
+async def test_coasting_from_a_run_must_be_confirmed_by_the_drive() -> None:
+    async with running_bench() as bench:
+        bench.ask(SetSetpoint(0.0))
+        bench.frames(LONG_FRAMES)
         assert bench.sent[-1] == SAFE_COMMAND
+        assert (bench.machine.trip, bench.loop.stop) == (None, StopWord.CONFIRMED)
+        bench.ask(SetSetpoint(3.0))
+        bench.frames(LONG_FRAMES)
+        assert bench.state() is State.RUNNING
+        assert bench.sent[-1].bridge
+
+
+async def test_enabled_at_rest_it_coasts_until_a_set_point_starts_it() -> None:
+    async with fast_bench() as bench:
+        bench.frames(RATE_FRAMES, output=0.0)
+        bench.ask(Enable())
+        bench.frames(LONG_FRAMES, output=0.0)
+        assert set(bench.sent) == {SAFE_COMMAND}
+        assert (bench.state(), bench.machine.trip) == (State.RUNNING, None)
+        assert bench.loop.stop is StopWord.CONFIRMED
+        bench.sent.clear()
+        bench.ask(SetSetpoint(3.0))
+        bench.frames(4)
+        assert [command.bridge for command in bench.sent] == [False, True, True, True]
+        assert bench.machine.trip is None
+
+
+@pytest.mark.parametrize(
+    ("stays", "cause"),
+    [
+        (0, "the drive does not stop: its bridge is still"),
+        (9, "the drive's bridge is on although this daemon did not command it"),
+    ],
+)
+async def test_a_bridge_that_is_on_while_it_coasts_trips(stays: int, cause: str) -> None:
+    async with running_bench() as bench:
+        bench.ask(SetSetpoint(0.0))
+        bench.frames(stays)
+        bench.frames(LONG_FRAMES, bridge=True)
+        assert bench.trip.startswith(cause)

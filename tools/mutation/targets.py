@@ -3,13 +3,7 @@
 from __future__ import annotations
 
 _LOOP = ("tests/runtime/test_fast_loop.py", "tests/runtime/test_fast_loop_decisions.py")
-_LOOP_MORE = (
-    "tests/runtime/test_fast_loop_books.py",
-    "tests/runtime/test_fast_loop_orders.py",
-    "tests/runtime/test_deadlines.py",
-    "tests/runtime/test_polled_drive.py",
-    "tests/runtime/test_coasting.py",
-)
+_LOOP_MORE = ("tests/runtime/test_deadlines.py", "tests/runtime/test_polled_drive.py")
 _MACHINE = (
     "tests/runtime/test_machine.py",
     "tests/runtime/test_machine_manual.py",
@@ -17,16 +11,19 @@ _MACHINE = (
 )
 _STOP = ("tests/runtime/test_stop_verdicts.py", "tests/runtime/test_stop_watch.py")
 _RATE = (
-    "tests/runtime/test_frame_rate_bounds.py",
     "tests/runtime/test_half_cycles.py",
     "tests/runtime/test_frame_rate.py",
     "tests/runtime/test_polled_drive.py",
 )
 
 RUNTIME: dict[str, tuple[str, ...]] = {
-    "adaptdrive.runtime.interlocks": ("tests/runtime/test_interlocks.py", *_LOOP),
+    "adaptdrive.runtime.interlocks": (
+        "tests/runtime/test_interlocks.py",
+        "tests/runtime/test_response.py",
+        *_LOOP,
+    ),
     "adaptdrive.runtime.guard": ("tests/runtime/test_guard.py", *_LOOP),
-    "adaptdrive.runtime.machine": (*_MACHINE, "tests/runtime/test_coasting.py"),
+    "adaptdrive.runtime.machine": (*_MACHINE, "tests/runtime/test_fast_loop_decisions.py"),
     "adaptdrive.runtime.machine_limits": ("tests/runtime/test_machine_limits.py", *_MACHINE),
     "adaptdrive.runtime.manual": ("tests/runtime/test_machine_limits.py",),
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
@@ -36,12 +33,16 @@ RUNTIME: dict[str, tuple[str, ...]] = {
         "tests/runtime/test_fast_loop.py",
     ),
     "adaptdrive.runtime.counter_watch": (
-        "tests/runtime/test_restart_watch.py",
+        "tests/runtime/test_counter_watch.py",
         *_RATE,
         "tests/runtime/test_fast_loop.py",
     ),
-    "adaptdrive.runtime.half_cycles": (*_RATE, "tests/runtime/test_fast_loop.py"),
-    "adaptdrive.runtime.frame_rate": _RATE,
+    "adaptdrive.runtime.half_cycles": (
+        *_RATE,
+        "tests/runtime/test_counter_watch.py",
+        "tests/runtime/test_fast_loop.py",
+    ),
+    "adaptdrive.runtime.frame_rate": (*_RATE, "tests/runtime/test_counter_watch.py"),
     "adaptdrive.runtime.stop_watch": _STOP,
     "adaptdrive.runtime.stopping": (*_STOP, "tests/runtime/test_frame_rate.py"),
     "adaptdrive.runtime.statistics": ("tests/runtime/test_statistics.py",),

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import re
 import subprocess
 import sys
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from adaptdrive.config.services import Realtime
-from adaptdrive.runtime.realtime import real_time
-from adaptdrive.runtime.tick_support import IdleCollector
-
-ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.usefixtures("outside")
+ROOT = Path(__file__).parents[3]
 NOBODY = 65534
 
 ASK = """
@@ -76,17 +71,16 @@ def locked_kB(output: str) -> int:
     return int(found[1])
 
 
+@pytest.mark.proof
 def test_a_granted_priority_is_for_the_thread_and_not_for_what_it_starts() -> None:
     output = may_be_granted("priority=10")
     assert "priority = 10|True|ordinary processes cannot delay a tick" in output
     assert "\nTrue\n" in output
     assert "child True" in output
+    assert "\nhelper 9\n" in output
 
 
-def test_helper_threads_run_right_below_the_ticks() -> None:
-    assert "\nhelper 9\n" in may_be_granted("priority=10")
-
-
+@pytest.mark.proof
 def test_locked_memory_shows_in_the_kernel_but_is_not_made_resident() -> None:
     output = may_be_granted("lock_memory=True")
     assert locked_kB(output) > 0
@@ -100,12 +94,10 @@ def test_cpus_are_those_asked_for() -> None:
     output = ask(f"cpus=[{cpu}]")
     assert f"cpus = [{cpu}]|True" in output
     assert re.search(rf"Cpus_allowed_list:\s+{cpu}\n", output)
-
-
-def test_cpus_that_do_not_exist_are_refused_in_words() -> None:
     assert "cpus = [1000]|False|Invalid argument: no such CPUs" in ask("cpus=[1000]")
 
 
+@pytest.mark.proof
 def test_idle_cpus_are_kept_awake_for_as_long_as_the_daemon_runs() -> None:
     output = may_be_granted("cpu_latency_us=20")
     assert "cpu_latency_us = 20|True|" in output
@@ -123,46 +115,6 @@ def test_an_ordinary_user_is_refused_in_words_and_goes_on() -> None:
     assert "freeze_gc = true|True|" in output
     assert "\nhelper 0\n" in output
     assert locked_kB(output) == 0
-
-
-def test_nothing_is_asked_for_unless_wanted() -> None:
-    with real_time(Realtime(freeze_gc=False)) as grants:
-        assert grants == []
-
-
-def test_after_the_freeze_garbage_waits_for_the_collector() -> None:
-    class Knot:
-        def __init__(self) -> None:
-            self.itself = self
-
-    collected: list[int] = []
-    collector = IdleCollector(every_ticks=3)
-    with real_time(Realtime(freeze_gc=True)) as grants, ExitStack() as stack:
-        assert [grant.granted for grant in grants] == [True]
-        assert not gc.isenabled()
-        knot = Knot()
-        gc.callbacks.append(lambda _, info: collected.append(info.get("collected", 0)))
-        stack.callback(gc.callbacks.pop)
-        del knot
-        assert [collector.is_due() for _ in range(6)] == [False, False, True, False, False, True]
-        assert collector.collect(idle=False) == 0
-        assert collected[-1] > 0
-    assert gc.isenabled()
-    assert gc.get_freeze_count() == 0
-
-
-def test_a_full_collection_waits_until_the_drive_is_off() -> None:
-    collector = IdleCollector(every_ticks=1)
-    running = [collector.collect(idle=False) for _ in range(7000)]
-    assert running[:20].count(1) == 2
-    assert max(running) == 1
-    assert collector.collect(idle=True) == 2
-    assert collector.collect(idle=True) < 2
-
-
-def test_without_a_freeze_nothing_is_collected_after_ticks() -> None:
-    collector = IdleCollector(every_ticks=0)
-    assert not any(collector.is_due() for _ in range(1000))
 
 
 def test_the_daemon_imports_nothing_heavy() -> None:

@@ -1,0 +1,68 @@
+"""Two rules of the house: one place for each kind of load, and no module for tests alone."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args
+
+from adaptdrive.config.load import LoadName
+
+ROOT = Path(__file__).parents[2]
+OPTIONAL = {"hardware/proposal.py"}
+"""Names and units of outputs that `init` recognises in a DBC; a load without a row is left out."""
+
+PUBLIC = {"adaptdrive.lab"}
+"""Modules for the programs of users."""
+
+COMMANDS = "adaptdrive.cli."
+"""The command line imports its modules by names that it puts together."""
+
+
+def tables_of_loads(text: str) -> Iterator[int]:
+    """Yield the lines of dicts with keys for two kinds of load."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Dict):
+            keys = {one.value for one in node.keys if isinstance(one, ast.Constant)}
+            if len(keys & set(get_args(LoadName))) > 1:
+                yield node.lineno
+
+
+def test_no_table_has_a_row_for_each_kind_of_load() -> None:
+    """A new kind of load is entered where loads are chosen, and nowhere else."""
+    source = ROOT / "src" / "adaptdrive"
+    found = {
+        str(path.relative_to(source))
+        for path in source.rglob("*.py")
+        for _ in tables_of_loads(path.read_text(encoding="utf-8"))
+    }
+    assert found == OPTIONAL
+
+
+def named_in(text: str) -> Iterator[str]:
+    """Yield the names that a file imports, and those in its texts, such as of `python -m`."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (one.name for one in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{one.name}" for one in node.names)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value.partition(":")[0]
+
+
+def test_each_module_is_used_by_another_of_the_product() -> None:
+    files = {
+        ".".join(path.relative_to(folder).with_suffix("").parts): path
+        for folder in (ROOT / "src", ROOT / "simulators")
+        for path in folder.rglob("*.py")
+    }
+    named = {path: set(named_in(path.read_text("utf-8"))) for path in files.values()}
+    unused = {
+        name
+        for name, own in files.items()
+        if not own.stem.startswith("__") and not name.startswith(COMMANDS)
+        if not any(name in names for path, names in named.items() if path != own)
+    }
+    assert unused == PUBLIC
