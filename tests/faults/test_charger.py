@@ -8,7 +8,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from tests.faults.course import Course, example
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.proof
 
 BATTERY_V_MAX = 82.0
 

@@ -63,7 +63,7 @@ def live(course: Course, draw: random.Random) -> None:
         course.daemon.accepts(wish(course, draw))
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 @pytest.mark.parametrize("name", list(FILES))
 @settings(
     max_examples=int(os.environ.get("CONFIGURATIONS", "4")),

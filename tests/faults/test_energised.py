@@ -16,9 +16,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import SetSetpoint
 from tests.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 
-pytestmark = pytest.mark.slow
-
-STORIES = int(os.environ.get("STORIES", "40"))
+STORIES = int(os.environ.get("STORIES", "8"))
 QUICK = settings(
     max_examples=STORIES,
     stateful_step_count=25,
@@ -56,7 +54,7 @@ def _no_cause(*_: object, **__: object) -> None:
     ("story", "owner", "name"),
     [
         (Story, InterlockBoard, "standing_cause"),
-        (Story, InterlockBoard, "gap_cause"),
+        pytest.param(Story, InterlockBoard, "gap_cause", marks=pytest.mark.proof),
         (PatientStory, BridgeWatch, "find_cause"),
         (PatientStory, BridgeWatch, "_note_silence"),
     ],
@@ -70,6 +68,7 @@ def test_a_daemon_without_one_protection_is_found_out(
         run_state_machine_as_test(story, settings=UNSHRUNK)
 
 
+@pytest.mark.proof
 def test_a_daemon_that_does_not_know_a_short_time_out_is_found_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -92,8 +92,8 @@ class Seen:
         return "?" if self.watch.must_report(0.0) else "."
 
 
-IDLE = {"commanded": False}
-EARLY = {"due": False}
+IDLE: dict[str, Any] = {"commanded": False}
+EARLY: dict[str, Any] = {"due": False}
 """While its drive starts."""
 
 SCRIPTS: list[tuple[dict[str, Any], list[Look], str]] = [
@@ -214,7 +214,8 @@ def test_a_report_is_waited_for_after_a_time_in_which_a_drive_may_have_stopped(
         seen = Seen(**drive)
         seen.look(on(0))
         at, old = (20.0, {"old": 1.0}) if of == "unwatched" else (ticks, {})
-        assert seen.look(on(at, **old, **{of: ticks})) == follows
+        how: dict[str, Any] = {**old, of: ticks}
+        assert seen.look(on(at, **how)) == follows
     assert seen.look(on(200.0)) == "."
 
 

@@ -11,7 +11,7 @@ from tools.soak.life import Life
 QUARTER_s = 900.0
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_a_life_of_faults_is_recorded_whole_and_replays_bit_equal(tmp_path: Path) -> None:
     life = Life(4, tmp_path / "session")
     life.pass_time(QUARTER_s)
