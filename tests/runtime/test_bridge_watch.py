@@ -121,7 +121,7 @@ SCRIPTS: list[tuple[dict[str, Any], list[Look], str]] = [
     ({}, [off(0, **IDLE), on(1), off(2, "?"), off(2.5, "?", old=0.5), off(3, "!")], ""),
     # unless it had the time to stop unseen
     ({}, [on(0), on(14, "?", old=14), off(15, "!")], not_heard(14)),
-    ({}, [on(0), on(14, "?", unwatched=14), off(15, "!")], ""),
+    ({}, [on(0), on(14, "?", unwatched=14), off(15, "!")], not_run(14)),
     # one that was still on at the command has been on by it once it has switched, or later
     ({}, [on(0, **IDLE), on(1), on(31), off(32)], ""),
     ({}, [on(0, **IDLE), on(1), on(32), off(33, "!")], ""),
@@ -144,9 +144,9 @@ SCRIPTS: list[tuple[dict[str, Any], list[Look], str]] = [
     # of several such times the longest is named, and the last one counts
     ({}, [on(0), on(11, "?", old=11, unwatched=11), on(16, "?", old=2, unwatched=5),
           on(17, "?", old=2), off(18, "!")], not_run(11)),
-    ({}, [on(0), on(40, old=10, unwatched=10), on(41, "?", old=11), on(42, "?", old=1),
-          off(43, "!")], ""),
-    ({}, [on(0), on(40, old=10, unwatched=10), on(41, **IDLE), on(42, old=1), off(43)], ""),
+    ({}, [on(0), on(40, old=10, unwatched=10), on(41), on(42, old=1), off(43, "!")], ""),
+    ({}, [on(0), on(40, old=10, unwatched=10), on(41, old=11, **IDLE), on(42, old=1),
+          off(43, "?")], ""),
     ({}, [on(0), on(20, old=8, unwatched=0.079 / TICK_S), on(21, old=1), on(22)], ""),
     ({}, [on(0), on(20, "?", old=8, unwatched=0.081 / TICK_S), on(21, "?", old=1), on(22)], ""),
     ({}, [off(0, unwatched=20, **IDLE), on(1, old=1.5)], ""),
