@@ -146,7 +146,7 @@ SCRIPTS: list[tuple[dict[str, Any], list[Look], str]] = [
           on(17, "?", old=2), off(18, "!")], not_run(11)),
     ({}, [on(0), on(40, old=10, unwatched=10), on(41), on(42, old=1), off(43, "!")], ""),
     ({}, [on(0), on(40, old=10, unwatched=10), on(41, old=11, **IDLE), on(42, old=1),
-          off(43, "?")], ""),
+          off(43)], ""),
     ({}, [on(0), on(20, old=8, unwatched=0.079 / TICK_S), on(21, old=1), on(22)], ""),
     ({}, [on(0), on(20, "?", old=8, unwatched=0.081 / TICK_S), on(21, "?", old=1), on(22)], ""),
     ({}, [off(0, unwatched=20, **IDLE), on(1, old=1.5)], ""),
