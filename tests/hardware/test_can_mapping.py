@@ -1,6 +1,7 @@
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -80,7 +81,7 @@ OF_INTEGRITY: list[tuple[dict[str, object], str, str]] = [
     ({"checksum": "LoadCurrent"}, ".checksum", "one whole byte"),
     ({"counter": "LoadCrc"}, "", "both counter and checksum"),
 ]
-FLAWS: list[tuple[dict[str, object], dict[str, object], str, str]] = [
+FLAWS: list[tuple[Any, ...]] = [
     *((bus, {}, f"bus.{place}", words) for bus, place, words in OF_BUS),
     *(({}, signals, f"signals.{next(iter(signals))}", words) for signals, words in OF_SIGNALS),
     *(
