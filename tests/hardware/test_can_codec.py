@@ -148,44 +148,31 @@ def test_a_float_that_is_not_finite_is_refused(value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("raw", "name", "known"),
+    ("names", "unknown"),
     [
-        (0, "Unknown", False),
-        (0, "Off", True),
-        (3, "Invalid", False),
-        (7, "SNA", False),
-        (7, "Not available or not requested", False),
-        (7, "signal_not_available", False),
-        (7, "Error", True),
-        (7, "Unknown device", True),
-        (7, "Invalid parameters", True),
+        (["Unknown"], {0}),
+        (["Off", "On", "Ready", "Invalid"], {3}),
+        ([*"abcdefg", "SNA"], {7}),
+        ([*"abcdefg", "Not available or not requested"], {7}),
+        ([*"abcdefg", "signal_not_available"], {7}),
+        (["Off", "Error", "Unknown device", "Invalid parameters"], set()),
+        (["DI_STATE_OFF", "DI_STATE_ON", "DI_STATE_FAULT", "DI_STATE_SNA"], {3}),
+        (["Bridge open", "Bridge closed", "Bridge fault", "Bridge unknown"], {3}),
+        (["Not ready", "Not off", "Not on", "Not available"], {3}),
     ],
 )
 def test_a_state_whose_name_says_that_nothing_is_known_is_none(
-    raw: int, name: str, known: bool
+    names: list[str], unknown: set[int]
 ) -> None:
-    conversion = BaseConversion.factory(choices=OrderedDict({raw: NamedSignalValue(raw, name)}))
-    message = Message(0x123, "Drive", 1, [Signal("State", 0, 3, conversion=conversion)])
-    codec, frame = MessageCodec(message, states={"State": 1.0}), bytes((raw,))
-    expected = FrameVerdict.GOOD if known else FrameVerdict.OUT_OF_RANGE
-    assert codec.decode(frame).verdict is expected
-    assert MessageCodec(message).decode(frame).verdict is FrameVerdict.GOOD
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        ["DI_STATE_OFF", "DI_STATE_ON", "DI_STATE_FAULT", "DI_STATE_SNA"],
-        ["Bridge open", "Bridge closed", "Bridge fault", "Bridge unknown"],
-        ["Not ready", "Not off", "Not on", "Not available"],
-    ],
-)
-def test_a_prefix_of_all_names_hides_no_state_of_which_nothing_is_known(names: list[str]) -> None:
+    """A prefix of all names hides no state of which nothing is known."""
     choices: OrderedDict[int, str | NamedSignalValue] = OrderedDict(enumerate(names))
-    state = Signal("State", 0, 2, conversion=BaseConversion.factory(choices=choices))
-    codec = MessageCodec(Message(0x123, "Drive", 1, [state]), states={"State": 1.0})
-    verdicts = [codec.decode(bytes((raw,))).verdict for raw in range(4)]
-    assert verdicts == [*3 * [FrameVerdict.GOOD], FrameVerdict.OUT_OF_RANGE]
+    state = Signal("State", 0, 3, conversion=BaseConversion.factory(choices=choices))
+    message = Message(0x123, "Drive", 1, [state])
+    codec = MessageCodec(message, states={"State": 1.0})
+    refused = {raw for raw in range(len(names)) if not codec.decode(bytes((raw,))).values}
+    assert refused == unknown
+    values = [MessageCodec(message).decode(bytes((raw,))).values for raw in range(len(names))]
+    assert all(values)
 
 
 def reference(name: str) -> MessageCodec:
@@ -347,7 +334,9 @@ def test_a_frame_whose_counter_is_wrong_has_no_values(alive: int) -> None:
     codec = MessageCodec(dbc(WORDS), FrameIntegrity(counter="Alive"), measured={"Volts", "Amps"})
     frame = bytes.fromhex("ffff 0100 0214")
     assert codec.decode(frame + bytes(2)).values
-    assert not codec.decode(frame + bytes((alive, 0))).values
+    decoded = codec.decode(frame + bytes((alive, 0)))
+    assert not decoded.values
+    assert (decoded.verdict is FrameVerdict.OUT_OF_RANGE) is (alive == 15)
 
 
 @pytest.mark.parametrize("declared", ["[0|0]", "[0|6553.5]"])

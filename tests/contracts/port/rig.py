@@ -30,6 +30,7 @@ class Rig(ABC):
         watched: Whether the drive has a watchdog of its own, which `fed_s` tells of.
         starved_s: Longest silence in which a drive is left that does not obey, at least.
         outlives_loss: Whether a drive that stayed on while its bus was lost is driven on.
+        keeps_newest: Whether the newest command is written again once the drive has been read.
         heard: Bridge and voltage of each command that the drive has heard, one after the other.
         fed_s: When something came that keeps the drive's watchdog from ending.
         obeys: Whether the drive follows the commands that it hears.
@@ -44,6 +45,7 @@ class Rig(ABC):
     watched = True
     starved_s = 0.9
     outlives_loss = True
+    keeps_newest = False
 
     def __init__(self, port: Port, ear: Ear) -> None:
         self.port, self.ear = port, ear
