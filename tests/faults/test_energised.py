@@ -12,8 +12,6 @@ from hypothesis.stateful import run_state_machine_as_test
 from adaptdrive.config.timing import Timing
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.interlock_board import InterlockBoard
-from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import SetSetpoint
 from tests.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 
 STORIES = int(os.environ.get("STORIES", "8"))
@@ -77,19 +75,6 @@ def test_a_daemon_that_does_not_know_a_short_time_out_is_found_out(
         run_state_machine_as_test(HastyDriveStory, settings=UNSHRUNK)
 
 
-def test_a_silence_in_which_no_command_is_sent_is_no_freeze_of_the_daemon() -> None:
-    """The drive, whose bridge is stuck, says that it is on before it is driven on."""
-    story = HastyDriveStory()
-    story.wake_up(readings=62)
-    story.bring_up()
-    story.bridge_sticks(on=True)
-    story.freeze_within_a_tick(ticks=8)
-    story.pull_the_cable_for_a_while(ticks=50)
-    story.pass_ticks(ticks=1)
-    story.it_has_not_died()
-    assert story.daemon.state is State.RUNNING
-
-
 @pytest.mark.parametrize(("kind", "ticks"), [(PatientStory, 20), (HastyDriveStory, 8)])
 def test_a_command_that_was_frozen_for_longer_than_the_time_out_waits_for_a_report(
     kind: type[PatientStory], ticks: int
@@ -99,23 +84,3 @@ def test_a_command_that_was_frozen_for_longer_than_the_time_out_waits_for_a_repo
     story.bring_up()
     story.freeze_within_a_tick(ticks=ticks)
     story.it_has_not_died()
-
-
-def test_a_drive_that_is_silent_from_its_start_on_has_not_refused_its_bridge() -> None:
-    story = PatientStory()
-    story.wake_up(readings=62)
-    story.enable()
-    story.lose_frames(ticks=38)
-    story.it_has_not_died()
-
-
-def test_a_command_that_a_request_made_between_two_ticks_shows_no_cause_yet() -> None:
-    """The set-point lets the drive coast at once; the other sender is seen in the next tick."""
-    story = Story()
-    story.wake_up(readings=62)
-    story.enable()
-    story.another_sender(speaks=True)
-    story.ask(wish=SetSetpoint(0.0))
-    story.enable()
-    story.pass_ticks(1)
-    assert story.daemon.trip == "another sender commands"

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import threading
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from itertools import count, pairwise
-from pathlib import Path
 
 import pytest
 
@@ -210,20 +208,6 @@ async def ending(bench: DaemonBench) -> list[BaseException]:
     return leaves(caught.value)
 
 
-async def test_it_begins_in_standby_and_says_so_first() -> None:
-    async with daemon_bench() as bench:
-        first = bench.told[0]
-        assert isinstance(first, StateReport)
-        assert (first.state, first.mode, first.controller) == (
-            State.STANDBY,
-            Mode.FIXED,
-            Mode.FIXED,
-        )
-        assert (first.enabled, first.trip, first.waveform) == (False, None, None)
-        bench.frames(500)
-        assert set(bench.sent) == {SAFE_COMMAND}
-
-
 async def test_the_state_is_reported_when_it_changes_and_only_then() -> None:
     async with running_daemon() as bench:
         await bench.daemon.execute(SetSetpoint(3.0))
@@ -270,16 +254,6 @@ async def test_a_drive_that_keeps_its_fault_refuses_the_reset() -> None:
         with pytest.raises(RefusedError, match="drive fault"):
             await bench.daemon.execute(Enable())
         assert set(bench.sent) == {SAFE_COMMAND}
-
-
-async def test_a_stop_acts_in_every_state() -> None:
-    async with daemon_bench() as bench:
-        bench.daemon.stop()
-        assert bench.sent[-1] == SAFE_COMMAND
-        await bench.start()
-        bench.daemon.stop()
-        assert bench.sent[-1] == SAFE_COMMAND
-        assert bench.states[-1].state is not State.RUNNING
 
 
 async def test_a_flood_of_stops_does_not_fill_the_bus() -> None:
@@ -334,15 +308,6 @@ async def test_the_confirmation_of_a_stop_is_reported_when_the_drive_gives_it() 
         bench.frames(10)
         (confirmed,) = bench.states[known:]
         assert confirmed.stop is StopWord.CONFIRMED
-
-
-async def test_each_slow_period_is_reported_with_its_decision() -> None:
-    async with running_daemon() as bench:
-        await bench.run_until_decided(3)
-        loads = [report for report in bench.told if isinstance(report, LoadReport)]
-        assert len(loads) == 3
-        assert [load.decision.k for load in loads] == [load.snapshot.k for load in loads]
-        assert all(200.0 <= load.decision.boost_reference_V <= 400.0 for load in loads)
 
 
 async def test_the_mode_is_an_event_and_says_why_it_is_not_in_force() -> None:
@@ -539,30 +504,9 @@ async def test_when_it_is_cancelled_the_drive_is_left_safe() -> None:
         assert bench.sent[-1] == SAFE_COMMAND
 
 
-async def test_when_the_port_dies_the_daemon_ends() -> None:
-    async with running_daemon() as bench:
-        bench.port.problem.set_exception(OSError("no such device"))
-        (cause,) = await ending(bench)
-        assert isinstance(cause, OSError)
-
-
 async def test_a_bus_that_cannot_be_opened_ends_the_daemon() -> None:
     bench = DaemonBench()
     bench.port.problem.set_exception(BusError("socketcan can0", "there is no such interface"))
     (cause,) = await ending(bench)
     assert isinstance(cause, BusError)
     assert bench.sent == []
-
-
-async def test_the_service_manager_follows_along(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
-        ear.bind(str(tmp_path / "notify"))
-        ear.settimeout(5.0)
-        manager = ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "notify")})
-        async with daemon_bench(manager) as bench:
-            heard = [ear.recv(4096).decode() for _ in range(2)]
-            await bench.end()
-            while heard[-1] != "STOPPING=1":
-                heard.append(ear.recv(4096).decode())
-    assert heard[:2] == ["READY=1", "STATUS=loopback: waiting for the drive"]
-    assert all(text.startswith("STATUS=") for text in heard[2:-1])  # of a busy machine

@@ -89,19 +89,6 @@ async def test_a_stop_of_the_drive_that_one_late_frame_alone_shows_trips() -> No
         assert bench.sent[-1] == SAFE_COMMAND
 
 
-async def test_a_bridge_that_one_late_frame_alone_shows_on_has_been_on() -> None:
-    """The drive stops at once: the next frames are no bridge that has yet to come on."""
-    async with fast_bench() as bench:
-        bench.frames(RATE_FRAMES)
-        bench.ask(Enable())
-        bench.frames(4, bridge=False)
-        bench.frame(after_s=1.7 * TICK_S, bridge=True)
-        bench.frame(after_s=0.3 * TICK_S, bridge=False)
-        assert bench.state() is State.RUNNING  # it may be a contact that bounces
-        bench.frame(bridge=False)
-        assert bench.trip.startswith("drive stopped: ")
-
-
 async def test_the_timer_stands_in_on_the_drives_grid() -> None:
     async with fast_bench() as bench:
         bench.frames(5)
@@ -153,20 +140,6 @@ async def test_a_drive_that_reports_no_voltage_has_the_one_that_it_was_last_comm
         assert bench.reports[-1].measurement.boost_voltage_V == commanded
 
 
-async def test_enabling_again_after_one_tick_begins_anew() -> None:
-    async with running_bench() as bench:
-        runs_ended = bench.around.runs_ended
-        bench.ask(Disable())
-        with pytest.raises(RefusedError, match="has not confirmed its stop"):
-            bench.ask(Enable())
-        bench.frames(2)
-        bench.ask(Enable())
-        bench.frames(3)
-        assert Stage.PRECHARGE in [report.order.stage for report in bench.reports[-3:]]
-        assert bench.state() is State.RUNNING
-        assert bench.around.runs_ended > runs_ended
-
-
 async def test_silence_trips_within_the_limit_and_one_half_cycle() -> None:
     async with running_bench() as bench:
         last_s = bench.around.now
@@ -204,15 +177,6 @@ async def test_an_interlock_trips_in_the_tick_that_sees_it(
         bench.frames(300)
         assert bench.state() is State.TRIPPED
         assert set(bench.sent[-300:]) == {SAFE_COMMAND}
-
-
-async def test_values_that_are_no_numbers_do_no_harm_in_standby() -> None:
-    async with fast_bench() as bench:
-        bench.frames(3)
-        bench.frame(output=math.nan, boost_voltage_V=math.inf)
-        assert bench.loop.cause is not None
-        bench.start()
-        assert bench.state() is State.RUNNING
 
 
 async def test_a_bridge_that_goes_off_by_itself_trips() -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptdrive.control.signals import SAFE_COMMAND, Mode, Stage
+from adaptdrive.control.signals import SAFE_COMMAND, Mode
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.frame_rate import FrameRate, verdict_ticks
 from adaptdrive.runtime.half_cycles import HalfCycles
@@ -348,16 +347,6 @@ async def test_a_voltage_holds_for_its_time_though_frames_come_in_pairs() -> Non
         assert bench.trip.startswith("manual: no new voltage within the 2 s")
 
 
-async def test_the_precharge_is_watched_though_the_rate_is_not_known_any_more() -> None:
-    async with fast_bench() as bench:
-        bench.measured = replace(bench.measured, boost_voltage_V=150.0)
-        bench.frames(70)
-        bench.ask(Enable())
-        bench.frames(3)
-        stutter(bench, frames=660, every=5)
-        assert bench.trip.startswith("precharge: v_bst = 150.0 V after 5 s")
-
-
 def start_at_an_unknown_rate(bench: FastBench, hold_s: float | None) -> None:
     """Set V_c by hand while the rate of the half cycles is not known."""
     bench.frames(70)
@@ -388,19 +377,6 @@ async def test_a_bridge_that_comes_on_before_the_rate_is_known_trips() -> None:
         start_at_an_unknown_rate(bench, None)
         stutter(bench, frames=3, every=20, bridge=True)
         assert "although this daemon did not command it" in bench.trip
-
-
-async def test_a_start_before_the_bus_has_taken_a_command_waits_for_the_rate(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async with fast_bench() as bench:
-        monkeypatch.setattr(bench.port, "send", lambda _: False)
-        bench.port.safe_s = math.inf
-        bench.frame()
-        bench.ask(Enable())
-        bench.frames(64)
-        assert bench.machine.trip is None
-        assert bench.machine.stage is not Stage.OFF
 
 
 async def test_a_count_that_stands_in_standby_trips_nothing_and_refuses_enable() -> None:

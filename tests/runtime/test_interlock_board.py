@@ -93,17 +93,6 @@ def test_a_gap_may_last_as_long_as_a_reading_is_fresh_and_two_readings_take(
     assert cause_of(of, again_s + limit_s) is None
 
 
-def test_nothing_was_overslept_before_the_first_look() -> None:
-    of = new_board()
-    assert cause_of(of, START_S) is None
-
-
-def test_the_first_watch_that_finds_something_is_named() -> None:
-    calm, first, second = NotedWatch(), NotedWatch("first"), NotedWatch("second")
-    assert cause_of(board(calm, first, second), START_S, output=2.5) == "first"
-    assert calm.seen == first.seen == [2.5]
-
-
 def test_while_a_drive_starts_its_watches_forget() -> None:
     watches = NotedWatch("first"), NotedWatch("second")
     assert cause_of(board(*watches), START_S, running=False) is None
@@ -136,23 +125,6 @@ def test_a_bridge_has_to_be_on_where_it_was_commanded_in_a_run(
     stopped = "drive stopped: its bridge is off although it was commanded on; it has not come on"
     stopped += f" within {30e3 * TICK_S:.0f} ms"
     assert causes[-1] == (stopped if running and bridge else None)
-
-
-def test_a_bridge_that_has_come_on_must_stay_on_while_its_drive_starts() -> None:
-    """The enable bit of such a drive is on from the start on."""
-    of = board()
-    for number in range(40):
-        cause = cause_of(of, START_S + number * TICK_S, running=False, bridge=True)
-        assert cause is None
-    for number in range(40, 80):
-        now_s, on = START_S + number * TICK_S, number < 45
-        cause = of.running_cause(
-            replace(CALM, arrival_s=now_s, oldest_s=now_s, bridge=on),
-            now_s,
-            running=False,
-            bridge=True,
-        )
-    assert (cause or "").startswith("drive stopped: ")
 
 
 def rate_of(share: float, readings: int) -> FrameRate:

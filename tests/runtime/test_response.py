@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from adaptdrive.app.interlocks import response_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.response import Response, ResponseLimits
-from tests.config.documents import flaws
 from tests.hardware.bench import EXAMPLES
 from tests.runtime.bench import CALM
 
@@ -128,11 +127,6 @@ def test_a_current_is_compared_with_the_power_over_the_voltage() -> None:
         assert said.startswith("no response: current = ")
 
 
-def test_a_current_that_ends_with_its_power_is_believed() -> None:
-    powers, outputs = [800.0] * 1200 + [0.0] * 600, [10.0] * 1200 + [0.0] * 600
-    assert first_complaint(BATTERY, outputs, [320.0] * 1800, powers) == (math.inf, "")
-
-
 def test_a_bath_that_is_colder_than_its_inflow_is_believed() -> None:
     outputs = [-4.0] * 600
     assert first_complaint(limits("bath"), outputs, [200.0] * 600) == (math.inf, "")
@@ -151,8 +145,3 @@ def test_after_a_pause_it_begins_anew() -> None:
     watch.forget()
     assert watch.find_cause(replace(CALM, arrival_s=60.0, output=0.1)) is None
     assert watch.find_cause(replace(CALM, arrival_s=60.1, output=0.1)) is None
-
-
-def test_a_factor_below_one_is_refused() -> None:
-    assert list(flaws(interlocks__response_factor="0.5")) == ["interlocks.response_factor"]
-    assert flaws(interlocks__response_factor="0.0") == {}

@@ -1,4 +1,4 @@
-"""The slow loop: every snapshot in its order, and never in the way."""
+"""The slow loop, the hub of reports, and the line that the service manager shows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from adaptdrive.control.signals import Decision, Snapshot
+from adaptdrive.control.signals import Decision, Mode, Snapshot
+from adaptdrive.runtime.accounts import status_line
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import Event, LoadReport, Severity, State, StateReport
 from adaptdrive.runtime.slow_loop import SlowLoop
 from tests.runtime.bench import decision, snapshot, until
 
@@ -58,16 +61,6 @@ async def test_offering_never_waits_and_says_when_it_is_hopeless(slow: SlowLoop)
     assert [slow.offer(snapshot(k)) for k in range(5)] == [True, True, True, False, False]
 
 
-async def test_what_waited_is_decided_after_a_delay_in_the_same_order(
-    slow: SlowLoop, delivered: list[tuple[Snapshot, Decision]]
-) -> None:
-    for k in range(5):
-        slow.offer(snapshot(k))
-    async with running(slow):
-        await until(lambda: len(delivered) == 3)
-    assert [taken.k for taken, _ in delivered] == [0, 1, 2]
-
-
 async def test_what_is_forgotten_is_never_decided(
     slow: SlowLoop, delivered: list[tuple[Snapshot, Decision]]
 ) -> None:
@@ -84,3 +77,77 @@ async def test_a_failing_decision_ends_the_loop(slow: SlowLoop) -> None:
     slow.offer(snapshot(-1))
     with pytest.raises(ArithmeticError):
         await slow.run()
+
+
+def event(number: int) -> Event:
+    return Event("test", Severity.INFO, f"number {number}", number)
+
+
+LOAD = LoadReport(snapshot(1), decision(1, 300.0))
+
+
+async def test_each_subscriber_gets_every_report_of_its_kinds() -> None:
+    hub = Hub()
+    events, everything = hub.subscribe(Event, size=9), hub.subscribe(Event, LoadReport, size=9)
+    hub.publish(event(1))
+    hub.publish(LOAD)
+    hub.publish(event(2))
+    assert await events.take() == (event(1), event(2))
+    assert await everything.take() == (event(1), LOAD, event(2))
+
+
+async def test_a_full_queue_loses_its_oldest_and_counts() -> None:
+    hub = Hub()
+    slow, quick = hub.subscribe(Event, size=2), hub.subscribe(Event, size=9)
+    for number in range(5):
+        hub.publish(event(number))
+    assert slow.drain() == (event(3), event(4))
+    assert slow.dropped == 3
+    assert (len(quick.drain()), quick.dropped) == (5, 0)
+
+
+async def test_taking_waits_for_the_first_report() -> None:
+    hub = Hub()
+    events = hub.subscribe(Event, size=9)
+    taking = asyncio.create_task(events.take())
+    await asyncio.sleep(0)
+    assert not taking.done()
+    hub.publish(event(7))
+    assert await taking == (event(7),)
+    assert events.drain() == ()
+
+
+TRIP = "over-voltage: v_bst = 431.0 V, limit 430 V"
+LOST = "socketcan can0: [Errno 100] Network is down"
+STALE = "stale: measurement is 1272 ms old, limit 50 ms"
+
+
+@pytest.mark.parametrize(
+    ("state", "bus_problem", "cause", "line"),
+    [
+        (State.STANDBY, None, None, "standby, waiting for enable"),
+        (State.STANDBY, None, STALE, "standby, waiting for the drive (stale)"),
+        (State.STANDBY, LOST, STALE, f"standby, waiting for the drive ({LOST})"),
+        (State.STARTING, None, None, "starting, waiting for the boost voltage"),
+        (State.TRIPPED, None, None, f"tripped, waiting for reset: {TRIP}"),
+        (State.TRIPPED, None, STALE, f"tripped, waiting for its cause to go (stale): {TRIP}"),
+        (State.RUNNING, None, None, "running, fixed controller: warming up"),
+    ],
+)
+def test_it_says_what_is_awaited(
+    state: State, bus_problem: str | None, cause: str | None, line: str
+) -> None:
+    report = StateReport(
+        state=state,
+        mode=Mode.ADAPTIVE,
+        controller=Mode.FIXED,
+        reason="warming up",
+        enabled=state in (State.STARTING, State.RUNNING),
+        setpoint=3.0,
+        waveform=None,
+        pole=0.7,
+        trip=TRIP if state is State.TRIPPED else None,
+    )
+    assert status_line(report, bus_problem, cause) == line
+    failed = status_line(report, bus_problem, cause, recorded=False)
+    assert failed == f"{line}; recording has failed"

@@ -14,7 +14,7 @@ from scipy import signal
 from adaptdrive.app.interlocks import stillness_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.stillness import Stillness, StillnessLimits, StillnessWatch
-from tests.hardware.bench import EXAMPLES, MOTOR
+from tests.hardware.bench import EXAMPLES
 from tests.runtime.bench import CALM
 
 TICK_s = 1.0 / 120.0
@@ -95,13 +95,6 @@ def test_a_frozen_sensor_is_noticed_after_twenty_digits_where_its_digit_is_known
     assert when_s == pytest.approx(due_s, abs=0.02)
 
 
-def test_the_digit_is_the_resolution_of_the_configuration() -> None:
-    load = MOTOR.load.model_copy(update={"resolution": 0.02})
-    limits = stillness_limits(MOTOR.model_copy(update={"load": load}))
-    assert limits is not None
-    assert limits.resolution == 0.02
-
-
 def test_a_change_of_one_digit_begins_anew() -> None:
     watch = Stillness(LIMITS, "output stands", "V")
     for number in range(12_000):
@@ -129,25 +122,6 @@ def test_a_noisy_sensor_may_not_stand_still_for_long() -> None:
     when_s, said = first_complaint(limits, np.full(600, 3.3), np.full(600, 300.0))
     assert when_s == pytest.approx(2.0, abs=2 * TICK_s)
     assert said.endswith("s")
-
-
-@pytest.mark.parametrize("example", ["motor", "bath", "battery"])
-def test_the_limits_come_from_the_load_of_the_configuration(example: str) -> None:
-    configuration = load_configuration(EXAMPLES / f"{example}.toml")
-    limits = stillness_limits(configuration)
-    assert limits is not None
-    load = configuration.load
-    share = math.inf if example == "battery" else 0.05
-    assert limits.distance == pytest.approx(share * (load.reference_max - load.reference_min))
-    if example == "motor":
-        assert limits.gain == pytest.approx(GAIN)
-        assert sum(limits.lags_s) == pytest.approx(sum(LAGS_s))
-
-
-def test_it_can_be_left_out() -> None:
-    interlocks = MOTOR.interlocks.model_copy(update={"stuck_distance": 0.0})
-    configuration = MOTOR.model_copy(update={"interlocks": interlocks})
-    assert stillness_limits(configuration) is None
 
 
 def derived_complaint(hot: np.ndarray, cold: np.ndarray, voltages: np.ndarray) -> tuple[float, str]:
@@ -189,9 +163,18 @@ def test_an_input_that_the_load_does_not_move_may_stand_still() -> None:
     assert derived_complaint(hot, np.full(3600, 290.0), voltages) == (math.inf, "")
 
 
-def test_the_inputs_come_from_the_derived_output() -> None:
-    configuration = load_configuration(EXAMPLES / "bath-thermocouples.toml")
-    limits = stillness_limits(configuration)
+@pytest.mark.parametrize("example", ["motor", "bath", "battery", "bath-thermocouples"])
+def test_the_limits_come_from_the_configuration(example: str) -> None:
+    configuration = load_configuration(EXAMPLES / f"{example}.toml")
+    load = configuration.load.model_copy(update={"resolution": 0.02})
+    limits = stillness_limits(configuration.model_copy(update={"load": load}))
     assert limits is not None
-    assert limits.inputs == ("bath_temperature",)
-    assert limits.output_name == "temperature"
+    share = math.inf if example == "battery" else 0.05
+    assert limits.distance == pytest.approx(share * (load.reference_max - load.reference_min))
+    assert limits.resolution == 0.02
+    assert limits.inputs == (("bath_temperature",) if "thermo" in example else ())
+    if example == "motor":
+        assert limits.gain == pytest.approx(GAIN)
+        assert sum(limits.lags_s) == pytest.approx(sum(LAGS_s))
+    interlocks = configuration.interlocks.model_copy(update={"stuck_distance": 0.0})
+    assert stillness_limits(configuration.model_copy(update={"interlocks": interlocks})) is None

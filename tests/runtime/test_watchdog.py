@@ -77,13 +77,6 @@ def test_without_a_watchdog_nothing_is_fed(ear: Ear, setting: dict[str, str]) ->
     assert ear.heard() == []
 
 
-def test_without_a_service_manager_it_is_silent() -> None:
-    manager = ServiceManager({"WATCHDOG_USEC": "1000000"})
-    manager.ready()
-    manager.feed(1.0)
-    manager.close()
-
-
 def test_a_service_manager_that_went_away_does_no_harm(tmp_path: Path) -> None:
     ear = Ear(str(tmp_path / "notify"))
     manager = ServiceManager({"NOTIFY_SOCKET": ear.address})
@@ -91,14 +84,6 @@ def test_a_service_manager_that_went_away_does_no_harm(tmp_path: Path) -> None:
     manager.ready()
     manager.close()
     manager.ready()
-
-
-def test_a_service_manager_that_does_not_listen_blocks_nothing(ear: Ear) -> None:
-    manager = ServiceManager({"NOTIFY_SOCKET": ear.address})
-    for number in range(10_000):
-        manager.status(f"line {number}")
-    manager.close()
-    assert ear.heard()[0] == "STATUS=line 0"
 
 
 def test_what_the_service_manager_had_no_room_for_is_sent_again(ear: Ear) -> None:

@@ -9,7 +9,7 @@ _MACHINE = (
     "tests/runtime/test_machine_manual.py",
     "tests/runtime/test_machine_properties.py",
 )
-_STOP = ("tests/runtime/test_stop_verdicts.py", "tests/runtime/test_stop_watch.py")
+_STOP = ("tests/runtime/test_stop_watch.py",)
 _RATE = (
     "tests/runtime/test_half_cycles.py",
     "tests/runtime/test_frame_rate.py",
@@ -24,8 +24,8 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     ),
     "adaptdrive.runtime.guard": ("tests/runtime/test_guard.py", *_LOOP),
     "adaptdrive.runtime.machine": (*_MACHINE, "tests/runtime/test_fast_loop_decisions.py"),
-    "adaptdrive.runtime.machine_limits": ("tests/runtime/test_machine_limits.py", *_MACHINE),
-    "adaptdrive.runtime.manual": ("tests/runtime/test_machine_limits.py",),
+    "adaptdrive.runtime.machine_limits": ("tests/runtime/test_machine_manual.py", *_MACHINE),
+    "adaptdrive.runtime.manual": ("tests/runtime/test_machine_manual.py",),
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
     "adaptdrive.runtime.interlock_board": ("tests/runtime/test_interlock_board.py", *_LOOP),
     "adaptdrive.runtime.bridge_watch": (
