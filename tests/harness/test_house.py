@@ -1,4 +1,4 @@
-"""Two rules of the house: one place for each kind of load, and no module for tests alone."""
+"""Rules of the house: each kind of load has one place, modules have users, tests have no clock."""
 
 from __future__ import annotations
 
@@ -66,3 +66,42 @@ def test_each_module_is_used_by_another_of_the_product() -> None:
         if not any(name in names for path, names in named.items() if path != own)
     }
     assert unused == PUBLIC
+
+
+CLOCKS = {"sleep", "monotonic", "monotonic_ns", "time", "time_ns", "perf_counter"}
+UNFINISHED = {
+    "app",
+    "closed_loop",
+    "demo",
+    "deploy",
+    "devices",
+    "hardware",
+    "operation",
+    "simulators",
+    "watch",
+    "wire",
+}
+"""Folders and files of tests that still look at the clock of the machine: none may be added."""
+
+
+def clocks_in(text: str) -> Iterator[int]:
+    """Yield the lines that name a clock, or the sleep, of the module `time`."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and node.module == "time":
+            yield node.lineno
+        elif isinstance(node, ast.Attribute) and node.attr in CLOCKS:
+            if isinstance(node.value, ast.Name) and node.value.id == "time":
+                yield node.lineno
+
+
+def test_no_test_outside_scenes_looks_at_the_clock_of_the_machine() -> None:
+    """Time is that of the event loop, which costs nothing to pass."""
+    tests = ROOT / "tests"
+    frame = {tests / "conftest.py", tests / "virtual_time.py", tests / "support.py"}
+    found = {
+        path.relative_to(tests).parts[0]
+        for path in tests.rglob("*.py")
+        if path not in frame and not path.is_relative_to(tests / "scenes")
+        for _ in clocks_in(path.read_text(encoding="utf-8"))
+    }
+    assert found <= UNFINISHED
