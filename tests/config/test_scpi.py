@@ -34,49 +34,6 @@ def test_the_values_of_the_page_are_valid_and_set_in_two_lines() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "place", "problem"),
-    [
-        ('= "voltage"', '= "voltge"', "signals.boost_voltage_V.signal", "'voltage'"),
-        (
-            '= "voltage"',
-            '= "clear"',
-            "signals.boost_voltage_V.signal",
-            "has no `query`",
-        ),
-        ('V = "voltage_set"', 'V = "voltage"', "signals.command.boost_reference_V", "no `write`"),
-        ("{:.3f}", "12", "signals.command.boost_reference_V", "has no {} for the value"),
-        ("clear = 1", "voltage = 1", "bus.setup.voltage", "no `write`"),
-        ("clear = 1", "cler = 1", "bus.setup.cler", "no value 'cler'"),
-        ("{:.3f}", "{:d}", "bus.values.voltage_set", "takes no value: Unknown format code"),
-        ("{:.3f}", "{} {}", "bus.values.voltage_set", "takes no value"),
-        ("OUTP {}", "OUTP {:.0f}", "bus.values.output", "takes no value"),
-        ('"OUTP?"', '"OUTP"', "bus.values.output.query", "pattern"),
-        ("VOLT {:.3f}", "VOLT\\n{:.3f}", "bus.values.voltage_set.write", "one line"),
-        ("high = 600.0 } }\npower", "high = 200.0 } }\npower", "signals.boost_voltage_V", "200"),
-        ("low = -8.0", "low = 9.0", "bus.values.tachometer.range", "must be below"),
-        ('write = "*CLS"', 'unit = "V"', "bus.values.clear", "needs `query` or `write`"),
-        ("timeout_s = 0.05", "timeout_s = 0.1", "bus.timeout_s", "must be below one poll"),
-        ("turnaround_s = 0.005", "turnaround_s = 0.02", "bus.poll_ticks", "poll_ticks = 22 fits"),
-        ('"MEAS:AUX?"', '"MEAS:AUX?", reply = "(.*"', "bus.values.tachometer.reply", "no regular"),
-        ('"MEAS:AUX?"', '"MEAS:AUX?", reply = ".*V"', "bus.values.tachometer.reply", "0 groups"),
-        ("port = 5025 ", 'done = "*OPC"\nport = 5025 ', "bus.done", "pattern"),
-        ("integer = true, names", "names", "", ""),
-    ],
-)
-def test_what_cannot_be_used_is_named(old: str, new: str, place: str, problem: str) -> None:
-    text = EXAMPLE.read_text(encoding="utf-8")
-    assert text.count(old) == 1
-    text = text.replace(old, new)
-    if not place:
-        examine_text(text, EXAMPLE)
-        return
-    with pytest.raises(ConfigurationError) as error:
-        examine_text(text, EXAMPLE)
-    found = {flaw.place: flaw.message for flaw in error.value.flaws}
-    assert problem in found[place], found
-
-
-@pytest.mark.parametrize(
     ("reply", "line", "number"),
     [
         ("(.*)V", "12.000V", 12.0),

@@ -55,63 +55,6 @@ def test_a_derived_output_from_sensors_beside_the_drive() -> None:
     assert {"hot", "cold", "output"} <= needed_names(configuration.derived)
 
 
-def test_a_quantity_that_nobody_gives_is_a_flaw() -> None:
-    (flaw,) = flaws(THERMOCOUPLES).items()
-    assert flaw[0] == "signals.output"
-    assert "neither [signals], nor a [[sensor_bus]], nor [derived]" in flaw[1]
-
-
-def test_a_quantity_that_two_give_is_a_flaw_that_names_both() -> None:
-    given = {"signals__output__signal": '"DriveLoad.Tachometer"'}
-    assert flaws(THERMOCOUPLES + DIFFERENCE, **given) == {
-        "derived.output": "'output' is given by signals.output already"
-    }
-    direct = THERMOCOUPLES.replace("signals.hot", "signals.output")
-    found = flaws(direct, **given)
-    place = "sensor_bus.0.signals.output"
-    assert found == {place: "'output' is given by signals.output already"}
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "place", "words"),
-    [
-        ('signal = "hot"', 'signal = "hto"', "sensor_bus.0.signals.hot.signal", "'hto'"),
-        ("cycle_s = 0.25", "cycle_s = 0.0", "sensor_bus.0.cycle_s", "0.0"),
-        ("cycle_s = 0.25", "cycle_s = 2.5", "sensor_bus.0.cycle_s", "load.period_s = 1.0"),
-        ("cycle_s", "stale_s = 0.3\ncycle_s", "sensor_bus.0.stale_s", "at least 0.375 s"),
-        ("cycle_s", "timeout_s = 0.25\ncycle_s", "sensor_bus.0.timeout_s", "cycle_s = 0.25"),
-        ("cycle_s", 'parity = "mark"\ncycle_s', "sensor_bus.0.parity", "'mark'"),
-        ("cycle_s", "colour = 1\ncycle_s", "sensor_bus.0.colour", "Unknown key"),
-        ('"modbus-rtu"', '"spi"', "sensor_bus.0.type", "'spi'"),
-        ("signals.cold", "signals.fault", "sensor_bus.0.signals.fault", "the drive alone"),
-        (
-            'unit = "degC" }\nsignals',
-            "bit = 16 }\nsignals",
-            "sensor_bus.0.registers.cold.bit",
-            "16",
-        ),
-        (
-            'unit = "degC" }\nsignals.c',
-            'unit = "C" }\nsignals.c',
-            "sensor_bus.0.signals.hot.unit",
-            "",
-        ),
-        ('["hot", "cold"]', '["hot", "tepid"]', "derived.output.of", "no source gives 'tepid'"),
-        ('["hot", "cold"]', '["hot"]', "derived.output.of", "takes two values, not 1"),
-        ('["hot", "cold"]', '["hot", "output"]', "derived.output.of", "made of itself"),
-        ('"difference"', '"eval"', "derived.output.rule", "'eval'"),
-    ],
-)
-def test_what_does_not_fit_is_a_flaw_with_its_place(
-    old: str, new: str, place: str, words: str
-) -> None:
-    text = THERMOCOUPLES + DIFFERENCE
-    assert old in text
-    found = flaws(text.replace(old, new, 1))
-    assert place in found
-    assert words in found[place]
-
-
 VOLTMETER = """
 [[sensor_bus]]
 name = "meter"
@@ -197,11 +140,6 @@ def test_of_a_derived_output_those_inputs_are_watched(rules: str, inputs: tuple[
     assert moved_inputs("hot", derived) == ()
 
 
-def test_what_follows_the_load_must_be_an_input() -> None:
-    found = flaws(THERMOCOUPLES + DIFFERENCE + 'follows = ["load_power_W"]\n')
-    assert found == {"derived.output.follows": "'load_power_W' is not one of derived.output.of"}
-
-
 @pytest.mark.parametrize(
     ("unit", "value", "si"),
     [
@@ -221,14 +159,6 @@ def test_units_are_converted_to_si(unit: str, value: float, si: float) -> None:
     ).signals.load_power_W
     assert source is not None
     assert value * source.scale + source.offset == pytest.approx(si)
-
-
-def test_a_derived_output_is_labelled_with_its_si_unit() -> None:
-    text = THERMOCOUPLES + DIFFERENCE + 'unit = "rpm"\n'
-    (found,) = flaws(text, load__output_unit='"rpm"').items()
-    assert found[0] == "derived.output"
-    assert "leads to rad/s, the quantity is in rpm: load.output_unit = 'rad/s'" in found[1]
-    assert flaws(text, load__output_unit='"rad/s"') == {}
 
 
 @given(
