@@ -63,11 +63,6 @@ def test_a_voltage_below_zero_is_for_a_motor() -> None:
     )
 
 
-def test_where_the_daemon_holds_the_voltage_both_are_needed() -> None:
-    found = documents.flaws(signals__line_voltage_V=None, signals__load_power_W=None)
-    assert set(found) == {"signals.line_voltage_V", "signals.load_power_W"}
-
-
 @pytest.mark.parametrize("name", ["line_voltage_V", "load_power_W"])
 def test_an_absent_value_trips_nothing_and_a_lost_one_does(name: str) -> None:
     other = {"line_voltage_V": 230.0, "load_power_W": 100.0}

@@ -17,7 +17,6 @@ from adaptdrive.app.settings import daemon_settings
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.interlocks import find_cause
-from tests.config import documents
 from tests.config.modbus_documents import flaws, parse
 
 HZ: dict[str, str | None] = {
@@ -40,12 +39,6 @@ def test_an_inverter_that_takes_a_frequency_needs_no_untrue_number() -> None:
     assert (profile.manipulated.name, profile.manipulated.unit) == ("frequency", "Hz")
 
 
-def test_a_signal_in_another_unit_is_a_flaw() -> None:
-    volts = "{ address = 0, table = 'input', scale = 0.01, unit = 'V' }"
-    found = flaws(**{**HZ, "bus__registers__voltage": volts})
-    assert "the signal is in V, the quantity in Hz" in found["signals.boost_voltage_V"]
-
-
 def test_texts_have_its_name_and_unit() -> None:
     configuration = parse(**HZ)
     reading = Reading(0.0, 0.0, None, 56.0, math.nan, math.nan, 1.0, 0, bridge=True)
@@ -53,11 +46,6 @@ def test_texts_have_its_name_and_unit() -> None:
     assert cause == "over-voltage: frequency = 56.0 Hz, limit 55 Hz"
     with pytest.raises(RefusedError, match=r"60 Hz is outside 0…50 Hz"):
         daemon_settings(configuration).machine.require_voltage(60.0, None)
-
-
-def test_the_voltage_of_the_daemon_is_a_voltage() -> None:
-    found = documents.flaws(drive__manipulated__unit='"Hz"')
-    assert "needs voltage_loop.where = 'drive'" in found["drive.manipulated.unit"]
 
 
 def test_a_drive_without_a_switch_is_stopped_by_its_set_point() -> None:
@@ -139,12 +127,3 @@ def test_a_torque_inverter_on_can_is_described_by_a_file_with_flaws(tmp_path: Pa
     assert {"stale output", "stale faults.0", "stale faults.1"} <= limits
     probed = build_port(configuration, time.monotonic, path, passive=True)
     assert probed.stop_slack_s is not None
-
-
-@pytest.mark.parametrize(("limit", "few"), [("0.5", True), ("500.0", False)])
-def test_a_torque_whose_scale_is_missing_is_a_caution(limit: str, *, few: bool) -> None:
-    file = Path(__file__).parents[2] / "deploy" / "devices" / "maxon-epos4.toml"
-    configuration = examine_text(file.read_text().replace("500.0 ", f"{limit} "), file)
-    cautions = {flaw.place: flaw.message for flaw in advice(configuration)}
-    found = cautions.get("signals.command.boost_reference_V", "")
-    assert ("spans 1 counts of it: is its scale right?" in found) is few

@@ -12,7 +12,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Jacket, Learning
-from tests.config.documents import flaws, parse
+from tests.config.documents import parse
 from tests.hardware.bench import EXAMPLES
 
 HELD = {
@@ -29,13 +29,6 @@ def test_the_drives_own_lag_enters_the_design() -> None:
 def test_without_a_lag_nine_ticks_are_counted() -> None:
     assert controller_settings(parse()).rates.lag_ticks == 9.0
     assert controller_settings(parse(**HELD)).rates.lag_ticks == 9.0
-
-
-@pytest.mark.parametrize(
-    "changes", [{"voltage_loop__lag_s": "0.1"}, {**HELD, "voltage_loop__lag_s": "1.1"}]
-)
-def test_a_lag_that_cannot_be_counted_is_a_flaw(changes: dict[str, str]) -> None:
-    assert set(flaws(**changes)) == {"voltage_loop.lag_s"}
 
 
 @pytest.mark.parametrize(
