@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
-import signal
 import socket
 import struct
-import sys
 import threading
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from adaptdrive.cli.panel import FOLDER, PanelError, panel_address, panel_server
-from tests.cli.test_cli import start
-from tests.operation.peers import PATIENCE_S
-from tests.support import acting
 
 
 @pytest.fixture
-def port() -> Iterator[int]:
+def port(outside: None) -> Iterator[int]:
     with panel_server(0) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -56,7 +49,9 @@ def test_nothing_else_is_served(port: int, path: str) -> None:
     refusal.value.close()
 
 
-def test_a_browser_that_goes_away_leaves_no_trace(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_browser_that_goes_away_leaves_no_trace(
+    outside: None, capfd: pytest.CaptureFixture[str]
+) -> None:
     """The connection is reset before the request is served, in this thread."""
     with panel_server(0) as server:
         with socket.create_connection(("127.0.0.1", server.server_port)) as browser:
@@ -74,40 +69,3 @@ def test_a_port_in_use_is_named(port: int) -> None:
 def test_the_address_carries_the_broker() -> None:
     address = panel_address(8088, "ws://host:8083/mqtt?x")
     assert address == "http://127.0.0.1:8088/?broker=ws://host:8083/mqtt%3Fx&report"
-
-
-async def test_the_command_prints_the_address_and_ends_on_a_signal(tmp_path: Path) -> None:
-    with acting(signal.SIGINT):
-        process = await start("panel", "--port", "0", "--no-open")
-    assert process.stdout is not None
-    line = (await process.stdout.readline()).decode()
-    assert line.startswith("panel: http://127.0.0.1:")
-    process.send_signal(signal.SIGINT)
-    await process.communicate()
-    assert process.returncode == 130
-
-
-async def test_the_page_is_served_while_a_browser_in_the_terminal_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The browser ends when it has the page; the command must not wait for that."""
-    browser, seen = tmp_path / "browser", tmp_path / "seen"
-    browser.write_text(
-        f"#!{sys.executable}\n"
-        "import sys, urllib.request\n"
-        "urllib.request.urlopen(sys.argv[1]).read()\n"
-        f"open({str(seen)!r}, 'xb').close()\n",
-        encoding="utf-8",
-    )
-    browser.chmod(0o755)
-    monkeypatch.setenv("BROWSER", f"{browser} %s")
-    with acting(signal.SIGINT):
-        process = await start("panel", "--port", "0")
-    try:
-        async with asyncio.timeout(PATIENCE_S):
-            while not seen.exists():  # noqa: ASYNC110 - a file sets no event
-                await asyncio.sleep(0.05)
-    finally:
-        process.send_signal(signal.SIGINT)
-        await process.communicate()
-    assert process.returncode == 130

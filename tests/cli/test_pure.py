@@ -16,7 +16,7 @@ SHOW = "from adaptdrive.pure import build_name; print(build_name())"
 
 
 @pytest.fixture
-def damaged(tmp_path: Path) -> Path:
+def damaged(outside: None, tmp_path: Path) -> Path:
     """A copy of the package with a compiled module that no interpreter can load."""
     shutil.copytree(SOURCES, tmp_path / "adaptdrive", ignore=shutil.ignore_patterns("panel"))
     module = tmp_path / "adaptdrive" / "control" / f"controller{EXTENSION_SUFFIXES[0]}"
@@ -30,7 +30,6 @@ def show(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
         check=False,
         capture_output=True,
         text=True,
-        timeout=240.0,
         env={**os.environ, "PYTHONPATH": str(folder), **environment},
     )
 
