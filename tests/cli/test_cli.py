@@ -255,8 +255,8 @@ def test_words_that_cannot_be_used_are_refused_in_clear_lines(
 
     def answered(_: str, asked: list[str]) -> Iterator[str]:
         (words,) = asked
-        given = [one.replace("TMP", str(tmp_path)) for one in words.split(" ")]
-        yield f"exit {main([one.encode().decode('unicode_escape') for one in given])}"
+        plain = words.encode("latin-1", "backslashreplace").decode("unicode_escape")
+        yield f"exit {main([one.replace('TMP', str(tmp_path)) for one in plain.split(' ')])}"
         output, errors = capsys.readouterr()
         assert output == ""
         yield from errors.replace(str(tmp_path), "TMP").splitlines()
