@@ -612,43 +612,41 @@ async def test_a_stop_that_the_drive_reports_between_two_readings_is_not_missed(
     assert bench.bridges() == [True, False, True]
 
 
+OFF_COMMAND = replace(COMMAND, bridge=False)
+
+
+@pytest.mark.parametrize(
+    ("last", "between", "shown"),
+    [
+        (COMMAND, (1, 0), True),
+        (COMMAND, (1, 0, 1), True),
+        (OFF_COMMAND, (1, 0), False),
+        (None, (1, 0), False),
+    ],
+    ids=["came on and stopped", "bounced", "was commanded off", "was not commanded"],
+)
 async def test_a_drive_that_came_on_and_stopped_between_two_readings_is_shown_to_have_been_on(
-    bench: Bench,
+    bench: Bench, last: Command | None, between: Sequence[int], *, shown: bool
 ) -> None:
-    """By the newest of its frames alone it is yet to come on, and may be commanded on."""
-    async with bench.heard(COMMAND, BridgeOn=0):
-        bench.drive.send_status(BridgeOn=1)
-        await bench.reports(BridgeOn=0)
-        assert not bench.port.send(COMMAND)
-        await bench.reports(BridgeOn=0)
-        assert bench.bridges() == [False, True, False]
-        assert bench.port.send(COMMAND)
+    """By the newest of its frames alone it is yet to come on, and may be commanded on.
 
-
-@pytest.mark.parametrize("last", [None, replace(COMMAND, bridge=False)])
-async def test_a_bridge_that_goes_off_while_it_is_not_commanded_on_is_off(
-    bench: Bench, last: Command | None
-) -> None:
+    One that bounces has not stopped; one that was not commanded on is off.
+    """
     async with bench.heard(BridgeOn=0):
         if last is not None:
             assert bench.port.send(last)
-        bench.drive.send_status(BridgeOn=1)
-        await bench.reports(BridgeOn=0)
-        assert not bench.ear.readings[1].bridge
-
-
-async def test_a_bridge_that_bounces_between_two_readings_has_not_stopped(bench: Bench) -> None:
-    async with bench.heard(COMMAND, BridgeOn=0):
-        for bridge in (1, 0, 1):
+        for bridge in between[:-1]:
             bench.drive.send_status(BridgeOn=bridge)
-        for count in (2, 3):
-            bench.drive.send_load()
-            await bench.ear.hears(count)
-            assert bench.port.send(COMMAND)
-    assert bench.bridges() == [False, True, True]
+        await bench.reports(BridgeOn=between[-1])
+        assert bench.bridges() == [False, shown]
+        stopped = last == COMMAND and not between[-1]
+        assert bench.port.send(COMMAND) is not stopped
+        await bench.reports(BridgeOn=between[-1])
+        assert bench.bridges() == [False, shown, bool(between[-1])]
+        assert bench.port.send(COMMAND)
 
 
-@pytest.mark.parametrize("last", [SAFE_COMMAND, replace(COMMAND, bridge=False)])
+@pytest.mark.parametrize("last", [SAFE_COMMAND, OFF_COMMAND])
 async def test_a_drive_that_was_off_when_its_bus_was_lost_may_be_off_after_it(
     bench: Bench, last: Command
 ) -> None:

@@ -51,15 +51,18 @@ RUNTIME: dict[str, tuple[str, ...]] = {
 
 _CAN_PORT = ("tests/contracts/port/test_port.py", "tests/hardware/test_can_port.py")
 _CANOPEN_PORT = ("tests/contracts/port/test_port.py", "tests/hardware/canopen/test_port.py")
+_FRAMES = ("tests/hardware/test_can_codec.py", "tests/hardware/test_can_crc.py")
 
 HARDWARE: dict[str, tuple[str, ...]] = {
     "adaptdrive.hardware.dbc.port": _CAN_PORT,
-    "adaptdrive.hardware.dbc.mapping": ("tests/hardware/test_can_mapping.py", *_CAN_PORT),
-    "adaptdrive.hardware.link.codec": ("tests/hardware/test_can_codec.py",),
-    "adaptdrive.hardware.link.integrity": (
-        "tests/hardware/test_can_integrity.py",
-        "tests/hardware/test_can_codec.py",
+    "adaptdrive.hardware.dbc.mapping": (
+        "tests/hardware/test_can_mapping.py",
+        "tests/hardware/test_can_description.py",
+        "tests/hardware/test_can_pages.py",
+        *_CAN_PORT,
     ),
+    "adaptdrive.hardware.link.codec": _FRAMES,
+    "adaptdrive.hardware.link.integrity": ("tests/hardware/test_can_integrity.py", *_FRAMES),
     "adaptdrive.hardware.link.arrival": ("tests/hardware/test_arrival.py",),
     "adaptdrive.hardware.canopen.port": (
         *_CANOPEN_PORT,

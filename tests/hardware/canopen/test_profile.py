@@ -87,14 +87,10 @@ def test_charging_stops_short_of_enabled_operation() -> None:
     assert control.fallen is None
 
 
-def test_before_the_drive_was_heard_it_is_not_brought_up() -> None:
-    assert DriveControl().controlword(RUN) == DISABLE_VOLTAGE
-
-
 @pytest.mark.parametrize("state", [READY, SWITCHED_ON, ENABLED, FAULT, QUICK_STOP, NOT_READY])
 def test_a_drive_is_brought_up_from_rest_only(state: int) -> None:
-    control = risen(state)
-    assert control.controlword(RUN) == DISABLE_VOLTAGE
+    assert DriveControl().controlword(RUN) == DISABLE_VOLTAGE
+    assert risen(state).controlword(RUN) == DISABLE_VOLTAGE
 
 
 @pytest.mark.parametrize("state", [REST, READY, FAULT, REACTION, QUICK_STOP, NOT_READY, 0x0003])
