@@ -22,6 +22,7 @@ import pytest
 from hypothesis import settings
 
 from adaptdrive.app.lock import NAMESPACE
+from tests.hardware.memory import in_memory
 from tests.support import (
     Broker,
     MosquittoLauncher,
@@ -126,6 +127,13 @@ def _guarded(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.fixture
 def _links_held() -> Iterator[None]:
     with links_held():
+        yield
+
+
+@pytest.fixture
+def memory() -> Iterator[None]:
+    """Let polled links end in memory, where exact times are kept, and not in the kernel."""
+    with in_memory():
         yield
 
 

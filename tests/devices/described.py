@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 import tomllib
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
@@ -81,7 +80,7 @@ class Bench:
 @contextlib.asynccontextmanager
 async def running(configuration: Configuration) -> AsyncIterator[Bench]:
     """Run the port of a device."""
-    port, ear = build_port(configuration, time.monotonic, "device.toml"), Ear()
+    port, ear = build_port(configuration, asyncio.get_running_loop().time, "device.toml"), Ear()
     task = asyncio.create_task(port.run(ear, lambda: None))
     try:
         yield Bench(port, ear)
@@ -96,7 +95,7 @@ async def sensed(name: str, port: int, wanted: int) -> Ear:
     link = {"host": "127.0.0.1", "port": port, "framing": "tcp", "cycle_s": 0.1}
     bus = configuration.sensor_bus[0].model_copy(update=link)
     ear = Ear()
-    sensors = build_sensor_port(bus, "sensor_bus.0", time.monotonic, "device.toml")
+    sensors = build_sensor_port(bus, "sensor_bus.0", asyncio.get_running_loop().time, "device.toml")
     task = asyncio.create_task(sensors.run(ear))
     await until(lambda: len(ear.values) >= wanted and sensors.statistics.received >= 3)
     task.cancel()

@@ -12,6 +12,8 @@ from collections.abc import AsyncIterator, Callable, Iterable
 
 from crccheck.crc import CrcModbus
 
+from tests.hardware import memory
+
 BITS = {1: "coil", 2: "discrete"}
 WORDS = {3: "holding", 4: "input"}
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
@@ -68,18 +70,16 @@ class ModbusNode:
 
     @contextlib.asynccontextmanager
     async def served(self) -> AsyncIterator[None]:
-        """Serve a port of loopback until the block ends."""
-        server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
-        self.port = server.sockets[0].getsockname()[1]
-        try:
+        """Serve a port in memory until the block ends."""
+        self.port = memory.new_port()
+        with memory.serving(self.port, self.serve):
             yield
-        finally:
-            server.close()
-            for task in [*self._tasks]:
-                task.cancel()
-            await asyncio.gather(*self._tasks, return_exceptions=True)
+        for task in [*self._tasks]:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer over one connection until it ends."""
         task = asyncio.current_task()
         assert task is not None
         self._tasks.add(task)

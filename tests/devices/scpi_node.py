@@ -9,6 +9,8 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 
+from tests.hardware import memory
+
 
 class ScpiNode:
     """A supply behind a TCP port.
@@ -31,15 +33,12 @@ class ScpiNode:
 
     @contextlib.asynccontextmanager
     async def served(self) -> AsyncIterator[None]:
-        """Serve a port of loopback until the block ends."""
-        server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
-        self.port = server.sockets[0].getsockname()[1]
-        try:
+        """Serve a port in memory until the block ends."""
+        self.port = memory.new_port()
+        with memory.serving(self.port, self._serve):
             yield
-        finally:
-            server.close()
-            for writer in self._writers:
-                writer.transport.abort()
+        for writer in self._writers:
+            writer.transport.abort()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._writers.add(writer)

@@ -10,6 +10,8 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from tests.devices.described import described, over_tcp, running, sensed
 from tests.devices.modbus_node import ILLEGAL_VALUE, ModbusNode, RefusalError
 
+pytestmark = pytest.mark.usefixtures("memory")
+
 
 def command(value: float) -> Command:
     return Command(current_scale_S=0.0, boost_reference_V=value, bridge=True)

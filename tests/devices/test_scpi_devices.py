@@ -9,6 +9,8 @@ from tests.devices.described import described, running, sensed
 from tests.devices.modbus_node import ModbusNode
 from tests.devices.scpi_node import ScpiNode
 
+pytestmark = pytest.mark.usefixtures("memory")
+
 
 class KeysightN5700(ScpiNode):
     """Reads back what it was given, and has a voltage at its terminals while the output is on."""

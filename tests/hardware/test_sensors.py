@@ -225,7 +225,7 @@ async def run_until_the_sensors_die(one: Bench, meanwhile: Callable[[], None]) -
     assert one.sent[-1].bridge
     one.sensors.failure.set_exception(RuntimeError("a bug"))
     while not serving.done():
-        await asyncio.sleep(0)
+        await asyncio.sleep(0.001)
         meanwhile()
     (outcome,) = await asyncio.gather(serving, return_exceptions=True)
     assert isinstance(outcome, BaseExceptionGroup)

@@ -1,7 +1,7 @@
 """Every fault of the wire, on every kind of bus: how it is made, and what is to come of it.
 
 `python -m tests.wire.matrix MEASURED PAGE` writes the table of the documentation, with the times
-that a run of `test_matrix.py` with `WIRE_STALE_S=0.05 WIRE_REPORT=MEASURED` has measured.
+that a run of `test_matrix.py` with `WIRE_REPORT=MEASURED` has measured.
 """
 
 from __future__ import annotations
@@ -49,7 +49,6 @@ class Cell:
         count: The count of the port in which it shows, if it shows in one.
         words: What an event of the bus says, if there is one.
         cause: How the cause of the trip begins.
-        otherwise: Words of the trip where a busy machine comes to another cause first.
         hears: Whether the drive can hear the safe command meanwhile.
         floats: Whether it needs the database with a floating-point signal.
     """
@@ -59,7 +58,6 @@ class Cell:
     count: str = ""
     words: str = ""
     cause: str = "stale"
-    otherwise: str = ""
     hears: bool = True
     floats: bool = False
 
@@ -213,11 +211,10 @@ def modbus_both(
     *,
     trips: bool = True,
     cause: str = "stale",
-    otherwise: str = "",
     **changes: object,
 ) -> tuple[Cell, Cell]:
     """The same cell on TCP and on RTU."""
-    cell = Cell(on_modbus(**changes), trips=trips, count=count, cause=cause, otherwise=otherwise)
+    cell = Cell(on_modbus(**changes), trips=trips, count=count, cause=cause)
     return cell, cell
 
 
@@ -334,7 +331,6 @@ ROWS = (
         *modbus_both(
             "exceptions",
             cause="the drive refuses commands",
-            otherwise="the polls give no reading: exception reply",
             answer=spoils.exception,
         ),
     ),
@@ -362,7 +358,7 @@ ROWS = (
     Row(
         "restart",
         "interface or adapter gone and back; server restarted",
-        Cell(closed, trips=True, words="udp_multicast", hears=False),
+        Cell(closed, trips=True, words="virtual", hears=False),
         Cell(away, trips=True, words="modbus-tcp", hears=False),
         Cell(away, trips=True, words="modbus-rtu", hears=False),
     ),

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import pytest
+
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import build_port
-from adaptdrive.app.realtime import Rehearsal
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
@@ -25,9 +25,11 @@ from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import DriveReport, Event, State, StateReport, TickReport
 from adaptdrive.runtime.requests import Enable, Request, Reset, SetSetpoint
 from adaptdrive.runtime.watchdog import ServiceManager
+from tests.runtime.bench import LoopTimer
+from tests.virtual_time import VirtualLoop
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
-PATIENCE_s = 120.0
+PATIENCE_s = 60.0
 _TOLD_s = 0.02
 """Time that a new state takes to be told."""
 
@@ -61,7 +63,7 @@ class Rig:
             for report in await self.reports.take():
                 match report:
                     case Event():
-                        self.events.append((time.monotonic(), report))
+                        self.events.append((asyncio.get_running_loop().time(), report))
                     case StateReport():
                         self.state = report
                     case DriveReport():
@@ -98,7 +100,7 @@ class Rig:
         await until(lambda: self.state is not None and self.state.state is state)
 
     def heard(self, kind: str, since_s: float = 0.0) -> list[str]:
-        """What has been told of one kind since a monotonic time."""
+        """What has been told of one kind since a time."""
         return [
             event.detail for when, event in self.events if event.kind == kind and when >= since_s
         ]
@@ -115,18 +117,23 @@ async def rigged(configuration: Configuration) -> AsyncIterator[Rig]:
     """Run a daemon until the block ends."""
     hub = Hub()
     reports = hub.subscribe(Event, StateReport, DriveReport, TickReport, size=100_000)
-    Rehearsal(configuration, build_port(configuration, time.monotonic, "rig.toml")).run()
-    port = build_port(configuration, time.monotonic, "rig.toml")
+    clock = asyncio.get_running_loop().time
+    port = build_port(configuration, clock, "rig.toml")
     daemon = Daemon(
         port=port,
         controller=Controller(controller_settings(configuration), build_load(configuration)),
         settings=daemon_settings(configuration),
-        clock=time.monotonic,
+        clock=clock,
         hub=hub,
         manager=ServiceManager({}),
     )
     rig, stop = Rig(daemon, port, reports, reachable(configuration)), asyncio.Event()
-    async with asyncio.TaskGroup() as tasks:
+    async with contextlib.AsyncExitStack() as stack:
+        patch = stack.enter_context(pytest.MonkeyPatch.context())
+        if isinstance(asyncio.get_running_loop(), VirtualLoop):
+            patch.setattr("adaptdrive.runtime.daemon.TickTimer", LoopTimer)
+            patch.setattr("adaptdrive.runtime.tick_support.TickTimer", LoopTimer)
+        tasks = await stack.enter_async_context(asyncio.TaskGroup())
         listening = tasks.create_task(rig.listen())
         serving = tasks.create_task(daemon.run(stop))
         try:
@@ -140,12 +147,12 @@ async def rigged(configuration: Configuration) -> AsyncIterator[Rig]:
 async def until(
     condition: Callable[[], object], patience_s: float = PATIENCE_s, poll_s: float = 0.001
 ) -> float:
-    """Wait for a condition, which may be awaited; the monotonic time at which it held."""
+    """Wait for a condition, which may be awaited; the time at which it held."""
     async with asyncio.timeout(patience_s):
         while True:
             found = condition()
             if asyncio.iscoroutine(found):
                 found = await found
             if found:
-                return time.monotonic()
+                return asyncio.get_running_loop().time()
             await asyncio.sleep(poll_s)

@@ -17,10 +17,10 @@ _IDS = {0x100: "DriveStatus", 0x101: "DriveLoad"}
 class AnsweringWire(CanWire):
     """The reference drive, some of whose messages come only when a remote frame asks for them."""
 
-    def __init__(self, udp_port: int, polled: Iterable[str]) -> None:
+    def __init__(self, polled: Iterable[str]) -> None:
         table = ", ".join(f'{name} = "rtr"' for name in polled)
-        text = motor_text(udp_port).replace("[bus]\n", f"[bus]\npolled = {{ {table} }}\n")
-        super().__init__(udp_port, text)
+        text = motor_text().replace("[bus]\n", f"[bus]\npolled = {{ {table} }}\n")
+        super().__init__(text)
         self.polled = tuple(polled)
         self.answers = True
         self.newest: dict[str, bytes] = {}
@@ -45,9 +45,9 @@ class AnsweringWire(CanWire):
 
 @pytest.mark.parametrize("polled", [["DriveStatus"], ["DriveStatus", "DriveLoad"]])
 async def test_a_drive_that_answers_only_runs_and_trips_as_stale_when_it_answers_no_more(
-    free_udp_port: int, polled: list[str]
+    polled: list[str],
 ) -> None:
-    wire = AnsweringWire(free_udp_port, polled)
+    wire = AnsweringWire(polled)
     async with strung(wire), rigged(wire.configuration) as rig:
         await rig.run()
         assert wire.told[1]

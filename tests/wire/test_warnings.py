@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable
 
 import pytest
 
 from adaptdrive.runtime.reports import Severity, State
-from tests.config.modbus_documents import parse as modbus_parse
 from tests.hardware.canopen.documents import IN_MEMORY
 from tests.hardware.canopen.documents import parse as canopen_parse
 from tests.hardware.canopen.peer import MEASURED, Peer
-from tests.hardware.modbus.bench import MAP, TcpPeer
 from tests.wire.rig import Rig, rigged, until
-from tests.wire.wires import PATIENT_NODE, CanWire, ModbusWire, PATIENT_s, motor_text, strung
+from tests.wire.wires import PATIENT_NODE, CanWire, PATIENT_s, modbus_wire, motor_text, strung
 
 Drive = tuple[Rig, Callable[[int], None], str]
 """The daemon, what sets the drive's word, and the name of the signal of it."""
@@ -25,11 +22,11 @@ _NAMES = "{ 4 = 'derating', 5 = 'fan' }"
 
 
 @contextlib.asynccontextmanager
-async def on_can(free_udp_port: int) -> AsyncIterator[Drive]:
+async def on_can() -> AsyncIterator[Drive]:
     words = "{ signal = 'DriveStatus.Fault', mask = 0x0F }\n"
     words += f"warning = {{ signal = 'DriveStatus.Fault', mask = 0x70, names = {_NAMES} }}\n"
-    text = motor_text(free_udp_port, stale_s=PATIENT_s)
-    wire = CanWire(free_udp_port, text.replace('fault = "DriveStatus.Fault"', f"fault = {words}"))
+    text = motor_text(stale_s=PATIENT_s)
+    wire = CanWire(text.replace('fault = "DriveStatus.Fault"', f"fault = {words}"))
 
     def show(word: int) -> None:
         wire.values["Fault"] = word
@@ -39,21 +36,20 @@ async def on_can(free_udp_port: int) -> AsyncIterator[Drive]:
 
 
 @contextlib.asynccontextmanager
-async def on_modbus(free_tcp_port: int) -> AsyncIterator[Drive]:
-    configuration = modbus_parse(
-        **MAP,
-        bus__port=str(free_tcp_port),
+async def on_modbus() -> AsyncIterator[Drive]:
+    wire = modbus_wire(
+        "tcp",
+        bus__heartbeat__drive=None,
         interlocks__stale_s=str(PATIENT_s),
         signals__fault="{ signal = 'state', mask = 0x0F }",
         signals__warning=f"[{{ signal = 'state', mask = 0x70, names = {_NAMES} }}]",
     )
-    peer = TcpPeer(free_tcp_port)
-    peer.state = 0
+    wire.peer.state = 0
 
     def show(word: int) -> None:
-        peer.state = word
+        wire.peer.state = word
 
-    async with strung(ModbusWire(configuration, peer)), rigged(configuration) as rig:
+    async with strung(wire), rigged(wire.configuration) as rig:
         yield rig, show, "state"
 
 
@@ -77,20 +73,11 @@ async def on_canopen(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Drive]:
 
 @pytest.fixture(params=["can", "modbus", "canopen"])
 async def drive(
-    request: pytest.FixtureRequest,
-    free_udp_port: int,
-    free_tcp_port: int,
-    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest, memory: None, monkeypatch: pytest.MonkeyPatch
 ) -> AsyncIterator[Drive]:
     """A drive that runs, on one of the buses."""
-    match request.param:
-        case "can":
-            opened = on_can(free_udp_port)
-        case "modbus":
-            opened = on_modbus(free_tcp_port)
-        case _:
-            opened = on_canopen(monkeypatch)
-    async with opened as found:
+    buses = {"can": on_can(), "modbus": on_modbus(), "canopen": on_canopen(monkeypatch)}
+    async with buses[request.param] as found:
         yield found
 
 
@@ -121,7 +108,7 @@ async def test_a_drive_that_warns_is_enabled_and_its_fault_trips(drive: Drive) -
     show(0x10)
     await until(lambda: rig.heard("warning"))
     await rig.run()
-    began_s = time.monotonic()
+    began_s = asyncio.get_running_loop().time()
     show(0x14)
     await until(lambda: rig.heard("trip", began_s))
     assert rig.heard("trip", began_s)[0].startswith(f"drive fault: {signal} bit 2")
@@ -131,8 +118,8 @@ async def test_a_warning_that_comes_and_goes_is_told_once_in_a_second(drive: Dri
     rig, show, _ = drive
     await rig.run()
     rig.events.clear()
-    end_s = time.monotonic() + 2.5
-    while time.monotonic() < end_s:
+    end_s = asyncio.get_running_loop().time() + 2.5
+    while asyncio.get_running_loop().time() < end_s:
         show(0x10)
         await asyncio.sleep(0.06)
         show(0x00)

@@ -8,10 +8,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-import os
 import re
 import struct
-import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,9 +28,6 @@ from tests.hardware import bench as can_bench
 from tests.hardware.modbus import bench as modbus_bench
 
 TICK_s = 1.0 / 120.0
-STALE_s = float(os.environ.get("WIRE_STALE_S", "0.2"))
-"""A busy machine is no failure; the figures of the documentation are measured with 0.05."""
-
 PATIENT_s = 2.0
 """For faults that take their time: nothing else may trip the drive meanwhile."""
 
@@ -43,9 +38,8 @@ PATIENT_NODE = {
     "bus/heartbeat_timeout_s": 2.0,
     "bus/sdo_timeout_s": 2.0,
 }
-"""A node whose values stand still, on a machine with more work than processors."""
+"""A node whose values stand still."""
 
-POLL_s = 0.05
 BOOST_V = 300.12
 OUTPUT_V = 3.25
 STUCK_V = 400.12
@@ -71,7 +65,7 @@ class Wire(Protocol):
 
     @property
     def told(self) -> tuple[float, bool]:
-        """When the drive was last told something, by the monotonic clock, and its bridge."""
+        """When the drive was last told something, and its bridge."""
 
 
 def as_it_is(frames: Frames) -> Iterable[tuple[float, Frames]]:
@@ -79,15 +73,15 @@ def as_it_is(frames: Frames) -> Iterable[tuple[float, Frames]]:
     return [(0.0, frames)]
 
 
-def motor_text(udp_port: int, stale_s: float = STALE_s) -> str:
-    """The example on a bus of its own."""
+def motor_text(stale_s: float = 0.05) -> str:
+    """The example on a bus in memory."""
     text = (can_bench.EXAMPLES / "motor.toml").read_text()
-    text = text.replace("udp_port = 43113", f"udp_port = {udp_port}")
+    text = text.replace('interface = "udp_multicast"', 'interface = "virtual"')
     return text.replace("stale_s = 0.05 ", f"stale_s = {stale_s} ")
 
 
 class CanWire:
-    """The reference drive on a multicast bus.
+    """The reference drive.
 
     Attributes:
         spoil: What becomes of the two frames of a half cycle.
@@ -95,9 +89,9 @@ class CanWire:
         bus: The drive's end.
     """
 
-    def __init__(self, udp_port: int, text: str | None = None) -> None:
+    def __init__(self, text: str = "") -> None:
         source = can_bench.EXAMPLES / "wire.toml"
-        self.configuration = parse_configuration(text or motor_text(udp_port), source)
+        self.configuration = parse_configuration(text or motor_text(), source)
         assert isinstance(self.configuration.bus, CanBus)
         self.bus = open_bus(self.configuration.bus)
         database = cantools.database.load_file(self.configuration.bus.database)
@@ -131,7 +125,8 @@ class CanWire:
 
     def frames(self) -> Frames:
         """The good frames of the next half cycle."""
-        drive, bridge = self.drive, time.monotonic() - self._told[0] < 0.5 and self._told[1]
+        drive, now_s = self.drive, asyncio.get_running_loop().time()
+        bridge = now_s - self._told[0] < 0.5 and self._told[1]
         status = {**can_bench.STATUS, "BridgeOn": int(bridge), "Fault": 0}
         load = {"Tachometer": OUTPUT_V, "HalfCycle": drive.half_cycle}
         drive.half_cycle = (drive.half_cycle + 1) % 65536
@@ -148,9 +143,9 @@ class CanWire:
             self.drive.put(name, data)
 
     async def _speak(self) -> None:
-        begin_s = time.monotonic()
+        begin_s = asyncio.get_running_loop().time()
         for number in itertools.count(1):
-            await asyncio.sleep(max(0.0, begin_s + number * TICK_s - time.monotonic()))
+            await asyncio.sleep(begin_s + number * TICK_s - asyncio.get_running_loop().time())
             self._keep(self._deliver(list(self.spoil(self.frames()))))
 
     async def _deliver(self, pieces: list[tuple[float, Frames]]) -> None:
@@ -167,7 +162,7 @@ class CanWire:
     def _hear(self) -> None:
         while (frame := self.bus.recv(0)) is not None:
             if frame.arbitration_id == 0x080 and not self.deaf and not frame.is_error_frame:
-                self._told = time.monotonic(), bool(frame.data[4] & 1)
+                self._told = asyncio.get_running_loop().time(), bool(frame.data[4] & 1)
 
     def send_stranger(self) -> None:
         """Send a frame that is not for the daemon."""
@@ -186,23 +181,19 @@ class ModbusWire:
     """The device of the Modbus tests, with its heartbeat."""
 
     configuration: Configuration
-    peer: modbus_bench.TcpPeer | modbus_bench.RtuPeer
-    away: bool = False
+    peer: modbus_bench.Peer
     seen: int = 0
     when_s: float = 0.0
 
     async def start(self) -> None:
-        await self.peer.start()
+        self.peer.start()
 
     async def stop(self) -> None:
-        self.away = True
-        await self.peer.stop()
+        self.peer.stop()
 
     async def heal(self) -> None:
         peer = self.peer
-        if self.away:
-            await peer.start()
-            self.away = False
+        peer.start()
         peer.spoil, peer.answer = modbus_bench.untouched, lambda pdu: pdu
         peer.speed, peer.voltage, peer.state = OUTPUT_V, round(100 * BOOST_V), None
 
@@ -211,25 +202,17 @@ class ModbusWire:
         """When the drive was last told something, and its bridge."""
         writes = self.peer.writes
         if len(writes) > self.seen:
-            self.seen, self.when_s = len(writes), time.monotonic()
+            self.seen, self.when_s = len(writes), asyncio.get_running_loop().time()
         return self.when_s, bool(writes) and bool(writes[-1][1][1])
 
 
 def modbus_wire(
-    kind: str, tmp_path: Path, tcp_port: int, stale_s: float = 5.0 * POLL_s
+    kind: str, peer: modbus_bench.Peer | None = None, /, **changes: str | None
 ) -> ModbusWire:
     """A drive on Modbus; `kind` is `tcp` or `rtu`."""
-    changes = {
-        **modbus_bench.MAP,
-        "bus__heartbeat__drive": '"state"',
-        "interlocks__stale_s": str(stale_s),
-    }
-    if kind == "tcp":
-        changes["bus__port"] = str(tcp_port)
-        return ModbusWire(parse(**changes), modbus_bench.TcpPeer(tcp_port))
-    device = tmp_path / "drive.tty"
-    changes |= modbus_bench.serial(device)
-    return ModbusWire(parse(**changes), modbus_bench.RtuPeer(device))
+    peer = peer or modbus_bench.Peer(kind)
+    known = {"bus__heartbeat__drive": '"state"', "interlocks__stale_s": "0.25"}
+    return ModbusWire(parse(**{**modbus_bench.MAP, **peer.link, **known, **changes}), peer)
 
 
 def float_dbc(tmp_path: Path) -> Path:

@@ -8,15 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import struct
-import time
-import tty
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
-from pathlib import Path
 
-import pytest
 from crccheck.crc import CrcModbus
 
 from adaptdrive.app.ports import build_port
@@ -24,18 +18,23 @@ from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.polled.mapping import Poll, map_drive
+from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
+from tests.hardware import memory
 from tests.hardware.bench import Ear, until
+from tests.virtual_time import VirtualLoop
 
 TIMEOUT_s = 0.04
 QUIET_s = 3.0 * TIMEOUT_s
 """Time after which the port asks a silent line again: no reply of a drive is so late."""
 
-_TICK_s, _PROMPT_s = 0.001, 0.005
-_ADDED_UP_s = 4.0 * QUIET_s
-"""Time before a failure in which a standstill may have caused it: that of three polls."""
+POLL_s = 6 / 120.0
+ANSWER_s = 0.002
+"""Time from a request to its reply."""
+
 REPEATED = 0x100
 """Registers after which those of the device are found again."""
+
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)
 
 MAP: dict[str, str | None] = {
@@ -80,11 +79,10 @@ def untouched(reply: bytes) -> Pieces:
     return [(0.0, reply)]
 
 
-class Peer:
+class Peer(asyncio.Protocol):
     """The device behind the wire.
 
     Attributes:
-        first: Address of the measured registers.
         spoil: What becomes of each reply: pieces, and the delay before each.
         answer: What becomes of each reply before it is framed.
         writes: What was written, in order: address and registers.
@@ -95,9 +93,19 @@ class Peer:
         devices: Ids of the devices on the wire, all with the same registers.
         dead: Those of them that do not answer.
         asked: Id of the device of each request.
+        connections: How many there have been.
+        dropped: How many of them ended with what was under way.
     """
 
-    def __init__(self, first: int = 0) -> None:
+    def __init__(self, kind: str = "tcp", first: int = 0) -> None:
+        """Serve nothing yet.
+
+        Args:
+            kind: `tcp` or `rtu`.
+            first: Address of the measured registers.
+        """
+        self.kind = kind
+        self.address: object = memory.new_port() if kind == "tcp" else "/dev/drive.tty"
         self.first = first
         self.spoil: Spoil = untouched
         self.answer: Callable[[bytes], bytes] = lambda pdu: pdu
@@ -110,19 +118,78 @@ class Peer:
         self.speed = 3.25
         self.voltage = 30012
         self.state: int | None = None
+        self.connections = self.dropped = 0
+        self.line: memory.End | None = None
+
+    @property
+    def link(self) -> dict[str, str | None]:
+        """`[bus]` of a port on this wire."""
+        if self.kind == "tcp":
+            return {"bus__port": str(self.address)}
+        return {
+            "bus__type": '"modbus-rtu"',
+            "bus__host": None,
+            "bus__device": f'"{self.address}"',
+            "bus__baud": "115200",
+            "bus__parity": '"none"',
+        }
+
+    def start(self) -> None:
+        """Take connections."""
+        memory.serve(self.address, lambda: self)
+
+    def stop(self) -> None:
+        """Close the server, or pull the cable."""
+        memory.withdraw(self.address)
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        """End the connection."""
+        if self.line is not None:
+            self.line.abort()
+            self.line = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, memory.End)
+        self.line, self.connections = transport, self.connections + 1
+
+    def connection_lost(self, _: Exception | None) -> None:
+        if self.line is not None and self.line.is_closing():
+            self.dropped += self.line.is_dropped
+            self.line = None
+
+    def put(self, data: bytes) -> None:
+        """Put bytes on the wire."""
+        if self.line is not None:
+            self.line.write(data)
+
+    def data_received(self, data: bytes) -> None:
+        """Take a request, and send what becomes of its reply."""
+        device, pdu = _unframed(data) if self.kind == "tcp" else _checked(data)
+        assert device in self.devices
+        self.asked.append(device)
+        reply, at_s = self.reply(pdu), ANSWER_s
+        if device in self.dead:
+            return
+        if self.kind == "tcp":
+            reply = struct.pack(">2sHHB", data, 0, len(reply) + 1, device) + reply
+        else:
+            reply = framed(data[:1] + reply)
+        assert self.line is not None
+        put = self.line.write if self.kind == "tcp" else self.put
+        for delay_s, piece in self.spoil(reply):
+            at_s += delay_s
+            asyncio.get_running_loop().call_later(at_s, put, piece)
 
     def reply(self, request: bytes) -> bytes:
         """The reply to a request, without what frames it."""
         self.requests.append(request)
-        function = request[0]
-        if function in {3, 4}:
-            address, count = struct.unpack(">HH", request[1:5])
-            return self.answer(self._registers(function, address, count))
+        function, address, count = struct.unpack(">BHH", request[:5])
         if function == 16:
             self._write(request[1:6], request[6:])
             return self.answer(request[:5])
-        address, count = struct.unpack(">HH", request[1:5])
-        self._write(request[5:10], request[10:])
+        if function == 23:
+            self._write(request[5:10], request[10:])
         return self.answer(self._registers(function, address, count))
 
     def _write(self, head: bytes, data: bytes) -> None:
@@ -132,129 +199,23 @@ class Peer:
 
     def _registers(self, function: int, address: int, count: int) -> bytes:
         number = len(self.taken) + 1
-        self.taken[number] = time.monotonic()
+        self.taken[number] = asyncio.get_running_loop().time()
         speed = struct.unpack(">2H", struct.pack(">f", self.speed))
         state = number if self.state is None else self.state
         image = [self.voltage, 1204, number, *speed, state]
         words = [image[(a - self.first) % REPEATED] for a in range(address, address + count)]
         return bytes((function, 2 * count)) + struct.pack(f">{count}H", *words)
 
-    async def send(self, reply: bytes, put: Callable[[bytes], None]) -> None:
-        """Put a reply on the wire, as the test wants it."""
-        for delay_s, piece in self.spoil(reply):
-            await asyncio.sleep(delay_s)
-            put(piece)
+
+def _unframed(data: bytes) -> tuple[int, bytes]:
+    _, protocol, length, device = struct.unpack(">HHHB", data[:7])
+    assert (protocol, length) == (0, len(data) - 6)
+    return device, data[7:]
 
 
-class TcpPeer(Peer):
-    """A Modbus TCP server."""
-
-    def __init__(self, port: int, first: int = 0) -> None:
-        super().__init__(first)
-        self.port = port
-        self.connections = 0
-        self.resets = 0
-        self._writers: set[asyncio.StreamWriter] = set()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._server: asyncio.Server | None = None
-
-    async def start(self) -> None:
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
-
-    async def stop(self) -> None:
-        """Close the server and every connection; the port may be used again."""
-        if self._server is None:
-            return
-        self._server.close()
-        self.hang_up()
-        for task in list(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._server = None
-
-    def hang_up(self) -> None:
-        """Close every connection."""
-        for writer in list(self._writers):
-            writer.transport.abort()
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.connections += 1
-        self._writers.add(writer)
-        try:
-            while True:
-                header = await reader.readexactly(7)
-                transaction, protocol, length, device = struct.unpack(">HHHB", header)
-                assert protocol == 0
-                assert device in self.devices
-                self.asked.append(device)
-                pdu = self.reply(await reader.readexactly(length - 1))
-                if device in self.dead:
-                    continue
-                adu = struct.pack(">HHHB", transaction, 0, len(pdu) + 1, device) + pdu
-                task = asyncio.create_task(self.send(adu, writer.write))
-                self._tasks.add(task)
-                task.add_done_callback(self._tasks.discard)
-        except ConnectionResetError:
-            self.resets += 1
-        except (asyncio.IncompleteReadError, ConnectionError):
-            pass
-        finally:
-            self._writers.discard(writer)
-            writer.close()
-
-
-class RtuPeer(Peer):
-    """A device on a serial line: the far end of a pseudo-terminal."""
-
-    def __init__(self, link: Path, first: int = 0) -> None:
-        super().__init__(first)
-        self.link = link
-        self._buffer = b""
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._master = self._slave = -1
-
-    async def start(self) -> None:
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.link.unlink(missing_ok=True)
-        self.link.symlink_to(os.ttyname(self._slave))
-        asyncio.get_running_loop().add_reader(self._master, self._hear)
-
-    async def stop(self) -> None:
-        """Pull the cable."""
-        if self._master < 0:
-            return
-        asyncio.get_running_loop().remove_reader(self._master)
-        for task in list(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        os.close(self._slave)
-        os.close(self._master)
-        self.link.unlink(missing_ok=True)
-        self._master = -1
-
-    def put(self, data: bytes) -> None:
-        """Put bytes on the line."""
-        if self._master >= 0:
-            os.write(self._master, data)
-
-    def _hear(self) -> None:
-        with contextlib.suppress(BlockingIOError, OSError):
-            self._buffer += os.read(self._master, 1024)
-        length = _request_length(self._buffer)
-        if length is None or len(self._buffer) < length:
-            return
-        request, self._buffer = self._buffer[:length], b""
-        assert framed(request[:-2]) == request
-        assert request[0] in self.devices
-        self.asked.append(request[0])
-        pdu = self.reply(request[1:-2])
-        if request[0] in self.dead:
-            return
-        task = asyncio.create_task(self.send(framed(request[:1] + pdu), self.put))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+def _checked(data: bytes) -> tuple[int, bytes]:
+    assert framed(data[:-2]) == data
+    return data[0], data[1:-2]
 
 
 def framed(message: bytes) -> bytes:
@@ -262,22 +223,25 @@ def framed(message: bytes) -> bytes:
     return message + int(CrcModbus.calc(message)).to_bytes(2, "little")
 
 
-def _request_length(heard: bytes) -> int | None:
-    if len(heard) < 2:
-        return None
-    if heard[1] in {3, 4}:
-        return 8
-    at = 6 if heard[1] == 16 else 10
-    return None if len(heard) <= at else at + 3 + heard[at]
+class Follower(Ear):
+    """An ear that calls back for each reading, as the fast loop decides on each."""
+
+    def __init__(self, decide: Callable[[Reading], None] = lambda _: None) -> None:
+        super().__init__()
+        self.decide = decide
+
+    def on_reading(self, reading: Reading) -> None:
+        super().on_reading(reading)
+        self.decide(reading)
 
 
 class Bench:
     """A running port between a peer and an ear."""
 
-    def __init__(self, port: ModbusPort, peer: TcpPeer | RtuPeer, ear: Ear) -> None:
+    def __init__(self, port: ModbusPort, peer: Peer) -> None:
         self.port = port
         self.peer = peer
-        self.ear = ear
+        self.ear = Follower()
 
     async def hears(self, more: int) -> None:
         """Wait for that many more readings."""
@@ -298,10 +262,7 @@ class Bench:
         return sum(request[0] in {3, 4, 23} for request in self.peer.requests)
 
     async def runs_until(self, condition: Callable[[], bool]) -> None:
-        """Command the drive on until a condition holds.
-
-        The command is renewed, as the fast loop renews it: a standstill of the process voids one.
-        """
+        """Command the drive on, as the fast loop renews it, until a condition holds."""
 
         def renewed() -> bool:
             self.port.send(RUN)
@@ -309,17 +270,24 @@ class Bench:
 
         await until(renewed)
 
+    async def hears_of_bus(self, up: bool) -> None:
+        """Wait until the bus is reported to be up, or lost."""
+        await until(lambda: bool(self.ear.bus) and self.ear.bus[-1][0] is up)
+
     def told(self) -> list[int]:
-        """What the drive was told last: V_c and bridge."""
-        return self.peer.writes[-1][1][:2]
+        """What the drive was told last: V_c and bridge; nothing before the first command."""
+        return self.peer.writes[-1][1][:2] if self.peer.writes else []
+
+    async def is_told(self, *words: int) -> None:
+        """Wait until the drive was told something."""
+        await until(lambda: self.told() == [*words])
 
     def check_honesty(self) -> None:
         """No reading is older than it says, and none holds what the drive never measured."""
         for reading in self.ear.readings:
             taken_s = self.peer.taken[round(reading.load_power_W)]
             assert reading.oldest_s <= taken_s <= reading.arrival_s
-            assert abs(reading.output - self.peer.speed) < 1e-6
-            assert abs(reading.boost_voltage_V - 300.12) < 1e-6
+        assert self.mixed_up() == 0
 
     def mixed_up(self) -> int:
         """How many readings hold values of other registers than their own."""
@@ -330,15 +298,11 @@ class Bench:
         )
 
 
-def serial(device: Path) -> dict[str, str | None]:
-    """`[bus]` of a drive on a pseudo-terminal."""
-    return {
-        "bus__type": '"modbus-rtu"',
-        "bus__host": None,
-        "bus__device": f'"{device}"',
-        "bus__baud": "115200",
-        "bus__parity": '"none"',
-    }
+def stand_still(seconds: float) -> None:
+    """Let time pass in which nothing of this process runs."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    loop.selector.now_s += seconds
 
 
 def plan(**changes: str | None) -> Poll:
@@ -348,99 +312,45 @@ def plan(**changes: str | None) -> Poll:
     return map_drive(configuration.bus, configuration.signals, 1.0 / 120.0, "bench.toml")
 
 
-def build(**changes: str | None) -> ModbusPort:
+def build(clock: Callable[[], float] | None = None, /, **changes: str | None) -> ModbusPort:
     """The port of the bench's map, with changes."""
-    port = build_port(parse(**{**MAP, **changes}), time.monotonic, "bench.toml")
+    clock = clock or asyncio.get_running_loop().time
+    port = build_port(parse(**{**MAP, **changes}), clock, "bench.toml")
     assert isinstance(port, ModbusPort)
     return port
 
 
-class Wire:
-    """What a port and a drive are joined by: `tcp` or `rtu`."""
-
-    def __init__(self, kind: str, folder: Path, tcp_port: int) -> None:
-        self.kind = kind
-        self.folder = folder
-        self.tcp_port = tcp_port
-
-    def parts(self, **changes: str | None) -> tuple[ModbusPort, TcpPeer | RtuPeer]:
-        """A port and a peer, neither of which runs."""
-        first = 10 if "bus__read_write" in changes else 0
-        peer: TcpPeer | RtuPeer
-        if self.kind == "tcp":
-            peer = TcpPeer(self.tcp_port, first)
-            link: dict[str, str | None] = {"bus__port": str(self.tcp_port)}
-        else:
-            peer = RtuPeer(self.folder / "drive.tty", first)
-            link = serial(peer.link)
-        return build(**{**link, **changes}), peer
-
-    @contextlib.asynccontextmanager
-    async def bench(self, **changes: str | None) -> AsyncIterator[Bench]:
-        """Run a port against a peer."""
-        port, peer = self.parts(**changes)
-        ear = Ear()
-        await peer.start()
-        task = asyncio.create_task(port.run(ear, lambda: None))
-        try:
-            await until(lambda: bool(ear.readings) or task.done())
-            yield Bench(port, peer, ear)
-        finally:
-            task.cancel()
-            outcome = await asyncio.gather(task, return_exceptions=True)
-            await peer.stop()
-        assert isinstance(outcome[0], asyncio.CancelledError)
-
-    @contextlib.asynccontextmanager
-    async def driven(self, state: int | None, **changes: str | None) -> AsyncIterator[Bench]:
-        """Run a port whose drive, with this state, was commanded on and has its bridge on."""
-        async with self.bench(**changes) as one:
-            one.peer.state = state
-            one.port.send(RUN)
-            await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
-            yield one
+@contextlib.asynccontextmanager
+async def benched(kind: str = "tcp", /, **changes: str | None) -> AsyncIterator[Bench]:
+    """Run a port against a peer."""
+    peer = Peer(kind, 10 if "bus__read_write" in changes else 0)
+    one = Bench(build(**{**peer.link, **changes}), peer)
+    peer.start()
+    async with ran(one):
+        await one.hears(1)
+        yield one
 
 
 @contextlib.asynccontextmanager
-async def judged(permitted_s: float) -> AsyncIterator[None]:
-    """Judge a failure of the block only if this process ran; drive and port are both in it.
-
-    Args:
-        permitted_s: Standstill that the replies of the block may have until they are too late.
-    """
-    stalls = Stalls()
-    ticker = asyncio.create_task(stalls.measure())
+async def ran(one: Bench) -> AsyncIterator[None]:
+    """Run the port of a bench; it must not end by itself."""
+    task = asyncio.create_task(one.port.run(one.ear, lambda: None))
     try:
         yield
-    except AssertionError:
-        stalled_s = stalls.before(time.monotonic())
-        if stalled_s > permitted_s:
-            pytest.skip(f"not judged: stalled for {stalled_s:.3f} s")
-        raise
     finally:
-        ticker.cancel()
+        task.cancel()
+        (outcome,) = await asyncio.gather(task, return_exceptions=True)
+        one.peer.stop()
+    assert isinstance(outcome, asyncio.CancelledError)
 
 
-class Stalls:
-    """Standstills of this process, seen by a task that is to run every millisecond."""
-
-    def __init__(self) -> None:
-        self._seen: deque[tuple[float, float]] = deque(maxlen=100)
-
-    async def measure(self) -> None:
-        """Watch until cancelled."""
-        last_s = time.monotonic()
-        while True:
-            await asyncio.sleep(_TICK_s)
-            now_s = time.monotonic()
-            self.note(now_s, now_s - last_s)
-            last_s = now_s
-
-    def note(self, now_s: float, passed_s: float) -> None:
-        """Take the time from one run of the task to the next."""
-        if passed_s > _PROMPT_s:
-            self._seen.append((now_s, passed_s))
-
-    def before(self, now_s: float) -> float:
-        """Return the sum of the standstills just before: they add up for a reply and its poll."""
-        return sum(stall_s for at_s, stall_s in self._seen if now_s - at_s < _ADDED_UP_s)
+@contextlib.asynccontextmanager
+async def driven(
+    state: int | None, kind: str = "tcp", /, **changes: str | None
+) -> AsyncIterator[Bench]:
+    """Run a port whose drive, with this state, was commanded on and has its bridge on."""
+    async with benched(kind, **changes) as one:
+        one.peer.state = state
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+        yield one

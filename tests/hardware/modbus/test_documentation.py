@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 import tomllib
 from pathlib import Path
 
@@ -43,7 +42,7 @@ def test_the_sensors_of_the_page_make_a_whole_configuration_with_an_example() ->
     path = ROOT / "deploy" / "examples" / "bath-thermocouples.toml"
     shown = next(tables for tables in EVERY if "sensor_bus" in tables)
     tables = tomllib.loads(path.read_text(encoding="utf-8")) | shown
-    port = build_whole_port(validate_configuration(tables, path), time.monotonic, path)
+    port = build_whole_port(validate_configuration(tables, path), float, path)
     assert "sensors thermocouples on modbus-tcp 192.168.0.10:502" in port.description
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections import Counter
 from collections.abc import AsyncIterator
 
@@ -83,7 +82,7 @@ def plan(**changes: str | None) -> tuple[ModbusTcp, Poll]:
 async def polled(bus: ModbusTcp, poll: Poll) -> dict[str, float | None]:
     """What one poll reads; then it writes a command."""
     found: dict[str, float | None] = {}
-    link = ModbusConnection(bus, Counter(), time.monotonic)
+    link = ModbusConnection(bus, Counter(), asyncio.get_running_loop().time)
     await link.open()
     try:
         for block, sources in poll.reads:
@@ -97,29 +96,26 @@ async def polled(bus: ModbusTcp, poll: Poll) -> dict[str, float | None]:
     return found
 
 
-async def test_coils_are_switched_and_registers_written_alone(unused_tcp_port: int) -> None:
-    bus, poll = plan(bus__port=str(unused_tcp_port), bus__timeout_s="0.09")
-    async with serving(unused_tcp_port) as device:
+async def test_coils_are_switched_and_registers_written_alone(free_tcp_port: int) -> None:
+    bus, poll = plan(bus__port=str(free_tcp_port))
+    async with serving(free_tcp_port) as device:
         found = await polled(bus, poll)
     assert found["bridge"] == 1.0
     assert device.written == [(5, 7, [1]), (6, 40, [250])]
 
 
 @pytest.mark.parametrize("device_id", [0, 255])
-async def test_a_device_may_have_any_id_on_tcp(unused_tcp_port: int, device_id: int) -> None:
-    bus, poll = plan(
-        bus__port=str(unused_tcp_port), bus__device_id=str(device_id), bus__timeout_s="0.09"
-    )
-    async with serving(unused_tcp_port, device_id) as device:
+async def test_a_device_may_have_any_id_on_tcp(free_tcp_port: int, device_id: int) -> None:
+    bus, poll = plan(bus__port=str(free_tcp_port), bus__device_id=str(device_id))
+    async with serving(free_tcp_port, device_id) as device:
         assert (await polled(bus, poll))["bridge"] == 1.0
     assert len(device.written) == 2
 
 
-async def test_packets_of_a_serial_line_pass_over_tcp(unused_tcp_port: int) -> None:
-    bus, poll = plan(bus__port=str(unused_tcp_port), bus__framing='"rtu"', bus__timeout_s="0.09")
-    async with serving(unused_tcp_port, framer=FramerType.RTU) as device:
-        async with asyncio.timeout(10.0):
-            assert (await polled(bus, poll))["bridge"] == 1.0
+async def test_packets_of_a_serial_line_pass_over_tcp(free_tcp_port: int) -> None:
+    bus, poll = plan(bus__port=str(free_tcp_port), bus__framing='"rtu"')
+    async with serving(free_tcp_port, framer=FramerType.RTU) as device:
+        assert (await polled(bus, poll))["bridge"] == 1.0
     assert device.written == [(5, 7, [1]), (6, 40, [250])]
 
 

@@ -6,9 +6,8 @@ import asyncio
 import re
 import socket
 import threading
-import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,68 +18,58 @@ from adaptdrive.config.file import parse_configuration
 from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.modbus.link import ModbusConnection
-from adaptdrive.hardware.polled.capacity import Block, Exchange
+from adaptdrive.hardware.polled.link import Stream
 from tests.config.modbus_documents import parse
 from tests.faults.course import EXAMPLES
-from tests.hardware.modbus.bench import TcpPeer
+from tests.hardware import memory
 
 
-def link_to(host: str, port: int) -> ModbusConnection:
-    bus = parse(bus__host=f'"{host}"', bus__port=str(port), bus__timeout_s="0.09").bus
-    assert isinstance(bus, ModbusTcp)
-    return ModbusConnection(bus, Counter(), time.monotonic)
-
-
-@pytest.fixture
-def silent_name_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Look-ups that end with the test only."""
-    answered = threading.Event()
-
-    def wait(*_: object, **__: object) -> None:
-        answered.wait()
-        raise socket.gaierror(socket.EAI_AGAIN, "try again")
-
-    monkeypatch.setattr(socket, "getaddrinfo", wait)
-    yield
-    answered.set()
-
-
-async def test_every_address_of_a_name_is_tried(
-    free_tcp_port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_every_address_of_a_name_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """The device has the second one only."""
-    found = [
-        (socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, free_tcp_port))
-        for address in ("127.0.0.9", "127.0.0.1")
-    ]
+    addresses = ("127.0.0.9", "127.0.0.1")
+    found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (one, 502)) for one in addresses]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
-    peer = TcpPeer(free_tcp_port)
-    await peer.start()
-    link = link_to("drive", free_tcp_port)
-    await link.open()
-    assert await link.exchange(Exchange(read=Block("input", 0, 2)), []) == [30012, 1204]
-    link.close()
-    await peer.stop()
+    tried: list[str] = []
+
+    async def create(
+        protocol: Callable[[], asyncio.Protocol], address: str, _: int
+    ) -> tuple[asyncio.Transport, asyncio.Protocol]:
+        tried.append(address)
+        if address == addresses[0]:
+            raise ConnectionRefusedError
+        made = protocol()
+        return memory.End(made), made
+
+    monkeypatch.setattr(asyncio.get_running_loop(), "create_connection", create)
+    await Stream().connect("drive", 502)
+    assert tried == [*addresses]
 
 
-async def test_a_name_that_nobody_has_is_named(free_tcp_port: int) -> None:
+async def test_a_name_that_nobody_has_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "unknown")
+
+    monkeypatch.setattr(socket, "getaddrinfo", fail)
+    bus = parse(bus__host='"nowhere.invalid"').bus
+    assert isinstance(bus, ModbusTcp)
     with pytest.raises(BusError, match=r"nowhere\.invalid:.*device 1: "):
-        await link_to("nowhere.invalid", free_tcp_port).open()
+        await ModbusConnection(bus, Counter(), asyncio.get_running_loop().time).open()
 
 
-@pytest.mark.usefixtures("silent_name_server")
-def test_a_silent_name_server_keeps_neither_the_helper_threads_nor_the_end(
-    free_tcp_port: int,
+async def test_a_silent_name_server_keeps_neither_the_helper_threads_nor_the_end(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def attempts() -> None:
-        for _ in range(3):
-            with pytest.raises(BusError, match="no name server answers within 1 s"):
-                await link_to("drive", free_tcp_port).open()
-        assert await asyncio.to_thread(lambda: True)
-
-    started_s = time.monotonic()
-    asyncio.run(attempts())
-    assert time.monotonic() - started_s < 60.0  # without an end, were it waited for
+    """Each look-up has a thread of its own, which the end does not wait for."""
+    answered = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: answered.wait() and [])
+    threads = set(threading.enumerate())
+    for _ in range(3):
+        with pytest.raises(OSError, match="no name server answers within 1 s"):
+            await Stream().connect("drive", 502)
+    waiting = set(threading.enumerate()) - threads
+    assert len(waiting) == 3
+    assert all(one.daemon for one in waiting)
+    answered.set()
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.1", "::ffff:127.0.0.1"])

@@ -1,12 +1,10 @@
-"""The port against a drive that answers as it should."""
+"""The port against a drive that answers as it should, or stops by itself."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-import time
 from itertools import groupby, pairwise
-from pathlib import Path
 from statistics import median
 
 import pytest
@@ -14,43 +12,54 @@ import pytest
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.port import Reading
+from tests.hardware import memory
 from tests.hardware.bench import Ear, until
 from tests.hardware.modbus.bench import (
     FUNCTION_23,
     RUN,
     Bench,
+    Peer,
     Pieces,
-    TcpPeer,
+    POLL_s,
     TIMEOUT_s,
-    Wire,
+    benched,
     build,
-    judged,
+    driven,
+    ran,
     reported,
-    serial,
+    stand_still,
     untouched,
 )
 
-POLL_s = 6 / 120.0
+pytestmark = pytest.mark.usefixtures("memory")
+Changes = dict[str, str | None]
+BOTH_WAYS = pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+
 LOST = 2
 """Requests without a reply after which a drive may have stopped by its own time-out."""
-FROZEN_POLLS = 4.0
 
-SCATTERED: dict[str, str | None] = {
+SCATTERED: Changes = {
     "bus__max_gap": "0",
     "bus__registers__line": "{ address = 5, table = 'holding', scale = 0.1 }",
     "bus__registers__speed": "{ address = 3, table = 'holding', type = 'float32' }",
 }
 """Four blocks that are read one by one."""
 
-REPORTED = {
+REPORTED: Changes = {
     "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
     "signals__bridge": '"on"',
 }
 """The bridge is a bit of the peer's state."""
 
+ON_OF_TWO: Changes = {
+    "bus__registers__on": "{ address = 0, table = 'input', bit = 2 }",
+    "signals__bridge": '"on"',
+}
+"""The bridge is a bit of the word of the voltage."""
 
-async def test_a_reading_holds_what_the_drive_measured(wire: Wire) -> None:
-    async with wire.bench() as one:
+
+async def test_a_reading_holds_what_the_drive_measured() -> None:
+    async with benched() as one:
         await one.hears(5)
         one.check_honesty()
         reading = one.ear.readings[-1]
@@ -61,55 +70,55 @@ async def test_a_reading_holds_what_the_drive_measured(wire: Wire) -> None:
         assert one.ear.bus == []
 
 
-async def test_whoever_only_listens_writes_nothing(wire: Wire) -> None:
-    for changes in ({}, FUNCTION_23):
-        async with wire.bench(**changes) as one:
-            await one.hears(3)
-        assert one.peer.writes == []
+@BOTH_WAYS
+async def test_whoever_only_listens_writes_nothing(changes: Changes) -> None:
+    async with benched(**changes) as one:
+        await one.hears(3)
+        for voltage_V in (math.nan, -1.0, 700.0):  # what a register cannot hold is not sent
+            with pytest.raises(ValueError, match=r"outside|cannot hold"):
+                one.port.send(Command(0.0, voltage_V, bridge=True))
+        await one.hears(3)
+    assert one.peer.writes == []
 
 
-async def test_the_newest_command_goes_out_with_each_poll_and_a_heartbeat(wire: Wire) -> None:
-    async with wire.bench() as one:
+async def test_the_newest_command_goes_out_with_each_poll_and_a_heartbeat() -> None:
+    async with benched() as one:
         for voltage in (250.0, 260.0, 287.65):
             assert one.port.send(Command(0.0, voltage, bridge=True))
         await until(lambda: len(one.peer.writes) >= 4)
-    addresses = {address for address, _ in one.peer.writes}
-    assert addresses == {0}
+    assert {address for address, _ in one.peer.writes} == {0}
     assert [words[:2] for _, words in one.peer.writes[:4]] == [[28765, 1]] * 4
     beats = [words[2] for _, words in one.peer.writes]
     assert beats == list(range(beats[0], beats[0] + len(beats)))
     assert one.port.statistics.send_drops == 0
 
 
-async def test_function_23_carries_both_ways_and_a_new_command_does_not_wait(wire: Wire) -> None:
-    async with wire.bench(**FUNCTION_23) as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes))
+async def test_function_23_carries_both_ways_and_a_new_command_does_not_wait() -> None:
+    async with benched(**FUNCTION_23) as one:
+        await one.runs_until(lambda: bool(one.peer.writes))
         known = len(one.peer.requests)
         await one.hears(5)
         assert {request[0] for request in one.peer.requests[known:]} == {23}
         one.check_honesty()
-        told = Command(0.0, 290.0, bridge=True)
-        one.port.send(told)
+        one.port.send(Command(0.0, 290.0, bridge=True))
         await one.asks(3)
         assert one.told() == [29000, 1]
 
 
-async def test_the_safe_command_does_not_wait_for_the_next_poll(wire: Wire) -> None:
+async def test_the_safe_command_does_not_wait_for_the_next_poll() -> None:
     slow = {
         "bus__poll_ticks": "120",
         "load__latency_ticks": "120",
         "load__period_s": "2.0",
         "interlocks__stale_s": "2.0",
     }
-    async with wire.bench(**slow) as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes))
-        await one.hears(1)
+    async with benched(**slow) as one:
+        await one.runs_until(lambda: bool(one.peer.writes))
         await until(lambda: one.port.statistics.sent >= 2)
-        polled = len(one.ear.readings)
+        polled, began_s = len(one.ear.readings), asyncio.get_running_loop().time()
         one.port.send(SAFE_COMMAND)
-        await until(lambda: one.told() == [0, 0])
+        await one.is_told(0, 0)
+        assert asyncio.get_running_loop().time() - began_s < 0.01
         assert len(one.ear.readings) == polled
         one.port.send(SAFE_COMMAND)
         writes = len(one.peer.writes)
@@ -117,68 +126,44 @@ async def test_the_safe_command_does_not_wait_for_the_next_poll(wire: Wire) -> N
         assert len(one.peer.writes) <= writes + 1
 
 
-async def test_a_port_that_is_closed_leaves_the_drive_safe(wire: Wire) -> None:
-    async with wire.bench() as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes))
+async def test_a_port_that_is_closed_leaves_the_drive_safe() -> None:
+    async with benched() as one:
+        await one.runs_until(lambda: bool(one.peer.writes))
     assert one.told() == [0, 0]
 
 
-class FailingEar(Ear):
-    """Takes no reading once the drive has had a command."""
+async def test_a_port_that_fails_leaves_the_drive_safe() -> None:
+    """An ear that takes no reading once the drive has had a command."""
+    peer = Peer()
+    one = Bench(build(**peer.link), peer)
 
-    def __init__(self, peer: TcpPeer) -> None:
-        super().__init__()
-        self.peer = peer
-
-    def on_reading(self, reading: Reading) -> None:
-        if self.peer.writes:
-            assert self.peer.writes[-1][1][1], "the drive was to run"
+    def fail(_: Reading) -> None:
+        if one.told():
+            assert one.told()[1] == 1, "the drive was to run"
             raise ZeroDivisionError
-        super().on_reading(reading)
+
+    one.ear.decide = fail
+    peer.start()
+    one.port.send(RUN)
+    with pytest.raises(ZeroDivisionError):
+        await one.port.run(one.ear, lambda: None)
+    assert one.told() == [0, 0]
 
 
-async def test_a_port_that_fails_leaves_the_drive_safe(free_tcp_port: int) -> None:
-    peer, port = TcpPeer(free_tcp_port), build(bus__port=str(free_tcp_port))
-    await peer.start()
-    port.send(RUN)
-    try:
-        with pytest.raises(ZeroDivisionError):
-            await port.run(FailingEar(peer), lambda: None)
-        assert peer.writes[-1][1][:2] == [0, 0]
-    finally:
-        await peer.stop()
-
-
-async def test_what_a_register_cannot_hold_is_not_sent(wire: Wire) -> None:
-    async with wire.bench() as one:
-        for voltage in (float("nan"), -1.0, 700.0):
-            with pytest.raises(ValueError, match=r"outside|cannot hold"):
-                one.port.send(Command(0.0, voltage, bridge=True))
-        await one.hears(3)
-        assert one.peer.writes == []
-
-
-async def test_a_serial_port_that_is_not_there_ends_the_start(tmp_path: Path) -> None:
-    port = build(**serial(tmp_path / "none"))
+async def test_a_serial_port_that_is_not_there_ends_the_start() -> None:
     with pytest.raises(BusError, match="no such serial port"):
-        await port.run(Ear(), lambda: None)
+        await build(**Peer("rtu").link).run(Ear(), lambda: None)
 
 
-async def test_a_drive_on_tcp_that_is_switched_off_is_waited_for(free_tcp_port: int) -> None:
-    port, peer, ear = build(bus__port=str(free_tcp_port)), TcpPeer(free_tcp_port), Ear()
-    opened: list[bool] = []
-    task = asyncio.create_task(port.run(ear, lambda: opened.append(True)))
-    await until(lambda: bool(ear.bus))
-    assert opened == [True]
-    assert ear.bus[0][0] is False
-    assert not port.send(RUN)
-    await peer.start()
-    await until(lambda: bool(ear.readings))
-    assert ear.bus[-1][0] is True
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
-    await peer.stop()
+async def test_a_drive_on_tcp_that_is_switched_off_is_waited_for() -> None:
+    peer = Peer()
+    one = Bench(build(**peer.link), peer)
+    async with ran(one):
+        await one.hears_of_bus(up=False)
+        assert not one.port.send(RUN)
+        peer.start()
+        await one.hears(1)
+        assert one.ear.bus[-1][0]
 
 
 class Mute:
@@ -195,78 +180,60 @@ class Mute:
         writer.close()
 
 
-async def test_a_link_that_dies_under_an_urgent_command_is_not_hammered(
-    free_tcp_port: int,
-) -> None:
-    port, mute = build(bus__port=str(free_tcp_port), **FUNCTION_23), Mute()
-    async with await asyncio.start_server(mute.serve, "127.0.0.1", free_tcp_port):
-        task = asyncio.create_task(port.run(Ear(), lambda: None))
-        port.send(RUN)
-        await until(lambda: mute.connections == 1)
-        while mute.connections == 1:
-            await asyncio.sleep(0.005)
-            port.send(SAFE_COMMAND)
-        await until(lambda: mute.connections >= 3)
-        known, began_s = mute.connections, time.monotonic()
-        await asyncio.sleep(1.0)
-        grown, elapsed_s = mute.connections - known, time.monotonic() - began_s
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-    assert grown <= 4.0 * elapsed_s
+async def test_a_link_that_dies_under_an_urgent_command_is_not_hammered() -> None:
+    mute, peer = Mute(), Peer()
+    one = Bench(build(**peer.link, **FUNCTION_23), peer)
+    assert isinstance(peer.address, int)
+    with memory.serving(peer.address, mute.serve):
+        async with ran(one):
+            one.port.send(RUN)
+            await until(lambda: mute.connections == 1)
+            await until(lambda: one.port.send(SAFE_COMMAND) is None or mute.connections >= 3)
+            known = mute.connections
+            await asyncio.sleep(1.0)
+            assert mute.connections - known <= 4
 
 
-async def test_a_port_that_is_closed_while_it_waits_for_the_drive_opens_no_link(
-    free_tcp_port: int,
-) -> None:
-    port, ear, mute = build(bus__port=str(free_tcp_port)), Ear(), Mute()
-    task = asyncio.create_task(port.run(ear, lambda: None))
-    await until(lambda: bool(ear.bus))
-    async with await asyncio.start_server(mute.serve, "127.0.0.1", free_tcp_port):
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        await asyncio.sleep(0.05)
-    assert mute.connections == 0
+async def test_a_port_that_is_closed_while_it_waits_for_the_drive_opens_no_link() -> None:
+    peer = Peer()
+    one = Bench(build(**peer.link), peer)
+    async with ran(one):
+        await one.hears_of_bus(up=False)
+        peer.start()
+    assert peer.connections == 0
 
 
-async def test_after_a_freeze_nothing_energising_is_written(
-    wire: Wire, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_after_a_freeze_nothing_energising_is_written() -> None:
     """The process stands still between a reading and the command that goes with it."""
-    async with wire.bench() as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
-        take, thawed = one.ear.on_reading, asyncio.Event()
-
-        def freeze(reading: Reading) -> None:
-            take(reading)
-            if not thawed.is_set():
-                time.sleep(FROZEN_POLLS * POLL_s)
-                written.append(len(one.peer.writes))
-                thawed.set()
-            else:
-                one.port.send(SAFE_COMMAND)
-
+    async with driven(None) as one:
+        await one.is_told(28765, 1)
         written: list[int] = []
-        monkeypatch.setattr(one.ear, "on_reading", freeze)
-        await until(lambda: thawed.is_set() and one.told()[1] == 0)
+
+        def freeze(_: Reading) -> None:
+            if written:
+                one.port.send(SAFE_COMMAND)
+            else:
+                stand_still(4.0 * POLL_s)
+                written.append(len(one.peer.writes))
+
+        one.ear.decide = freeze
+        await until(lambda: bool(written) and one.told()[1] == 0)
         await one.hears(3)
         assert not any(registers[1] for _, registers in one.peer.writes[written[0] :])
 
 
-@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@BOTH_WAYS
 async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_driven_on(
-    wire: Wire, changes: dict[str, str | None]
+    changes: Changes,
 ) -> None:
     """Its map has no bridge: it may have started anew, and cannot tell."""
-    async with wire.bench(**changes) as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
-        await one.peer.stop()
-        await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
+    async with driven(None, **changes) as one:
+        one.peer.stop()
+        await one.hears_of_bus(up=False)
         written = len(one.peer.writes)
         one.port.send(RUN)
-        await one.peer.start()
-        await until(lambda: one.ear.bus[-1][0])
+        one.peer.start()
+        await one.hears_of_bus(up=True)
         assert "the bus was lost meanwhile" in str(one.port.complaint)
         assert not any(registers[1] for _, registers in one.peer.writes[written:])
         one.port.send(SAFE_COMMAND)
@@ -274,23 +241,20 @@ async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_d
         await until(lambda: len(one.peer.writes) > written and one.told()[1] == 0)
 
 
-@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@BOTH_WAYS
 async def test_a_drive_whose_reply_to_its_first_energising_command_is_lost_is_read_first(
-    tcp: Wire, changes: dict[str, str | None]
+    changes: Changes,
 ) -> None:
     """It has executed the command, and may have started anew before the next connection."""
-    async with tcp.bench(**changes) as one:
-        await one.hears(2)
-        assert isinstance(one.peer, TcpPeer)
-        peer = one.peer
-        asked: list[int] = []
+    async with benched(**changes) as one:
+        peer, asked = one.peer, list[int]()
 
-        def cut(reply: bytes) -> list[tuple[float, bytes]]:
+        def cut(reply: bytes) -> Pieces:
             if not asked and peer.writes and peer.writes[-1][1][1]:
                 asked.append(len(peer.requests))
                 peer.hang_up()
                 return []
-            return [(0.0, reply)]
+            return untouched(reply)
 
         peer.spoil = cut
         one.port.send(RUN)
@@ -298,18 +262,16 @@ async def test_a_drive_whose_reply_to_its_first_energising_command_is_lost_is_re
         assert peer.requests[asked[0]][0] in {3, 4}
 
 
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
 @pytest.mark.parametrize(("timeout_s", "silent"), [(None, LOST), ("0.1", 1)])
-@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@BOTH_WAYS
 async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(
-    wire: Wire, changes: dict[str, str | None], timeout_s: str | None, silent: int
+    kind: str, changes: Changes, timeout_s: str | None, silent: int
 ) -> None:
     """Replies are lost, and the connection is kept: it may have stopped by its own time-out."""
     changes = {**changes, "bus__command_timeout_s": timeout_s}
-    async with wire.bench(**changes) as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
-        peer = one.peer
-        lost: list[int] = []
+    async with driven(None, kind, **changes) as one:
+        peer, lost = one.peer, list[int]()
 
         def lose(reply: bytes) -> Pieces:
             begun = bool(lost) or peer.requests[-1][0] != 16  # a silence begins with a poll
@@ -332,16 +294,10 @@ async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(
         assert all(up for up, _ in one.ear.bus)
 
 
-@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
-async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
-    wire: Wire, changes: dict[str, str | None]
-) -> None:
-    async with wire.bench(**reported(changes)) as one:
-        one.peer.state = 1
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes))
+@BOTH_WAYS
+async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(changes: Changes) -> None:
+    async with driven(1, **reported(changes)) as one:
         await one.hears(3)
-        assert one.ear.readings[-1].bridge
         one.peer.dead = {1}
         await one.reads(LOST)  # a write of the poll under way may be lost, too
         known, one.peer.state = len(one.peer.writes), 0
@@ -354,14 +310,13 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
         assert one.port.complaint is None
 
 
-@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@BOTH_WAYS
 async def test_a_drive_one_of_whose_reports_is_lost_is_read_before_it_is_driven_on(
-    wire: Wire, changes: dict[str, str | None]
+    changes: Changes,
 ) -> None:
     """It may have started anew: what energises is not written before it has reported again."""
-    async with wire.driven(1, **reported(changes)) as one:
-        peer = one.peer
-        lost: list[int] = []
+    async with driven(1, **reported(changes)) as one:
+        peer, lost = one.peer, list[int]()
 
         def lose(reply: bytes) -> Pieces:
             if lost or peer.requests[-1][0] == 16:
@@ -376,20 +331,12 @@ async def test_a_drive_one_of_whose_reports_is_lost_is_read_before_it_is_driven_
         assert 16 in functions
 
 
-async def test_a_command_from_before_the_bridge_went_off_is_not_written_again(
-    wire: Wire, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_command_from_before_the_bridge_went_off_is_not_written_again() -> None:
     """Whoever decides may hold the next one back: a drive that has just come on may bounce."""
-    async with wire.driven(1, **reported({})) as one:
-        await until(lambda: one.told()[1] == 1)
+    async with driven(1, **reported({})) as one:
         await one.hears(2)
-        take, written = one.ear.on_reading, []
-
-        def note(reading: Reading) -> None:
-            take(reading)
-            written.append((reading.bridge, len(one.peer.writes)))
-
-        monkeypatch.setattr(one.ear, "on_reading", note)
+        written: list[tuple[bool, int]] = []
+        one.ear.decide = lambda reading: written.append((reading.bridge, len(one.peer.writes)))
         one.peer.state = 0
         await until(lambda: [bridge for bridge, _ in written].count(False) == 4)
         known = next(count for bridge, count in written if not bridge)
@@ -398,29 +345,23 @@ async def test_a_command_from_before_the_bridge_went_off_is_not_written_again(
         await until(lambda: len(one.peer.writes) > known)
 
 
-async def test_a_command_follows_the_read_of_the_bridge(wire: Wire) -> None:
+async def test_a_command_follows_the_read_of_the_bridge() -> None:
     """Of several reads that of the bridge is the last: no slow one gives it time to stop."""
-    bridge = {
-        "bus__registers__on": "{ address = 0, table = 'input', bit = 2 }",
-        "signals__bridge": '"on"',
-    }
-    async with wire.driven(1, **SCATTERED, **bridge) as one:
+    async with driven(1, **SCATTERED, **ON_OF_TWO) as one:
         await until(lambda: len(one.peer.writes) > 3)
         read = {before for before, after in pairwise(one.peer.requests) if after[0] == 16}
         assert {request[:3] for request in read} == {b"\x04\0\0"}
 
 
-async def test_a_safe_command_that_no_poll_has_carried_is_written_at_the_end(wire: Wire) -> None:
+async def test_a_safe_command_that_no_poll_has_carried_is_written_at_the_end() -> None:
     """A drive may be on since the process before; with a heartbeat the first poll is no reading."""
-    port, peer = wire.parts()
-    await peer.start()
-    ending = asyncio.create_task(port.run(Ear(), lambda: None))
-    await until(lambda: bool(peer.requests))
-    port.send(SAFE_COMMAND)
-    ending.cancel()
-    await asyncio.gather(ending, return_exceptions=True)
-    await peer.stop()
-    assert [registers[:2] for _, registers in peer.writes][-1:] == [[0, 0]]
+    peer = Peer()
+    one = Bench(build(**peer.link), peer)
+    peer.start()
+    async with ran(one):
+        await one.asks(1)
+        one.port.send(SAFE_COMMAND)
+    assert one.told() == [0, 0]
 
 
 def refuses_writes(pdu: bytes) -> bytes:
@@ -428,89 +369,83 @@ def refuses_writes(pdu: bytes) -> bytes:
     return pdu if pdu[0] in {3, 4} else bytes((pdu[0] | 0x80, 6))
 
 
-@pytest.mark.parametrize("register", ["2", "9"], ids=["same-block", "own-block"])
-async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(
-    wire: Wire, register: str
-) -> None:
+def beats(one: Bench, register: int, known: int) -> list[int]:
+    """Heartbeats among the writes after the first so many."""
+    return [
+        words[register - address]
+        for address, words in one.peer.writes[known:]
+        if address <= register < address + len(words)
+    ]
+
+
+async def is_fed(one: Bench, register: int = 2) -> None:
+    """Wait for some heartbeats."""
+    known = len(one.peer.writes)
+    await until(lambda: len(set(beats(one, register, known))) > 3)
+
+
+@pytest.mark.parametrize("register", [2, 9], ids=["same-block", "own-block"])
+async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(register: int) -> None:
     """Its own watchdog is what is left to switch it off; a drive that obeys is fed again."""
     alive = {"bus__registers__alive": f"{{ address = {register}, table = 'holding' }}"}
-    async with wire.bench(**alive) as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes))
+    async with driven(None, **alive) as one:
         one.peer.answer = refuses_writes
         one.port.send(SAFE_COMMAND)
         await asyncio.sleep(1.5)
         known = len(one.peer.writes)
         await until(lambda: len(one.peer.writes) > known + 10)
-        assert len(set(beats(one, int(register), known))) <= (register == "2")
+        assert len(set(beats(one, register, known))) <= (register == 2)
         assert [0, 0] in [words[:2] for _, words in one.peer.writes[known:]]
         one.peer.answer = lambda pdu: pdu
-        known = len(one.peer.writes)
-        await until(lambda: len(set(beats(one, int(register), known))) > 3)
+        await is_fed(one, register)
 
 
-async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile(tcp: Wire) -> None:
+async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile() -> None:
     """Its own watchdog would end a stop as a fault."""
-    changes = {**REPORTED, "interlocks__stop_s": "5.0"}
-    async with tcp.driven(1, **changes) as one:
+    async with driven(1, **REPORTED, interlocks__stop_s="5.0") as one:
         one.port.send(SAFE_COMMAND)
         await asyncio.sleep(1.5)
-        known = len(one.peer.writes)
-        await until(lambda: len(set(beats(one, 2, known))) > 3)
+        await is_fed(one)
 
 
+@pytest.mark.parametrize("is_reported", [True, False])
 async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_readings(
-    tcp: Wire,
+    *, is_reported: bool
 ) -> None:
     """It acknowledges the safe command and does not obey it; one that reports off is fed again,
-    also beside values that are refused.
+    also beside values that are refused, and so is one that never reports its bridge.
     """
-    async with tcp.driven(1, **REPORTED) as one:
+    async with driven(1, **(REPORTED if is_reported else {})) as one:
         peer = one.peer
-        assert isinstance(peer, TcpPeer)
-        peer.answer = lambda pdu: bytes((0x84, 4)) if pdu[0] == 4 else pdu
+        if is_reported:
+            peer.answer = lambda pdu: bytes((0x84, 4)) if pdu[0] == 4 else pdu
+        else:
+            peer.speed = math.nan
         one.port.send(SAFE_COMMAND)
         for _ in range(4):
             await asyncio.sleep(0.4)
             peer.hang_up()
-        known = len(peer.writes)
-        await until(lambda: len(peer.writes) > known + 10)
-        assert len(set(beats(one, 2, known))) == 1
-        peer.answer, peer.state, peer.speed = (lambda pdu: pdu), 2, math.nan
-        known = len(peer.writes)
-        await until(lambda: len(set(beats(one, 2, known))) > 3)
+        if is_reported:
+            known = len(peer.writes)
+            await until(lambda: len(peer.writes) > known + 10)
+            assert len(set(beats(one, 2, known))) == 1
+            peer.answer, peer.state, peer.speed = (lambda pdu: pdu), 2, math.nan
+        await is_fed(one)
 
 
-async def test_a_drive_that_never_reports_its_bridge_is_fed_at_rest_beside_refused_values(
-    tcp: Wire,
-) -> None:
-    async with tcp.driven(1) as one:
-        peer = one.peer
-        assert isinstance(peer, TcpPeer)
-        peer.speed = math.nan
-        one.port.send(SAFE_COMMAND)
-        for _ in range(4):  # the connections only pass the time in which it must obey
-            await asyncio.sleep(0.4)
-            peer.hang_up()
-        known = len(peer.writes)
-        await until(lambda: len(set(beats(one, 2, known))) > 3)
-
-
-async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_values(
-    wire: Wire,
-) -> None:
+async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_values() -> None:
     """All ones are no bridge."""
     fault = {
         "bus__registers__fault": "{ address = 5, table = 'input', bit = 1 }",
         "signals__fault": '"fault"',
     }
-    async with wire.driven(1, **REPORTED, **fault) as one:
+    async with driven(1, **REPORTED, **fault) as one:
         one.peer.speed = math.nan
         await one.asks(12)
         good = one.ear.readings[-1]
         one.port.send(SAFE_COMMAND)
         one.peer.state = 0xFFFF
-        await until(lambda: one.told() == [0, 0])
+        await one.is_told(0, 0)
         await one.asks(12)
         assert one.ear.readings[-1].bridge_reported_s < one.port.safe_s
         one.peer.state = 2
@@ -523,7 +458,7 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
 
 
 @pytest.mark.parametrize("coded", ["uint16", "int16"])
-async def test_a_register_without_a_value_confirms_no_stop(wire: Wire, coded: str) -> None:
+async def test_a_register_without_a_value_confirms_no_stop(coded: str) -> None:
     """A gateway gives all ones for a module that it does not reach; the other values are right."""
     register = f"{{ address = 5, table = 'input', type = '{coded}' }}"
     state = {
@@ -531,10 +466,10 @@ async def test_a_register_without_a_value_confirms_no_stop(wire: Wire, coded: st
         "bus__registers__closed": register,
         "signals__bridge": "{ signal = 'closed', on = 4 }",
     }
-    async with wire.driven(4, **state) as one:
+    async with driven(4, **state) as one:
         one.peer.state = 0xFFFF
         one.port.send(SAFE_COMMAND)
-        await until(lambda: one.told() == [0, 0])
+        await one.is_told(0, 0)
         await one.asks(12)
         assert one.ear.readings[-1].bridge
         why = "bridge: input 5 (address from 0) holds ffff, its word for no value"
@@ -544,34 +479,30 @@ async def test_a_register_without_a_value_confirms_no_stop(wire: Wire, coded: st
         assert not one.ear.readings[-1].bridge
 
 
-async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven_on(
-    wire: Wire,
-) -> None:
-    async with wire.driven(1, **REPORTED) as one:
+async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven_on() -> None:
+    async with driven(1, **REPORTED) as one:
         one.peer.speed, one.peer.state = math.nan, 0
         await one.asks(4)
         known = len(one.peer.writes)
         await one.asks(8)
-        assert one.peer.writes[known:] == []
         assert (one.ear.readings[-1].bridge, one.ear.readings[-1].whole) == (False, False)
         one.peer.speed = 3.25
         await one.hears(2)
         assert one.peer.writes[known:] == []
         one.port.send(SAFE_COMMAND)
-        await until(lambda: one.told() == [0, 0])
+        await one.is_told(0, 0)
         assert one.port.complaint is None
 
 
 @pytest.mark.parametrize("stops_unseen", [True, False])
 async def test_a_drive_that_came_on_beside_refused_values_and_stopped_is_not_driven_on(
-    wire: Wire, *, stops_unseen: bool
+    *, stops_unseen: bool
 ) -> None:
-    async with wire.bench(**REPORTED) as one:
+    async with benched(**REPORTED) as one:
         one.peer.state = 0
         await one.hears(2)
         one.peer.speed, one.peer.state = math.nan, 1
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes))
+        await one.runs_until(lambda: bool(one.peer.writes))
         await one.asks(4)
         if not stops_unseen:
             one.peer.state = 0
@@ -584,58 +515,40 @@ async def test_a_drive_that_came_on_beside_refused_values_and_stopped_is_not_dri
         await one.asks(4)
         assert one.peer.writes[written:] == []
         one.port.send(SAFE_COMMAND)
-        await until(lambda: one.told() == [0, 0])
+        await one.is_told(0, 0)
         assert one.port.complaint is None
 
 
-STANDING: dict[str, str | None] = {
-    "bus__heartbeat__drive": '"state"',
-    "bus__registers__on": "{ address = 0, table = 'input', bit = 2 }",
-    "signals__bridge": '"on"',
-}
-"""Its heartbeat may stand; the bridge is a bit of the word of the voltage, here on."""
-OFF = 30008
-
-
-async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(wire: Wire) -> None:
+@pytest.mark.parametrize("stops", [False, True])
+async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(*, stops: bool) -> None:
     """Its polls are answered, and give no reading: nothing is decided anew."""
-    async with wire.driven(None, **STANDING) as one:
+    async with driven(None, **ON_OF_TWO, bus__heartbeat__drive='"state"') as one:
         one.peer.state = 1
         await one.asks(8)
+        if stops:
+            one.peer.voltage = 30008
+            await one.asks(2)
         known = len(one.peer.writes)
         await one.asks(8)
         assert one.peer.writes[known:] == []
-        one.peer.state = None
-        await until(lambda: len(one.peer.writes) > known)
-        assert one.port.complaint is None
-
-
-async def test_a_drive_that_reports_its_stop_beside_a_standing_heartbeat_is_not_driven_on(
-    wire: Wire,
-) -> None:
-    async with wire.driven(None, **STANDING) as one:
-        one.peer.state = 1
-        await one.asks(2)
-        one.peer.voltage = OFF
-        await one.asks(2)
-        known = len(one.peer.writes)
         one.peer.state = None
         await one.hears(2)
-        assert not one.ear.readings[-1].bridge
-        assert one.peer.writes[known:] == []
+        if stops:
+            assert not one.ear.readings[-1].bridge
+            assert one.peer.writes[known:] == []
+        else:
+            await until(lambda: len(one.peer.writes) > known)
+            assert one.port.complaint is None
 
 
-async def test_a_drive_without_values_confirms_its_stop_over_a_new_link(wire: Wire) -> None:
-    async with wire.bench(**REPORTED) as one:
-        one.peer.state = 1
-        one.port.send(RUN)
-        await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
-        await one.peer.stop()
-        await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
+async def test_a_drive_without_values_confirms_its_stop_over_a_new_link() -> None:
+    async with driven(1, **REPORTED) as one:
+        one.peer.stop()
+        await one.hears_of_bus(up=False)
         good = one.ear.readings[-1]
         one.port.send(SAFE_COMMAND)
         one.peer.speed, one.peer.state = math.nan, 0
-        await one.peer.start()
+        one.peer.start()
         await one.hears(2)
         reading = one.ear.readings[-1]
     assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
@@ -643,40 +556,24 @@ async def test_a_drive_without_values_confirms_its_stop_over_a_new_link(wire: Wi
     assert one.port.safe_s < reading.bridge_reported_s
 
 
-def beats(one: Bench, register: int, known: int) -> list[int]:
-    """Heartbeats among the writes after the first so many."""
-    return [
-        words[register - address]
-        for address, words in one.peer.writes[known:]
-        if address <= register < address + len(words)
-    ]
-
-
-def slow(reply: bytes) -> Pieces:
-    """A reply just before its time-out."""
-    return [(0.7 * TIMEOUT_s, reply)]
-
-
-async def test_a_drive_that_answers_slowly_gets_its_commands(wire: Wire) -> None:
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+async def test_a_drive_that_answers_slowly_gets_its_commands(kind: str) -> None:
     """Each reply takes less than its time-out, and the four of a poll more than two polls."""
-    async with wire.bench(**SCATTERED) as one:
-        one.peer.spoil = slow
+    async with benched(kind, **SCATTERED) as one:
+        one.peer.spoil = lambda reply: [(0.7 * TIMEOUT_s, reply)]
         for voltage_V in (250.0, 260.0):
-            told = [round(100.0 * voltage_V), 1]
-            # a command that waits for too long on a busy machine is discarded: send it again
-            while not one.peer.writes or one.told() != told:
-                one.port.send(Command(0.0, voltage_V, bridge=True))
-                await one.hears(1)
+            one.port.send(Command(0.0, voltage_V, bridge=True))
+            await one.hears(2)
+            assert one.told() == [round(100.0 * voltage_V), 1]
 
 
-async def test_a_poll_that_missed_its_time_is_not_followed_by_a_pause(tcp: Wire) -> None:
+async def test_a_poll_that_missed_its_time_is_not_followed_by_a_pause() -> None:
     """Four exchanges take over two polls: the next poll begins at once, not at the third."""
-    async with tcp.bench(**SCATTERED) as one, judged(0.1 * POLL_s):
+    async with benched(**SCATTERED) as one:
         one.peer.spoil = lambda reply: [(0.5 * POLL_s, reply)]
         one.port.send(Command(0.0, 250.0, bridge=True))
         await one.hears(3)
         known = len(one.ear.readings)
         await one.hears(20)
         ends = [reading.arrival_s for reading in one.ear.readings[known - 1 :]]
-        intervals_s = [end - begin for begin, end in pairwise(ends)]
-        assert median(intervals_s) < 2.7 * POLL_s
+        assert median([end - begin for begin, end in pairwise(ends)]) < 2.7 * POLL_s

@@ -1,132 +1,156 @@
-"""A serial port whose opening or closing hangs, as that of a broken USB adapter does.
-
-The call that hangs is released by the event loop: were it to hold up the loop, no test would end.
-"""
+"""A serial port whose opening or closing hangs, as that of a broken USB adapter does."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import threading
-from collections import Counter
-from collections.abc import AsyncIterator
-from pathlib import Path
+from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 import pytest
-import serial as pyserial
+from serial import SerialException
 
 from adaptdrive.config.modbus import ModbusRtu
-from adaptdrive.errors import BusError
-from adaptdrive.hardware.modbus.link import ModbusConnection
+from adaptdrive.hardware.modbus import serial_port
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.polled.capacity import Block, Exchange
-from adaptdrive.hardware.polled.link import ExchangeError
+from adaptdrive.hardware.polled.link import Stream
 from tests.config.modbus_documents import parse
+from tests.hardware import memory
 from tests.hardware.bench import until
-from tests.hardware.modbus.bench import RtuPeer, Wire, serial
+from tests.hardware.modbus.bench import Peer, benched
+
+pytestmark = pytest.mark.usefixtures("memory")
+_open = SerialPort.open  # as it is on a line that is not in memory
 
 
-class Hang:
-    """A call that does not return until it is released, and how often it was begun."""
+class Transport:
+    """Stands for pymodbus's transport of a serial port, which opens as it is made."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
-        self.released = threading.Event()
+    def __init__(self, let_close: Callable[[Any], None], *given: Any) -> None:
+        self._let_close, self._device = let_close, given[2]
+        if str(self._device) not in memory._served:
+            raise SerialException
+
+    def set_protocol(self, protocol: asyncio.Protocol) -> None:
+        self._end = memory.connect(self._device, protocol)
+
+    def setup(self) -> None:
+        """Be set up."""
+
+    def close(self) -> None:
+        self._let_close(self._end)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._end, name)
+
+
+class Threads:
+    """Threads whose calls return at once, or when they are released.
+
+    Attributes:
+        hangs: Whether they wait.
+        begun: How many calls waited.
+    """
+
+    def __init__(self) -> None:
+        self.hangs = False
         self.begun = 0
-        real = getattr(owner, name)
+        self._waiting: list[Callable[[], None]] = []
 
-        def call(*args: Any, **kwargs: Any) -> Any:
+    def start(self, call: Callable[[], Any], _: str) -> Future[Any]:
+        future: Future[Any] = Future()
+
+        def returns() -> None:
+            try:
+                future.set_result(call())
+            except SerialException as problem:
+                future.set_exception(problem)
+
+        if self.hangs:
             self.begun += 1
-            assert self.released.wait(60.0)
-            return real(*args, **kwargs)
+            self._waiting.append(returns)
+        else:
+            returns()
+        return future
 
-        monkeypatch.setattr(owner, name, call)
-
-
-@pytest.fixture(autouse=True)
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adaptdrive.hardware.modbus.serial_port.PATIENCE_S", 0.1)
+    def release(self) -> None:
+        self.hangs = False
+        for returns in self._waiting:
+            returns()
 
 
 @pytest.fixture
-async def line(tmp_path: Path) -> AsyncIterator[ModbusRtu]:
-    """A serial line with a device on it."""
-    peer = RtuPeer(tmp_path / "drive.tty")
-    await peer.start()
-    bus = parse(**serial(peer.link)).bus
+def threads(memory: None, monkeypatch: pytest.MonkeyPatch) -> Threads:
+    found = Threads()
+    monkeypatch.setattr(serial_port, "in_thread", found.start)
+    monkeypatch.setattr(serial_port, "_Transport", Transport)
+    monkeypatch.setattr(serial_port, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(SerialPort, "open", _open)
+    return found
+
+
+@pytest.fixture
+def peer() -> Peer:
+    return Peer("rtu")
+
+
+@pytest.fixture
+def port(peer: Peer) -> SerialPort:
+    """A port on whose line there is a device."""
+    peer.start()
+    bus = parse(**peer.link).bus
     assert isinstance(bus, ModbusRtu)
-    yield bus
-    await peer.stop()
-
-
-async def opened(bus: ModbusRtu, port: SerialPort) -> ModbusConnection:
-    link = ModbusConnection(bus, Counter(), asyncio.get_running_loop().time, serial=port)
-    await link.open()
-    return link
-
-
-async def check_that_it_answers(bus: ModbusRtu, port: SerialPort) -> None:
-    """Open a link as soon as the port takes it, ask for registers until they come, and close it."""
-    async with asyncio.timeout(60.0):
-        link = None
-        while link is None:
-            with contextlib.suppress(BusError):
-                link = await opened(bus, port)
-        words: list[int] = []
-        while not words:
-            with contextlib.suppress(ExchangeError):
-                words = await link.exchange(Exchange(read=Block("input", 0, 2)), [])
-        link.close()
+    return SerialPort(bus)
 
 
 async def test_a_port_that_hangs_while_it_is_opened_is_waited_for_by_one_thread(
-    line: ModbusRtu, monkeypatch: pytest.MonkeyPatch
+    port: SerialPort, threads: Threads
 ) -> None:
-    hang, port = Hang(monkeypatch, pyserial, "serial_for_url"), SerialPort(line)
+    threads.hangs = True
     for _ in range(3):
-        with pytest.raises(BusError, match=r"drive\.tty .*hangs: not opened within 0\.1 s"):
-            await opened(line, port)
-    assert hang.begun == 1
-    hang.released.set()
-    await check_that_it_answers(line, port)
-    assert hang.begun == 1
+        with pytest.raises(OSError, match=r"hangs: not opened within 0\.1 s"):
+            await port.open(Stream())
+    assert threads.begun == 1
+    threads.release()
+    await port.open(Stream())
+    assert threads.begun == 1
 
 
 async def test_a_port_that_hangs_while_it_is_closed_is_not_opened_beside_it(
-    line: ModbusRtu, monkeypatch: pytest.MonkeyPatch
+    port: SerialPort, threads: Threads
 ) -> None:
-    port = SerialPort(line)
-    link = await opened(line, port)
-    hang = Hang(monkeypatch, pyserial.Serial, "close")
-    link.close()
+    transport = await port.open(Stream())
+    threads.hangs = True
+    transport.close()
     for _ in range(3):
-        with pytest.raises(BusError, match=r"hangs: not closed within 0\.1 s"):
-            await opened(line, port)
-    assert hang.begun == 1
-    hang.released.set()
-    await check_that_it_answers(line, port)
+        with pytest.raises(OSError, match=r"hangs: not closed within 0\.1 s"):
+            await port.open(Stream())
+    assert threads.begun == 1
+    threads.release()
+    await port.open(Stream())
 
 
-async def test_a_port_that_cannot_be_opened_is_opened_later(line: ModbusRtu) -> None:
-    port, moved = SerialPort(line), line.device.with_name("elsewhere")
-    line.device.rename(moved)
-    with pytest.raises(BusError, match="there is no such serial port"):
-        await opened(line, port)
-    moved.rename(line.device)
-    await check_that_it_answers(line, port)
-
-
-async def test_the_loop_goes_on_while_the_port_of_a_lost_drive_hangs(
-    rtu: Wire, monkeypatch: pytest.MonkeyPatch
+async def test_a_port_that_cannot_be_opened_is_opened_later(
+    port: SerialPort, peer: Peer, threads: Threads
 ) -> None:
-    async with rtu.bench() as one:
-        assert isinstance(one.peer, RtuPeer)
-        await one.peer.stop()
-        await until(lambda: not one.ear.bus[-1][0] if one.ear.bus else False)
-        hang = Hang(monkeypatch, pyserial, "serial_for_url")
-        await one.peer.start()
-        await until(lambda: hang.begun == 1)
+    peer.stop()
+    with pytest.raises(OSError, match="there is no such serial port"):
+        await port.open(Stream())
+    peer.start()
+    await port.open(Stream())
+    assert threads.begun == 0
+
+
+async def test_the_loop_goes_on_while_the_port_of_a_lost_drive_hangs(threads: Threads) -> None:
+    async with benched("rtu") as one:
+        one.peer.stop()
+        await one.hears_of_bus(up=False)
+        threads.hangs = True
+        one.peer.start()
+        await until(lambda: threads.begun == 1)
         known = len(one.ear.readings)
-        hang.released.set()
+        await asyncio.sleep(10.0)
+        assert threads.begun == 1
+        threads.release()
         await until(lambda: len(one.ear.readings) > known)
         assert one.ear.bus[-1][0]

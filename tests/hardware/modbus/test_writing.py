@@ -16,9 +16,9 @@ from adaptdrive.hardware.polled.pace import WritePace
 from tests.config.modbus_documents import flaws
 from tests.devices.modbus_node import ILLEGAL_VALUE, ModbusNode, RefusalError
 from tests.hardware.bench import Ear, until
-from tests.hardware.modbus.bench import build, plan
+from tests.hardware.modbus.bench import RUN, build, plan
 
-RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)
+pytestmark = pytest.mark.usefixtures("memory")
 UNLOCK, MODE, WANTED, CONTROL = 20, 21, 0, 1
 SETUP = {
     "bus__registers__unlock": "{ address = 20, table = 'holding' }",
@@ -59,10 +59,13 @@ class Drive(ModbusNode):
 
 @contextlib.asynccontextmanager
 async def running(
-    drive: ModbusNode, **changes: str | None
+    drive: ModbusNode, first: Command | None = None, /, **changes: str | None
 ) -> AsyncIterator[tuple[ModbusPort, Ear]]:
+    """Run a port against a drive, with a first command or none."""
     async with drive.served():
         port, ear = build(bus__port=str(drive.port), bus__heartbeat__daemon=None, **changes), Ear()
+        if first is not None:
+            port.send(first)
         task = asyncio.create_task(port.run(ear, lambda: None))
         try:
             yield port, ear
@@ -132,13 +135,8 @@ async def test_a_register_that_tells_a_scale_must_hold_that_of_the_file(
 
 async def test_a_stop_goes_before_the_set_up() -> None:
     drive = Drive()
-    async with drive.served():
-        port, ear = build(bus__port=str(drive.port), **SETUP), Ear()
-        port.send(SAFE_COMMAND)
-        task = asyncio.create_task(port.run(ear, lambda: None))
+    async with running(drive, SAFE_COMMAND, **SETUP):
         await until(lambda: bool(drive.written(MODE)))
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
     assert next(address for address, _ in drive.writes) in {WANTED, CONTROL}
 
 

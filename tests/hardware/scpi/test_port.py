@@ -1,12 +1,10 @@
-"""A supply that speaks SCPI, answered by a server that shares no code with the port."""
+"""A supply that speaks SCPI, answered by one that shares no code with the port."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import math
-import socket
-import time
 import tomllib
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -18,12 +16,13 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import Port
 from adaptdrive.runtime.trips import remedy
+from tests.hardware import memory
 from tests.hardware.bench import Ear, until
-from tests.support import free_port
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "motor-scpi.toml"
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.6543, bridge=True)
 Answer = Callable[[str], bytes | None]
+pytestmark = pytest.mark.usefixtures("memory")
 
 
 class Supply:
@@ -98,23 +97,21 @@ class Rig:
 
 @pytest.fixture
 async def rig(request: pytest.FixtureRequest) -> AsyncIterator[Rig]:
-    """The example on a port of its own, patient with a busy machine; `param` is more of its bus."""
-    supply, ear = Supply(free_port(socket.SOCK_STREAM)), Ear()
+    """The example on a port of its own; `param` is more of its bus."""
+    supply, ear = Supply(memory.new_port()), Ear()
     tables = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
     tables["bus"] |= {"port": supply.port, "poll_ticks": 24, "timeout_s": 0.15}
     tables["bus"] |= {"command_timeout_s": 1.0} | getattr(request, "param", {})
     tables["bus"]["values"]["limit"] = {"query": "VOLT:PROT?", "write": "VOLT:PROT {:.1f}"}
     tables["load"]["latency_ticks"], tables["interlocks"]["stale_s"] = 24, 1.0
-    port = build_port(validate_configuration(tables, EXAMPLE), time.monotonic, EXAMPLE)
-    server = await asyncio.start_server(supply.serve, "127.0.0.1", supply.port)
-    task = asyncio.create_task(port.run(ear, lambda: None))
-    try:
+    port = build_port(
+        validate_configuration(tables, EXAMPLE), asyncio.get_running_loop().time, EXAMPLE
+    )
+    with memory.serving(supply.port, supply.serve):
+        task = asyncio.create_task(port.run(ear, lambda: None))
         yield Rig(port, supply, ear)
-    finally:
         task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
-        server.close()
+        await asyncio.wait([task])
         supply.hang_up()
 
 
