@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
@@ -201,16 +200,6 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now_s
-
-
-class WallClock:
-    """The machine's wall clock, which a test sets."""
-
-    def __init__(self) -> None:
-        self.step_s = 0.0
-
-    def __call__(self) -> float:
-        return time.time() + self.step_s
 
 
 def rewritten(folder: Path, *changes: tuple[str, str], bus: CanBus = MOTOR_BUS) -> CanBus:

@@ -70,11 +70,11 @@ def ear() -> Ear:
 
 
 @pytest.fixture
-def can_utils(channel: str, spawn: Spawn, tmp_path: Path) -> CanUtils:
+def can_utils(channel: str, spawn: Spawn) -> CanUtils:
     """The programs of can-utils, on that interface."""
     if shutil.which("candump") is None:
         pytest.skip("can-utils are not installed")
-    return CanUtils(channel, spawn, tmp_path)
+    return CanUtils(channel, spawn)
 
 
 def _ip(*words: str) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -31,7 +31,6 @@ class CanUtils:
 
     channel: str
     spawn: Spawn
-    folder: Path
 
     @property
     def carried(self) -> int:
@@ -41,17 +40,6 @@ class CanUtils:
     def send(self, frame: str) -> None:
         """Have cansend send one frame."""
         subprocess.run(["cansend", self.channel, frame], check=True, timeout=_PATIENCE_S)
-
-    def play(self, half_cycles: Sequence[Sequence[str]]) -> Process:
-        """Have canplayer send frames at the pace of a drive."""
-        log = self.folder / "frames.log"
-        lines = (
-            f"({number / 120:.6f}) {self.channel} {frame}\n"
-            for number, frames in enumerate(half_cycles)
-            for frame in frames
-        )
-        log.write_text("".join(lines))
-        return self.spawn("canplayer", "-I", log)
 
     def generate(self, *options: str) -> Process:
         """Have cangen send frames as fast as it can."""
