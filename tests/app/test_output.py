@@ -8,7 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from adaptdrive.app.output import LINES_HELD
+
+pytestmark = pytest.mark.usefixtures("outside")
 
 LINES = 3000
 PROGRAM = f"""
@@ -43,7 +47,7 @@ def test_what_a_late_reader_lost_is_counted(tmp_path: Path) -> None:
     process.stdin.close()
     with os.fdopen(reader) as lines:
         entries = [json.loads(line) for line in lines]
-    assert process.wait(60) == 0
+    assert process.wait() == 0
     numbers = [entry["number"] for entry in entries if "number" in entry]
     lost = sum(entry.get("lost", 0) for entry in entries)
     assert lost > 0
@@ -59,4 +63,4 @@ def test_a_reader_that_left_is_no_error(tmp_path: Path) -> None:
     wait_for(tmp_path / "done", process)
     assert process.stdin is not None
     process.stdin.close()
-    assert process.wait(60) == 0
+    assert process.wait() == 0

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
 
+from adaptdrive.app import reload
 from adaptdrive.app.reload import Given, RunCourse
 from adaptdrive.config import load_configuration
 from adaptdrive.errors import RefusedError
@@ -22,8 +25,19 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "motor.toml"
 
 
+def at_once(read: Callable[[], Given], _: str) -> Future[Given]:
+    """Read without a thread: virtual time would not wait for it."""
+    future: Future[Given] = Future()
+    try:
+        future.set_result(read())
+    except Exception as problem:  # noqa: BLE001 - as a thread would
+        future.set_exception(problem)
+    return future
+
+
 @pytest.fixture
-def course(path: Path) -> RunCourse:
+def course(path: Path, monkeypatch: pytest.MonkeyPatch) -> RunCourse:
+    monkeypatch.setattr(reload, "in_thread", at_once)
     course = RunCourse(path, Given(load_configuration(path), path.read_text(encoding="utf-8")))
     assert course.next_run() is not None
     return course
@@ -44,3 +58,24 @@ async def test_another_scale_in_the_dbc_needs_a_restart(course: RunCourse, path:
     assert database.read_text(encoding="cp1252") != text
     with pytest.raises(RefusedError, match="a changed DBC or EDS file needs a restart"):
         await course.prepare(Reload())
+
+
+@pytest.mark.parametrize(
+    ("change", "measured", "reason"),
+    [
+        (("udp_port = 43113", "udp_port = 43114"), None, r"a change of \[bus\] needs a restart"),
+        (("pole = 0.70", "pole = 0.71"), "0" * 64, "not the file whose model was measured"),
+    ],
+)
+async def test_what_a_running_process_cannot_take_is_refused(
+    course: RunCourse, path: Path, change: tuple[str, str], measured: str | None, reason: str
+) -> None:
+    _replace(path, *change)
+    with pytest.raises(RefusedError, match=reason):
+        await course.prepare(Reload(measured))
+
+
+def _replace(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")

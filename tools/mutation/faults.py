@@ -24,6 +24,10 @@ FAULTS = Path(__file__).with_name("faults.toml")
 KILLED = "killed"
 _NO_TESTS = 5
 """Status of pytest that has found no test."""
+
+_ENDS = frozenset({0, 1, 2, _NO_TESTS})
+"""Those that say something of the tests, and not of how they were called."""
+
 _LONGEST_S = 300.0
 """Longest run of the tests of one fault: one that lets them hang is noticed, too."""
 
@@ -88,9 +92,10 @@ def _run(sources: Path, tests: Sequence[str], **more: str) -> tuple[bool, str]:
         )
     except subprocess.TimeoutExpired:
         return False, f"no end within {_LONGEST_S:g} s"
-    if done.returncode == _NO_TESTS:
-        return True, "no test"
-    return done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    text = done.stdout[-2000:] + done.stderr[-2000:]
+    if done.returncode not in _ENDS:
+        raise RuntimeError(text)
+    return done.returncode in {0, _NO_TESTS}, text
 
 
 def _failed_test(text: str) -> str:

@@ -1,0 +1,47 @@
+"""Safe commands outside of ticks, counted at a loop that only counts."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from adaptdrive.hardware.port import FAREWELLS
+from adaptdrive.runtime.fast_loop import FastLoop
+from adaptdrive.runtime.requests import Enable
+from adaptdrive.runtime.stop_sender import StopSender
+from tests.runtime.test_machine import Desk
+
+
+class Counting:
+    """Stands for a fast loop.
+
+    Attributes:
+        sent: Safe commands.
+    """
+
+    stop_limit_s = 0.5
+
+    def __init__(self) -> None:
+        self.sent = 0
+
+    def send_safe(self) -> None:
+        self.sent += 1
+
+
+def test_a_flood_of_stops_leaves_out_none_of_an_energised_drive() -> None:
+    desk, fast = Desk(), Counting()
+    sender = StopSender(desk.machine, cast(FastLoop, fast), lambda: 100.0)
+    sender.stop_again()
+    sender.stop_again()
+    assert fast.sent == 1
+    desk.ask(Enable())
+    sender.stop_again()
+    assert fast.sent == 2
+    assert not desk.machine.energised
+
+
+async def test_a_farewell_is_said_more_than_once() -> None:
+    desk, fast = Desk(), Counting()
+    desk.ask(Enable())
+    await StopSender(desk.machine, cast(FastLoop, fast), lambda: 100.0).say_farewell()
+    assert fast.sent == FAREWELLS > 1
+    assert not desk.machine.energised
