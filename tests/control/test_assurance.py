@@ -12,20 +12,12 @@ from scipy.signal import lfilter
 
 from adaptdrive.control.assurance import closes_stably, possible_models, response_spread
 from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
-from adaptdrive.control.load import Load
-from adaptdrive.control.loads.bath import bath_load
-from adaptdrive.control.loads.battery import battery_load
 from tests.closed_loop.bench import EXACT, MOTOR
 from tests.control.systems import decades
 
 Array = NDArray[np.float64]
 
 BOLD = replace(EXACT, jacket=replace(EXACT.jacket, confidence=2.0))
-LOADS = {
-    "motor": MOTOR,
-    "bath": bath_load(0.021, 200.0, 0.25, 1.0, 7.87),
-    "battery": battery_load(0.25, 0.3, 0.05, 60.0),
-}
 
 
 def motor_gains(tau_motor_s: float, pole: float = 0.7) -> list[float]:
@@ -36,14 +28,6 @@ def motor_gains(tau_motor_s: float, pole: float = 0.7) -> list[float]:
 def motor_model(tau_motor_s: float) -> tuple[list[float], list[float]]:
     values = [0.011, tau_motor_s + 10.0, tau_motor_s * 10.0]
     return discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0)
-
-
-@pytest.mark.parametrize("load", LOADS.values(), ids=LOADS.keys())
-@given(shares=st.lists(decades(0.2, 8.0), min_size=3, max_size=3))
-def test_parameters_and_models_are_inverse_to_each_other(load: Load, shares: list[float]) -> None:
-    nominal = load.physical(list(load.numerator), list(load.denominator))
-    values = [n * share for n, share in zip(nominal, shares, strict=False)]
-    assert load.physical(*load.realise(values)) == pytest.approx(values, rel=1e-12)
 
 
 @given(decades(2.0, 120.0), decades(2.0, 120.0), st.floats(0.5, 0.95))
@@ -118,15 +102,3 @@ def test_a_load_within_the_covariance_that_the_loop_does_not_hold_leaves_all_ope
 @pytest.mark.parametrize("unknown", [math.nan, math.inf])
 def test_what_is_not_known_leaves_all_open(unknown: float) -> None:
     assert spread(HEAVY, np.diag([1e-5, 0.01, unknown])) == math.inf
-
-
-@pytest.mark.parametrize("deviation", [0.0, 1.0])
-def test_a_parameter_of_0_stays_there(deviation: float) -> None:
-    """A battery that is learnt without filters has a model without a direct term."""
-    battery, values = LOADS["battery"], [0.0, 0.2, 15.0]
-    a, b = discrete_model(BOLD, battery, *battery.realise(values), 1.0)
-    gains, loop = compensator_gains(a, b, 1, 0.7), asked_loop(b, 1, 0.7)
-    root = list(np.diag([0.0, 0.0, deviation]).ravel())
-    models = possible_models(BOLD, battery, values, root, 1.0)
-    found = response_spread(1, models, gains, loop, b, 0.7)
-    assert found == 0.0 if deviation == 0.0 else 0.0 < found < 0.2

@@ -96,23 +96,6 @@ def test_what_does_not_walk_is_forgotten_as_if_the_rest_were_integrated_out(walk
     assert np.allclose(found.covariance, expected[1], rtol=1e-7, atol=1e-12)
 
 
-def test_a_sample_that_teaches_nothing_leaves_the_rest_as_it_was() -> None:
-    found = Beside(4, 1, 0.3, 0.97, 1.2)
-    random = np.random.default_rng(4)
-    for _ in range(100):
-        found.take(np.append(random.normal(size=3), 1.0), float(random.normal()))
-    still = np.append(random.normal(size=3), 1.0)
-    for _ in range(300):
-        found.take(still, float(random.normal()))
-    dynamics, known = found.theta[:3], found.covariance[:3, :3]
-    bias = found.theta[3]
-    for _ in range(30):
-        found.take(still, 5.0)
-    assert found.theta[:3] == dynamics
-    assert np.allclose(found.covariance[:3, :3], known, rtol=1e-9)
-    assert found.theta[3] > bias + 1.0
-
-
 def test_eight_hours_at_rest_widen_nothing_but_the_walk() -> None:
     found = Beside(4, 1, 0.2, 0.97, 1.2)
     random = np.random.default_rng(5)

@@ -210,27 +210,6 @@ def test_adaptive_control_waits_for_the_warm_up_and_says_so() -> None:
     assert bench.decisions[-1].reason == ""
 
 
-def test_before_its_error_bars_are_known_an_estimate_is_not_given_any() -> None:
-    jacket = replace(EXACT.jacket, warm_up_periods=0, spread_max=0.05, confidence=2.0)
-    bench = Bench(replace(EXACT, jacket=jacket))
-    bench.run(3.0, order(mode=Mode.ADAPTIVE))
-    reason = bench.decisions[-1].reason
-    assert reason == "the estimate does not show yet what its loop would do"
-
-
-def test_an_estimate_out_of_bounds_is_named_with_its_bounds() -> None:
-    narrow = Jacket(warm_up_periods=10, ratio_min=0.9, ratio_max=1.1, patience_periods=3)
-    bench = Bench(replace(EXACT, jacket=narrow))
-    bench.motor.disks = 3
-    for second in range(100):
-        bench.run(1.0, order(square_wave(second), Mode.ADAPTIVE))
-    last = bench.decisions[-1]
-    assert last.controller is Mode.FIXED
-    assert not last.accepted
-    assert "tau_" in last.reason
-    assert "outside" in last.reason
-
-
 # what it never does
 
 SMALL = Rates(ticks_per_period=4, latency_ticks=1, samples=2, nominal_tick_s=TICK_s)

@@ -27,7 +27,6 @@ from tests.control.systems import (
 )
 
 TICKS = 120
-EQUAL = (20.0, 100.0)
 """Sum and product of two time constants of 10 s."""
 
 
@@ -122,16 +121,6 @@ def test_the_impulse_invariant_pair_is_scipys_whatever_the_poles(
     a, b = impulse_invariant_pair(gain, tau_sum, tau_product, period_s)
     expected = impulse_invariant(gain, tau_sum, tau_product, period_s)
     assert np.allclose([*a, *b], expected, rtol=0.0, atol=1e-11 * max(1.0, gain))
-
-
-def test_equal_time_constants_are_no_special_case() -> None:
-    at = impulse_invariant_pair(0.011, *EQUAL, 1.0)
-    near = [impulse_invariant_pair(0.011, EQUAL[0], EQUAL[1] * (1 + e), 1.0) for e in (1e-9, -1e-9)]
-    decay = math.exp(-0.1)
-    assert at[0] == pytest.approx([1.0, -2.0 * decay, decay**2], rel=1e-14)
-    assert at[1][1] == pytest.approx(0.011 / 100.0 * decay, rel=1e-14)
-    for a, b in near:
-        assert [*a, *b] == pytest.approx([*at[0], *at[1]], rel=1e-8)
 
 
 @pytest.mark.parametrize(

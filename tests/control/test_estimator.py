@@ -201,16 +201,6 @@ def memory(state: est.EstimatorState) -> list[float]:
     return [*state.estimate.theta, *state.estimate.upper, *state.estimate.diagonal]
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("place", ["output", "regressor"])
-def test_what_is_not_a_number_never_enters(bad: float, place: str) -> None:
-    state = taught(PLAIN_LEARNING)
-    before = memory(state)
-    state.sample.regressor[:] = [1.0, bad if place == "regressor" else 2.0, 3.0]
-    est.learn(state, PLAIN_LEARNING, MOTOR, bad if place == "output" else 1.0, usable=True)
-    assert memory(state) == before
-
-
 @given(
     st.lists(
         st.floats(-1e20, 1e20) | st.sampled_from([math.nan, math.inf]), min_size=4, max_size=40

@@ -145,9 +145,3 @@ def test_the_loop_is_never_slower_than_asked(pole: float) -> None:
     a, b = model(1)
     found = faster((a, b), pole, 0.0, 8.0)
     assert np.max(np.abs(np.roots(found))) <= pole + 2e-3
-
-
-def test_a_zero_that_is_cancelled_stays_a_pole_of_the_loop() -> None:
-    a, b = [1.0, -0.9565], [0.0, 0.208, -0.208 * 0.9674]
-    found = np.roots(faster((a, b), POLE, 0.0, 8.0))
-    assert np.min(np.abs(found - 0.9674)) < 1e-9

@@ -65,15 +65,6 @@ def test_means_are_means_and_the_window_starts_again(samples: list[tuple[float, 
     assert fast.take_means(filters) == pytest.approx(seen[-1], abs=1e-9)  # an empty window
 
 
-def test_tuning_keeps_what_the_filters_hold() -> None:
-    filters = bank()
-    fast.filter_sample(filters, 3.1, 290.0, 1)
-    held = list(filters.outputs)
-    fast.tune_filters(filters, 0.01, 10.0)
-    assert filters.outputs == held
-    assert filters.decay[0] == pytest.approx(math.exp(-0.001))
-
-
 def regulate(
     books: fast.FastState,
     voltage: float = 300.0,
@@ -322,11 +313,3 @@ def test_the_rounding_error_counts_the_changes_of_each_period_anew() -> None:
         expected = rounding_error(0.01, sum(shares) / len(shares))
         assert fast.take_rounding(settings, bank) == pytest.approx((0.01, expected))
         assert bank.grid.changes == 0
-
-
-def test_a_new_screen_is_as_wide_as_the_larger_of_present_and_expected_output() -> None:
-    for output, largest in ((3.5, 3.5), (-3.5, 3.5), (1.0, 0.011 * 280.0)):
-        screen = fast.new_filter_bank(MOTOR, TICK_s, 10.0, output, 280.0).screen
-        assert screen.slope == 0.0
-        at_rest = fast.new_filter_bank(MOTOR, TICK_s, 10.0, largest, 0.0).screen
-        assert replace(screen, level=largest) == replace(at_rest, level=largest)

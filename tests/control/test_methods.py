@@ -18,7 +18,6 @@ from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.lambda_method import LambdaMethod
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.method import Method
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Learning
@@ -32,7 +31,6 @@ from tests.closed_loop.bench import (
     EXACT,
     MOTOR,
     PAPER,
-    PLAIN_LEARNING,
     SCALED_LEARNING,
     Bench,
     order,
@@ -165,16 +163,6 @@ def test_a_ceiling_of_the_covariance_adds_its_information_to_each_sample(ceiling
     assert state.idle_periods == 0
 
 
-def test_the_offset_of_the_input_is_what_bias_and_charge_move_the_output_by_over_beta() -> None:
-    learning = replace(SCALED_LEARNING, bias=True, charge=True)
-    state = filled(learning, BATTERY).estimator
-    state.estimate.theta[:] = [-0.4, 0.3, 0.5, *state.estimate.theta[3:-2], 0.2, 0.1]
-    offset_V = learning.method.input_offset(state, learning, BATTERY)
-    assert offset_V == pytest.approx((0.1 + 0.2 * 0.7) / 0.8 * 280.0, rel=1e-12)
-    without = replace(SCALED_LEARNING, bias=False)
-    assert math.isnan(without.method.input_offset(state, without, BATTERY))
-
-
 DIRECT = replace(
     SCALED_LEARNING, method=METHODS["rls"], start_at_nominal=False, gate=0.0, bias=True,
     initial_covariance=1e6,
@@ -221,24 +209,6 @@ def test_the_discrete_model_and_the_offset_of_the_input_are_found() -> None:
     assert verdict == Verdict.TRUSTED
     assert state.values == pytest.approx([0.011, 33.4, 234.0], rel=1e-3)
     assert method.input_offset(estimator, DIRECT, MOTOR) == pytest.approx(OFFSET_V, rel=1e-3)
-
-
-def test_its_parameters_are_no_model_in_s_and_have_no_deviations() -> None:
-    method, state = DIRECT.method, new_slow_state(SETTINGS, MOTOR, 3.0, 280.0)
-    assert not method.physical
-    assert not any(est.nominal_theta(DIRECT, MOTOR, 2))
-    values = [0.011, 33.4, 234.0]
-    for known, count in ((method.root, 9), (method.shown_deviations, 3)):
-        found = known(state.estimator, DIRECT, MOTOR, values)
-        assert len(found) == count
-        assert all(math.isnan(one) for one in found)
-
-
-@pytest.mark.parametrize("load", [motor_load(0.011, 11.7, 10.0), battery_load(0.25, 1.2, 0.4, 30)])
-@pytest.mark.parametrize("bias", [False, True])
-def test_it_has_a_parameter_for_each_past_sample(load: Load, *, bias: bool) -> None:
-    learning = replace(PLAIN_LEARNING, method=METHODS["rls"], bias=bias)
-    assert learning.method.parameter_count(learning, load, 4) == load.order + 4 + bias
 
 
 def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.reasons import reason
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Mode
@@ -143,11 +142,3 @@ def test_a_load_is_described_only_by_an_estimate_that_predicts_far_better(
 @pytest.mark.parametrize("ratio", [-1.0, 0.0, math.inf, math.nan])
 def test_a_load_that_cannot_be_is_not_described(ratio: float) -> None:
     assert re.fullmatch(r"estimate gain = \S+ outside 0\.0022…0\.088", out_of_bounds(GAIN, ratio))
-
-
-def test_the_names_are_those_of_the_load() -> None:
-    load = battery_load(0.25, 0.3, 0.05, 60.0)
-    state = new_slow_state(EXACT, load, 3.0, 280.0)
-    state.supervisor.verdict = Verdict.OUT_OF_BOUNDS
-    state.values = [100.0 * state.nominal[0], *state.nominal[1:]]
-    assert "direct_S = " in reason(state, JACKET, PROBING, load, Mode.ADAPTIVE)

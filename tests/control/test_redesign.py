@@ -133,15 +133,6 @@ def test_gains_in_force_move_by_their_share_and_waiting_ones_at_once(
     assert state.reference_filter.asked == pytest.approx(state_of_new.reference_filter.asked)
 
 
-def test_the_first_loop_of_the_reference_filter_is_taken_whole() -> None:
-    settings = replace(CAREFUL, jacket=replace(JACKET, gain_slew=0.25))
-    state, plain = known(2.0, settings), known(2.0)
-    state.adaptive = True
-    adapted(state, settings)
-    adapted(plain)
-    assert state.reference_filter.loop == plain.reference_filter.loop
-
-
 @pytest.mark.parametrize(
     ("disks", "verdict"), [(1.0, Verdict.TRUSTED), (30.0, Verdict.OUT_OF_BOUNDS)]
 )

@@ -87,14 +87,6 @@ def test_single_samples_beside_the_steps_do_not_hide_them() -> None:
     assert found(samples) == pytest.approx(0.01, rel=0.01)
 
 
-def test_a_step_outlives_one_sample_beside_the_steps_and_not_the_next() -> None:
-    grid = rd.remembered_grid(0.01)
-    rd.note_sample(grid, 1.0, SCALE)
-    for sample, step in ((1.0143, 0.01), (1.02, 0.01), (1.0343, 0.0)):
-        rd.note_sample(grid, sample, SCALE)
-        assert rd.step_found(grid, SCALE) == step
-
-
 def test_spikes_do_not_make_a_step() -> None:
     samples = slow_course() + noise(0.002, len(slow_course()))
     samples[::50] += noise(0.05, len(samples[::50]))
@@ -140,14 +132,6 @@ def test_a_configured_resolution_counts_before_one_that_is_found() -> None:
         learning = replace(EXACT.learning, resolution=resolution)
         settings = replace(EXACT, learning=learning, exact=exact)
         assert fast.take_rounding(settings, bank)[0] == pytest.approx(rounding, rel=0.01)
-
-
-@pytest.mark.parametrize("scale", [1.0, 50.0])
-def test_steps_are_looked_for_from_a_ten_thousandth_of_the_scale_on(scale: float) -> None:
-    for difference, wanted in ((0.99e-4, False), (1.01e-4, True), (0.99e4, True), (1.01e4, False)):
-        grid = rd.Grid(0.0)
-        rd.note_sample(grid, difference * scale, scale)
-        assert (grid.candidate > 0.0) is wanted
 
 
 def test_the_share_of_changes_is_the_mean_of_sixty_periods_at_most() -> None:

@@ -128,10 +128,3 @@ def test_the_tick_of_effect_names_its_decision() -> None:
         bench.run(tick, tick + 1)
         named.append(bench.schedule.applied_k)
     assert named == [-1, 1, -1, -1]
-
-
-def test_what_is_decided_at_once_is_returned() -> None:
-    bench = Bench()
-    assert bench.schedule.applied_k == -1
-    (snapshot,) = bench.run(10, 11)
-    assert bench.schedule.decide(snapshot) == make_decision(1)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,31 +26,9 @@ def at_rest(settings: ControllerSettings = EXACT) -> SlowState:
     return new_slow_state(settings, MOTOR, 3.0, REST_V)
 
 
-def sample(
-    output: float = 3.0,
-    *,
-    applied: float = REST_V,
-    followed: bool = True,
-    held_share: float = 0.0,
-    reference: float = 3.0,
-    adaptive: bool = False,
-    pole: float = 0.7,
-    period_s: float = 1.0,
-) -> SlowSample:
-    return SlowSample(
-        period_s=period_s,
-        output=output,
-        output_filtered=[output, output],
-        input_filtered=[REST_V, REST_V, REST_V],
-        applied=applied,
-        followed=followed,
-        held_share=held_share,
-        reference=reference,
-        adaptive=adaptive,
-        pole=pole,
-        low=200.0,
-        high=400.0,
-    )
+def sample(output: float = 3.0, *, adaptive: bool = False, **changes: Any) -> SlowSample:
+    filtered = [output, output]
+    return replace(AT_REST, output=output, output_filtered=filtered, adaptive=adaptive, **changes)
 
 
 @BOTH
@@ -128,13 +107,6 @@ def test_only_physical_estimates_are_compared_with_the_nominal_load(
         powers.append(state.supervisor.fixed_power)
     assert powers == pytest.approx([0.0, powers[1], 4.0 * powers[1]], abs=1e-15)
     assert (powers[1] > 0.0) == compared
-
-
-def test_before_any_estimate_is_trusted_the_other_law_is_unknown() -> None:
-    state = at_rest()
-    slow_step(EXACT, MOTOR, state, sample(adaptive=True))
-    assert math.isnan(state.handover_step)
-    assert not state.adaptive
 
 
 SLOWEST_FALL_V = 20.0
@@ -256,16 +228,6 @@ def test_an_input_by_hand_at_a_limit_shows_a_load_that_does_not_answer(
     for _ in range(400):
         slow_step(settings, MOTOR, state, replace(FIXED, manual=True, held=held_V))
     assert state.unresponsive is unresponsive
-
-
-@pytest.mark.parametrize("scale", [0.5, 1.0, 4.0])
-def test_the_error_of_the_nominal_load_is_none_where_it_rests_whatever_the_scale(
-    scale: float,
-) -> None:
-    settings = replace(EXACT, learning=replace(PLAIN_LEARNING, output_scale=scale))
-    state = at_rest(settings)
-    slow_step(settings, MOTOR, state, FIXED)
-    assert state.supervisor.fixed_power == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(

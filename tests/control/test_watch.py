@@ -152,25 +152,22 @@ def test_failed_measurements_fall_back(held: float, expected: int) -> None:
 
 
 def test_a_fallback_stays_until_adaptive_is_asked_for_anew() -> None:
-    state = WatchState()
-    latch_fallback(state, 0, asked=True)
-    latch_fallback(state, Fallback.ERROR, asked=True)
-    latch_fallback(state, 0, asked=True)
-    assert state.fallback == Fallback.ERROR
-    latch_fallback(state, 0, asked=False)
-    assert state.fallback == Fallback.ERROR
-    latch_fallback(state, 0, asked=True)
-    assert state.fallback == Fallback.NONE
-
-
-def test_asking_for_adaptive_anew_forgets_what_the_watch_has_counted() -> None:
+    """That forgets what the watch has counted; without adaptive nothing is latched."""
     state = WatchState(error_periods=30, swings=5)
-    latch_fallback(state, Fallback.ERROR, asked=True)
-    assert (state.fallback, state.error_periods, state.swings) == (Fallback.NONE, 0, 0)
-    state.error_periods, state.swings = 30, 5
-    latch_fallback(state, Fallback.ERROR, asked=True)
-    latch_fallback(state, Fallback.BLIND, asked=True)
-    assert (state.fallback, state.error_periods, state.swings) == (Fallback.ERROR, 30, 5)
+    course = [
+        (Fallback.ERROR, False, Fallback.NONE),
+        (0, True, Fallback.NONE),
+        (Fallback.ERROR, True, Fallback.ERROR),
+        (Fallback.BLIND, True, Fallback.ERROR),
+        (0, False, Fallback.ERROR),
+        (Fallback.BLIND, True, Fallback.NONE),
+    ]
+    for reason, asked, fallback in course:
+        latch_fallback(state, reason, asked=asked)
+        assert state.fallback == fallback
+        if asked and fallback == Fallback.NONE:
+            assert (state.error_periods, state.swings) == (0, 0)
+            state.error_periods, state.swings = 30, 5
 
 
 @pytest.mark.parametrize(
@@ -193,23 +190,14 @@ def test_a_fallback_ends_when_its_cause_is_gone_but_for_a_loop_that_swings_by_it
     assert state.fallback == (Fallback.NONE if ends else fallback)
 
 
-def test_what_is_left_of_a_cause_keeps_the_fallback() -> None:
-    state = WatchState(asked=True, stuck_periods=250)
+@pytest.mark.parametrize("left", ["stuck_periods", "error_periods"])
+def test_what_is_left_of_a_cause_keeps_the_fallback(left: str) -> None:
+    state = WatchState(asked=True)
     latch_fallback(state, Fallback.SATURATED, asked=True)
-    state.stuck_periods = 3
+    setattr(state, left, 1)
     for _ in range(100):
         latch_fallback(state, 0, asked=True)
     assert state.fallback == Fallback.SATURATED
-    state.stuck_periods, state.error_periods = 0, 1
-    for _ in range(100):
-        latch_fallback(state, 0, asked=True)
-    assert state.fallback == Fallback.SATURATED
-
-
-def test_without_adaptive_nothing_is_latched() -> None:
-    state = WatchState()
-    latch_fallback(state, Fallback.ERROR, asked=False)
-    assert state.fallback == Fallback.NONE
 
 
 @pytest.mark.parametrize("lag_periods", [0.0, 0.5, 20.0])
@@ -365,13 +353,3 @@ def test_the_papers_controller_is_not_watched() -> None:
     course = [0.0, 1.0] * WAYS
     seen = [watch_cycling(state, position, 1.0, step, BETTER, True) for position in course]
     assert seen == [False] * len(course)
-
-
-def test_a_set_point_that_moves_begins_the_count_anew() -> None:
-    state = CyclingState()
-    course = ([0.0] * 3 + [1.0] * 3) * 1000
-    seen = [
-        watch_cycling(state, position, 1.0 + (number // 60) % 2, 0.01, BETTER, fixed=True)
-        for number, position in enumerate(course)
-    ]
-    assert not any(seen)
