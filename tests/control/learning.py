@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control import regression as reg
+from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.settings import Learning
@@ -93,3 +94,16 @@ def bath_temperatures(power_W: Array, inflow_K: Array, noise_K: Array) -> Array:
 def bath_values(theta: list[float], learning: Learning = BATH_LEARNING) -> list[float]:
     """R and τ of an estimate."""
     return BATH.physical(*reg.filtered_model(theta, learning, BATH))
+
+
+def learn_sampled(
+    learning: Learning, load: Load, inputs: Array, outputs: Array
+) -> tuple[list[float], list[float]]:
+    """Learn A and B directly from inputs that were held and the outputs at their ends."""
+    order = load.order
+    state = est.new_estimator(learning, load, order)
+    for k in range(order, len(inputs)):
+        past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
+        fill_direct_regressor(state.sample.regressor, learning, load, *past)
+        est.learn(state, learning, load, float(outputs[k]), usable=True)
+    return direct_model(state.estimate.theta, learning, load)

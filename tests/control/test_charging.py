@@ -116,14 +116,6 @@ def test_a_current_that_tapers_is_complete_however_fast(share: float) -> None:
     assert ended(currents_A) == (True, False)
 
 
-def test_a_current_that_tapers_more_slowly_than_what_is_asked_for_is_complete() -> None:
-    state, current_A = ChargeState(4.5), 4.5
-    while current_A > 0.01:
-        taper(LIMITS, state, 10.0, 58.0 + 4.5 * current_A, current_A)
-        current_A *= 0.75
-    assert (is_complete(LIMITS, state), is_disconnected(LIMITS, state)) == (True, False)
-
-
 @pytest.mark.parametrize(
     ("left_A", "gone"), [(1.0, False), (3.9, False), (4.5, True), (10.0, True)]
 )

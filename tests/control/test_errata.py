@@ -15,7 +15,6 @@ from adaptdrive.control import fast_half as fast
 from adaptdrive.control import regression as reg
 from adaptdrive.control import rls
 from adaptdrive.control.compensator import control_law
-from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
 from adaptdrive.control.discretise import impulse_invariant_pair
 from adaptdrive.control.load import Load, to_voltage
 from adaptdrive.control.loads.bath import bath_load
@@ -23,6 +22,7 @@ from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.settings import Learning
+from tests.control.learning import learn_sampled
 from tests.control.systems import Array, System, distance, held_polynomials, matrix_of, motor_system
 
 GAIN, MOTOR_s, FILTER_s = 0.011, 11.7, 10.0
@@ -213,16 +213,9 @@ def _step_filters(bank: fast.FilterBank, held_input: float, output: float) -> No
 def _learn_direct(
     learning: Learning, load: Load, system: System, period_s: float, inputs: Array
 ) -> tuple[list[float], list[float]]:
-    order = load.order
     bottom, top = held_polynomials(system, period_s)
-    start = float(inputs[0])
-    outputs = system.dc_gain * start + lfilter(top, bottom, inputs - start)
-    state = est.new_estimator(learning, load, order)
-    for k in range(order, len(inputs)):
-        past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
-        fill_direct_regressor(state.sample.regressor, learning, load, *past)
-        est.learn(state, learning, load, float(outputs[k]), usable=True)
-    a, b = direct_model(state.estimate.theta, learning, load)
+    outputs = system.dc_gain * inputs[0] + lfilter(top, bottom, inputs - inputs[0])
+    a, b = learn_sampled(learning, load, inputs, outputs)
     return [*a[1:], *b[1:]], [*bottom[1:].tolist(), *top[1:].tolist()]
 
 

@@ -14,12 +14,11 @@ from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control import in_force
 from adaptdrive.control import regression as reg
-from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.ud_factors import covariance
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING
-from tests.control.learning import learn_course
+from tests.control.learning import learn_course, learn_sampled
 from tests.control.systems import Array, held_polynomials, motor_system, row_norms
 
 TICKS, FINE = 30, 4
@@ -125,23 +124,11 @@ def held_motor(count: int, noise: float) -> tuple[Array, Array, Array, Array]:
     return inputs, outputs, a, b
 
 
-def learn_direct(learning: Learning, inputs: Array, outputs: Array) -> tuple[Array, Array]:
-    state = est.new_estimator(learning, MOTOR, 2)
-    for k in range(2, len(inputs)):
-        past_outputs, past_inputs = outputs[k - 2 : k][::-1], inputs[k - 2 : k][::-1]
-        fill_direct_regressor(
-            state.sample.regressor, learning, MOTOR, past_outputs.tolist(), past_inputs.tolist()
-        )
-        est.learn(state, learning, MOTOR, float(outputs[k]), usable=True)
-    a, b = direct_model(state.estimate.theta, learning, MOTOR)
-    return np.array(a), np.array(b)
-
-
 def test_noise_ruins_direct_least_squares_and_leaves_the_lambda_method_standing() -> None:
     noise = 0.002
     direct = replace(PLAIN_LEARNING, method=METHODS["rls"])
     inputs, outputs, a, _ = held_motor(600, noise)
-    assert abs(learn_direct(direct, inputs, outputs)[0][1] - a[1]) > 0.1
+    assert abs(learn_sampled(direct, MOTOR, inputs, outputs)[0][1] - a[1]) > 0.1
     voltages, clean = simulate(1, 300)
     noisy = clean + noise * np.random.default_rng(4).normal(size=len(clean))
     found = physical(learn_filtered(PLAIN_LEARNING, voltages, noisy, 1), PLAIN_LEARNING)

@@ -18,8 +18,6 @@ from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
 from adaptdrive.control.regression import theta_of
 from adaptdrive.control.rivals import is_possible
-from adaptdrive.control.rls import predict
-from adaptdrive.control.surprise import Surprise, is_surprising, watch_noise
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.learning import fill_sample
 from tests.control.systems import Array
@@ -75,7 +73,6 @@ class Seen:
     doubtful: list[bool] = field(default_factory=list)
     kinds: list[int] = field(default_factory=list)
     alarms: list[int] = field(default_factory=list)
-    innovations: list[tuple[float, float]] = field(default_factory=list)
     waiting: list[int] = field(default_factory=list)
 
     def settled_after(self, period: int) -> int:
@@ -103,10 +100,7 @@ def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> N
     state = seen.state
     state.sample.time_s += 1.0
     fill_sample(state, LEARNING, MOTOR, output, outputs=y, inputs=u)
-    expected = LEARNING.output_scale * predict(state.estimate.theta, state.sample.regressor)
     est.learn(state, LEARNING, MOTOR, output, usable=True)
-    if state.rivals.samples == 0 and state.surprise.alarms == (seen.alarms or [0])[-1]:
-        seen.innovations.append((state.innovation, output - expected))
     values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, LEARNING, MOTOR))
     seen.values.append(values)
     seen.shown.append(LEARNING.method.shown_deviations(state, LEARNING, MOTOR, values))
@@ -132,13 +126,6 @@ def other_load() -> Seen:
 @pytest.fixture
 def torque() -> Seen:
     return learn(*course((2.0, 2.0), (0.0, -25.0)))
-
-
-def test_the_innovation_is_what_the_output_differs_from_its_prediction(other_load: Seen) -> None:
-    """In the unit of the output."""
-    shown, expected = np.array(other_load.innovations).T
-    assert len(shown) > 100
-    assert shown == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.fixture
@@ -278,43 +265,7 @@ def test_shown_deviations_are_those_of_p_with_noise_floor_and_rounding() -> None
     assert all(map(math.isnan, doubt.doubted_deviations(state, LEARNING, MOTOR, values)))
 
 
-SIGMA = 0.02
-POWER = SIGMA * SIGMA
 """The least variance: a ten-thousandth of the scale, squared."""
-
-
-def calm(power: float = SIGMA * SIGMA) -> Surprise:
-    """A detector that has seen its first twenty samples, and knows σ²."""
-    return Surprise(power=power, noise=power, samples=20)
-
-
-def test_noise_alone_gives_an_alarm_in_hundreds_of_samples_and_a_change_one_at_once() -> None:
-    state = calm()
-    for innovation in SIGMA * np.random.default_rng(1).normal(size=20_000):
-        is_surprising(state, float(innovation) ** 2)
-    assert 0 < state.alarms < 20_000 / 300
-    assert any(is_surprising(state, 9.0 * POWER) for _ in range(3))
-
-
-@pytest.mark.parametrize("sigma", [0.003, 0.3])
-def test_the_variance_is_that_of_gaussian_noise(sigma: float) -> None:
-    powers, noises, state = [], [], Surprise()
-    for innovation in sigma * np.random.default_rng(2).normal(size=20_000):
-        watch_noise(state, float(innovation))
-        is_surprising(state, float(innovation) ** 2)
-        powers.append(state.power)
-        noises.append(state.noise)
-    assert np.median(powers[1000:]) == pytest.approx(sigma**2, rel=0.1)
-    assert np.median(noises[1000:]) == pytest.approx(sigma**2, rel=0.1)
-
-
-def test_a_slow_error_is_no_noise() -> None:
-    state, random = Surprise(samples=100), np.random.default_rng(3)
-    seen = []
-    for k in range(4000):
-        watch_noise(state, 0.5 + 0.01 * k + SIGMA * float(random.normal()))
-        seen.append(state.noise)
-    assert np.median(seen[500:]) == pytest.approx(POWER, rel=0.1)
 
 
 @given(st.floats(0.3, 2.0), st.floats(1.0, 100.0))

@@ -1,10 +1,16 @@
-"""Feedback that is faster than the response asked for: limits of noise, margins, and its use."""
+"""Poles of the loop beside the response asked for: faster, quieter, and the filter between."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import lfilter
 
+from adaptdrive.control.compensator import control_law
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.fast_feedback import (
     DELAY_MARGIN,
@@ -14,11 +20,24 @@ from adaptdrive.control.fast_feedback import (
     has_margins,
     unit_circle,
 )
-from adaptdrive.control.noise_limit import noise_gain
+from adaptdrive.control.noise_limit import (
+    OBSERVER_POLE,
+    SLOWEST_SHARE,
+    impulse_norm,
+    noise_gain,
+    quiet_loop,
+    slowed_loop,
+)
 from adaptdrive.control.pole_placement import desired_polynomial, equation, place_poles
-from adaptdrive.control.vectors import multiply
+from adaptdrive.control.reference_filter import (
+    ReferenceFilter,
+    condition_reference,
+    filter_reference,
+    new_reference_filter,
+)
+from adaptdrive.control.vectors import copy_into, multiply
 from tests.closed_loop.bench import EXACT, MOTOR
-from tests.control.systems import motor_system
+from tests.control.systems import Array, distance, motor_system
 
 POLE = 0.7
 
@@ -145,3 +164,214 @@ def test_the_loop_is_never_slower_than_asked(pole: float) -> None:
     a, b = model(1)
     found = faster((a, b), pole, 0.0, 8.0)
     assert np.max(np.abs(np.roots(found))) <= pole + 2e-3
+
+
+roots = st.lists(st.floats(-0.95, 0.95), min_size=1, max_size=6)
+
+
+def input_of_a_noisy_loop(a: list[float], b: list[float], gains: list[float]) -> float:
+    """Standard deviation of u in a loop whose output is measured with a noise of 1."""
+    taps, noise = len(b) - 1, np.random.default_rng(3).normal(size=100_000)
+    u, y = np.zeros(len(noise) + taps), np.zeros(len(noise) + taps)
+    seen = np.zeros(len(noise) + taps)
+    for k in range(taps, len(noise)):
+        past = u[k - taps : k][::-1]
+        y[k] = np.dot(b[1:], past) - np.dot(a[1:], y[k - len(a) + 1 : k][::-1])
+        seen[k] = y[k] + noise[k]
+        u[k] = -np.dot(gains[:taps], past) - np.dot(
+            gains[taps:], seen[k - len(a) + 1 : k + 1][::-1]
+        )
+    return float(np.std(u))
+
+
+@given(roots, st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=6))
+def test_the_norm_is_that_of_the_impulse_response(poles: list[float], b: list[float]) -> None:
+    denominator = [float(x) for x in np.poly(poles)]
+    numerator = b[: len(denominator)]
+    impulse = np.zeros(4000)
+    impulse[0] = 1.0
+    expected = np.linalg.norm(lfilter(numerator, denominator, impulse))
+    assert impulse_norm(numerator, denominator) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_the_gain_is_what_a_noisy_loop_shows() -> None:
+    a, b = model(3)
+    loop = asked_loop(b, MOTOR.order, POLE)
+    expected = input_of_a_noisy_loop(a, b, loop_gains(equation(a, b), a, b, loop))
+    assert noise_gain(equation(a, b), a, b, loop) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("count", [4, 6, 9])
+def test_a_norm_that_rounding_hides_is_not_taken_for_a_small_one(count: int) -> None:
+    assert impulse_norm([1.0], desired_polynomial(0.9999, count)) > 1e4
+
+
+@pytest.mark.parametrize("noise", [1e-4, 0.01, 1.0, 100.0])
+def test_poles_close_to_one_give_a_loop_at_any_noise(noise: float) -> None:
+    a, b = model(3)
+    found = np.roots(quiet_loop(equation(a, b), a, b, MOTOR.order, 0.999, noise, 15.0))
+    assert np.all(np.isfinite(found))
+
+
+@pytest.mark.parametrize(("noise", "limit"), [(1e-4, 15.0), (0.0, 15.0), (1.0, 0.0)])
+def test_poles_are_as_asked_while_the_noise_is_within_its_limit(noise: float, limit: float) -> None:
+    a, b = model(3)
+    found = np.roots(quiet_loop(equation(a, b), a, b, MOTOR.order, POLE, noise, limit))
+    assert distance(found, [POLE] * 4 + [0.0] * (len(found) - 4)) < 2e-3
+
+
+@pytest.mark.parametrize("disks", [1, 3])
+@pytest.mark.parametrize("times", [1.2, 3.0, 10.0])
+def test_the_noise_of_the_input_is_just_within_its_limit(disks: int, times: float) -> None:
+    a, b = model(disks)
+    limit = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, POLE)) / times
+    found = noise_gain(
+        equation(a, b), a, b, quiet_loop(equation(a, b), a, b, MOTOR.order, POLE, 1.0, limit)
+    )
+    assert 0.8 * limit <= found <= limit
+
+
+@pytest.mark.parametrize(
+    ("tau_motor_s", "tau_filter_s", "pole"),
+    [(11.7, 2.0, 0.93), (5.0, 1.0, 0.9), (11.7, 10.0, 0.93), (35.1, 10.0, 0.97), (0.5, 0.3, 0.98)],
+)
+@pytest.mark.parametrize("times", [1.01, 1.05, 3.0, 1000.0])
+def test_a_limit_makes_no_loop_louder_than_the_poles_asked_for(
+    tau_motor_s: float, tau_filter_s: float, pole: float, times: float
+) -> None:
+    """Poles slower than the load's own take gains that pass more noise, not less."""
+    values = [0.011, tau_motor_s + tau_filter_s, tau_motor_s * tau_filter_s]
+    a, b = discrete_model(EXACT, MOTOR, *MOTOR.realise(values), 1.0)
+    asked = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, pole))
+    found = noise_gain(
+        equation(a, b),
+        a,
+        b,
+        quiet_loop(equation(a, b), a, b, MOTOR.order, pole, 1.0, asked / times),
+    )
+    assert found <= asked * (1.0 + 1e-9)
+
+
+def test_observer_poles_come_first() -> None:
+    a, b = model(3)
+    asked = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, POLE))
+    found = np.roots(quiet_loop(equation(a, b), a, b, MOTOR.order, POLE, 1.0, asked / 2.0))
+    assert np.sort(np.abs(found))[1:] == pytest.approx([POLE] * 4, abs=2e-3)
+    slowness = float(np.min(np.abs(found))) / 0.8
+    assert 0.3 < slowness < 1.0
+    free = len(found) - 2 * MOTOR.order
+    for faster, within in ((0.0, True), (0.041, False)):
+        loop = slowed_loop([1.0], MOTOR.order, free, POLE, slowness - faster)
+        assert (noise_gain(equation(a, b), a, b, loop) <= asked / 2.0) is within
+
+
+@pytest.mark.parametrize("noise", [1e3, np.inf, np.nan])
+def test_no_noise_makes_the_poles_slower_than_a_quarter_of_the_asked_speed(noise: float) -> None:
+    a, b = model(1)
+    found = np.roots(quiet_loop(equation(a, b), a, b, MOTOR.order, POLE, noise, 1.0))
+    slowest = 1.0 - SLOWEST_SHARE * (1.0 - POLE)
+    assert distance(found, [slowest] * 4 + [OBSERVER_POLE] * (len(found) - 4)) < 5e-3
+
+
+def test_a_zero_that_is_cancelled_stays_a_pole_of_the_loop() -> None:
+    a, b = [1.0, -0.9565], [0.0, 0.208, -0.208 * 0.9674]
+    found = np.roots(quiet_loop(equation(a, b), a, b, 1, POLE, 1.0, 1.0))
+    assert np.min(np.abs(found - 0.9674)) < 1e-9
+    assert np.max(np.abs(found)) == pytest.approx(0.9674, abs=1e-9)
+
+
+REST, FAR = 3.0, 3.8
+REST_V = REST / 0.011
+SYSTEM = motor_system(3)
+A, B = discrete_model(EXACT, MOTOR, SYSTEM.numerator, SYSTEM.denominator, 1.0)
+TAPS = len(B) - 1
+ASKED = asked_loop(B, MOTOR.order, POLE)
+
+
+def slow_loop(slowness: float) -> list[float]:
+    return slowed_loop([1.0], MOTOR.order, TAPS - MOTOR.order, POLE, slowness)
+
+
+def designed(slowness: float) -> ReferenceFilter:
+    state = new_reference_filter(MOTOR.order, TAPS)
+    filter_reference(state, REST)
+    copy_into(state.asked, ASKED)
+    copy_into(state.loop, slow_loop(slowness))
+    return state
+
+
+def response(
+    slowness: float, target: float, limit_V: float = math.inf, *, conditioned: bool = True
+) -> Array:
+    """Output after a step of the reference, on the discrete model."""
+    state, gains = designed(slowness), loop_gains(equation(A, B), A, B, slow_loop(slowness))
+    inputs, outputs, trace = [REST_V] * TAPS, [REST] * (MOTOR.order + 1), []
+    for _ in range(200):
+        y = np.dot(B[1:], inputs) - np.dot(A[1:], outputs[: MOTOR.order])
+        outputs = [float(y), *outputs[:-1]]
+        wanted = control_law(gains, inputs, outputs, filter_reference(state, target))
+        applied = min(wanted, limit_V)
+        if conditioned:
+            condition_reference(state, applied - wanted, sum(gains[TAPS:]))
+        inputs = [applied, *inputs[:-1]]
+        trace.append(outputs[0])
+    return np.array(trace)
+
+
+def ideal(target: float) -> Array:
+    """B/B(1) A_m(1)/A_m."""
+    step = np.full(200, target - REST)
+    weights = np.array(B) * sum(ASKED) / sum(B)
+    return np.asarray(REST + lfilter(weights, ASKED, step))
+
+
+@pytest.mark.parametrize("slowness", [0.0, 0.5, 1.0, 1.6, 2.0])
+def test_the_response_to_the_reference_is_the_one_asked_for(slowness: float) -> None:
+    assert response(slowness, 3.2) == pytest.approx(ideal(3.2), abs=1e-6)
+
+
+def test_a_loop_with_the_asked_poles_gets_the_reference_itself() -> None:
+    state = designed(0.0)
+    given = np.random.default_rng(1).uniform(2.0, 4.0, 50)
+    found = []
+    for reference in given:
+        found.append(filter_reference(state, float(reference)))
+        condition_reference(state, -20.0, 5e3)
+    assert found == pytest.approx(given.tolist(), rel=1e-9)
+
+
+@pytest.mark.parametrize("slowness", [0.5, 1.0, 2.0])
+def test_after_a_limit_the_output_arrives_as_soon_as_in_the_loop_that_was_asked_for(
+    slowness: float,
+) -> None:
+    asked, slowed = response(0.0, FAR, 360.0), response(slowness, FAR, 360.0)
+    assert slowed.max() <= FAR + 0.02 * (FAR - REST)
+    near = 0.05 * (FAR - REST)
+    arrival, earliest = (int(np.argmax(y > FAR - near)) for y in (slowed, asked))
+    assert arrival <= 1.1 * earliest
+
+
+@pytest.mark.parametrize("slowness", [0.0, 1.0, 2.0])
+def test_the_course_after_a_limit_is_the_one_that_asks_for_no_more(slowness: float) -> None:
+    state = designed(slowness)
+    asked = filter_reference(state, FAR)
+    course = list(state.course)
+    condition_reference(state, -40.0, 0.0)
+    assert state.course == course
+    condition_reference(state, -40.0, 5e3)
+    assert np.dot(state.loop, state.course) / sum(state.loop) == pytest.approx(asked - 40.0 / 5e3)
+
+
+def test_a_filter_that_has_its_design_before_its_first_reference_begins_there() -> None:
+    """Gains that were trusted last act from the first slow period on: the course starts at rest."""
+    state = new_reference_filter(2, 5)
+    state.asked[:], state.loop[:] = [1.0, -0.9, 0.2, 0.0, 0.0], [1.0, -1.0, 0.3, *[0.0] * 5]
+    assert filter_reference(state, 3.0) == 3.0
+    assert filter_reference(state, 3.0) == pytest.approx(3.0)
+
+
+def test_a_reference_that_is_not_a_number_leaves_no_trace() -> None:
+    state = designed(1.0)
+    assert math.isnan(filter_reference(state, math.nan))
+    assert filter_reference(state, REST) == pytest.approx(REST)
+    assert filter_reference(state, 3.2) == pytest.approx(filter_reference(designed(1.0), 3.2))

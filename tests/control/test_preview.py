@@ -20,7 +20,7 @@ from adaptdrive.control.preview import AHEAD, MOVES, UNREST, plan
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import PreviewState, SlowState
 from tests.closed_loop.bench import EXACT, MOTOR
-from tests.control.test_slow_laws import SAMPLE, SETTINGS, known
+from tests.control.test_slow_half import SAMPLE, SETTINGS, known
 
 LOW, HIGH, POLE, REST = 200.0, 400.0, 0.7, 3.0
 DISKS = st.floats(0.3, 4.0)

@@ -11,6 +11,7 @@ import pytest
 
 from adaptdrive.control import assurance, redesign
 from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.noise_limit import noise_gain
 from adaptdrive.control.pole_placement import equation
 from adaptdrive.control.regression import theta_of
@@ -273,3 +274,10 @@ def test_without_gains_in_force_the_reference_filter_takes_another_pole_at_once(
     assert not state.adaptive
     assert state.reference_filter.loop == pytest.approx(plain.reference_filter.loop)
     assert before != pytest.approx(plain.reference_filter.loop, rel=0.1)
+
+
+def test_no_noise_of_direct_least_squares_is_known() -> None:
+    settings = replace(CAREFUL, learning=replace(LEARNING, method=METHODS["rls"]))
+    state = new_slow_state(settings, MOTOR, 3.0, REST_V)
+    state.estimator.surprise.noise = 1.0
+    assert redesign._output_noise(settings, state) == 0.0

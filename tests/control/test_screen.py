@@ -108,6 +108,7 @@ def test_the_deviation_is_a_mean_over_fifty_samples() -> None:
     screen = Screen(3.0, 0.0, 1.0)
     for _ in range(50):
         pass_sample(screen, 3.0, CLIP, 1)
+    assert pytest.approx(0.01) == WIDE  # at first a hundredth of the output
     assert screen.deviation == pytest.approx(np.exp(-1.0), rel=0.02)
 
 

@@ -89,16 +89,16 @@ def _control(tests: dict[str, str]) -> dict[str, tuple[str, ...]]:
 SUPERVISION = _control({
     "watch": "test_watch",
     "cycling": "test_watch",
-    "surprise": "test_explanation",
+    "surprise": "test_explanation test_challenger",
     "screen": "test_screen",
     "rounding": "test_rounding",
     "probing": "test_probing",
-    "charging": "test_charging test_slow_laws",
+    "charging": "test_charging test_slow_half",
     "supervisor": "test_supervisor",
-    "assurance": "test_assurance",
-    "noise_limit": "test_noise_limit",
+    "assurance": "test_certainty",
+    "noise_limit": "test_fast_feedback",
     "fast_feedback": "test_fast_feedback",
-    "reference_filter": "test_reference_filter",
+    "reference_filter": "test_fast_feedback",
     "rest": "test_rest",
     "reach": "test_rest",
     "reasons": "test_reasons",
@@ -113,13 +113,13 @@ LEARNING = _control({
     "rls": "test_rls test_beside",
     "ud_factors": "test_rls test_beside",
     "regression": "test_estimator test_explanation test_charge",
-    "branch": "test_rivals",
-    "hypotheses": "test_rivals test_explanation",
-    "rivals": "test_rivals test_explanation",
-    "challenger": "test_rivals test_challenger",
+    "branch": "test_explanation test_challenger",
+    "hypotheses": "test_explanation",
+    "rivals": "test_explanation",
+    "challenger": "test_challenger",
     "explanation": "test_explanation test_challenger",
     "estimator": (
-        "test_estimator test_prior test_charge test_redesign test_explanation "
+        "test_estimator test_runs test_charge test_redesign test_explanation "
         "test_methods test_certainty"
     ),
     "lambda_method": "test_methods test_charge test_explanation",
@@ -140,18 +140,18 @@ DESIGN = _control({
     "voltage_loop": "test_voltage_loop",
     "waveform": "test_waveform",
     "load": "test_loads",
-    "loads.motor": "test_loads test_assurance",
-    "loads.bath": "test_loads test_assurance",
-    "loads.battery": "test_loads test_assurance",
+    "loads.motor": "test_loads test_certainty",
+    "loads.bath": "test_loads test_certainty",
+    "loads.battery": "test_loads test_certainty",
 })  # fmt: skip
 
 HALVES = _control({
     "fast_half": "test_fast_half test_rounding",
     "slow_half": (
-        "test_slow_half test_slow_laws test_charging test_assurance test_probing test_runs"
+        "test_slow_half test_charging test_certainty test_probing test_runs"
     ),
-    "slow_state": "test_slow_half test_slow_laws test_probing",
-    "controller": "test_controller test_schedule test_runs test_prior",
+    "slow_state": "test_slow_half test_probing",
+    "controller": "test_controller test_schedule test_runs",
 })  # fmt: skip
 
 PARTS = {
