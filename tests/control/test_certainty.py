@@ -206,11 +206,6 @@ def test_a_second_lag_near_0_may_be_as_uncertain_as_it_likes() -> None:
     assert spread(ENCODER, root) < 0.02
 
 
-def test_a_sure_estimate_leaves_nothing_open() -> None:
-    assert spread(HEAVY, np.zeros((3, 3))) == 0.0
-    assert 0.0 < spread(HEAVY, np.diag([1e-5, 0.01, 0.1])) < 0.003
-
-
 def test_a_load_within_the_covariance_that_the_loop_does_not_hold_leaves_all_open() -> None:
     assert spread(HEAVY, np.diag([0.0, 0.0, 80.0]), 0.4) == math.inf
 

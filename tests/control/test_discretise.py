@@ -123,18 +123,6 @@ def test_the_impulse_invariant_pair_is_scipys_whatever_the_poles(
     assert np.allclose([*a, *b], expected, rtol=0.0, atol=1e-11 * max(1.0, gain))
 
 
-@pytest.mark.parametrize(
-    ("system", "state", "duration_s"),
-    [([-1e9, 1.0, 0.0], [1.0, 1.0, 0.0], 1e9), ([-0.1, 1.0, 0.0], [math.nan] * 3, 1.0)],
-)
-def test_beyond_all_numbers_a_state_is_none(
-    system: list[float], state: list[float], duration_s: float
-) -> None:
-    propagate(system, state, duration_s)
-    assert np.isnan(state[0])
-    assert np.isnan(state[-1])
-
-
 @pytest.mark.parametrize(("tau_s", "finite"), [(-0.1, True), (-1e-3, True), (-1e-4, False)])
 def test_a_load_that_grows_beyond_all_numbers_has_no_discrete_model(
     tau_s: float, *, finite: bool

@@ -193,7 +193,8 @@ def _learn_filtered(
     )
     state = est.new_estimator(learning, load, load.paper_taps)
     for n, output in enumerate(outputs):
-        _step_filters(bank, float(held[max(0, n - 1)]), float(output))
+        bank.load_input = float(held[max(0, n - 1)])  # held from the beginning of the tick
+        fast.filter_sample(bank, float(output), bank.load_input, 1)
         if n % ticks == 0 and n:
             powers = [float(held[n - 1]), *bank.inputs]
             reg.fill_filtered_regressor(
@@ -202,12 +203,6 @@ def _learn_filtered(
             est.learn(state, learning, load, float(output), usable=True)
     found = load.physical(*reg.filtered_model(state.estimate.theta, learning, load))
     return found, load.physical(list(load.numerator), list(load.denominator))
-
-
-def _step_filters(bank: fast.FilterBank, held_input: float, output: float) -> None:
-    """One tick whose input was held from its beginning."""
-    bank.load_input = held_input
-    fast.filter_sample(bank, output, held_input, 1)
 
 
 def _learn_direct(

@@ -137,7 +137,7 @@ def test_where_noise_leaves_no_room_the_quiet_loop_stays(noise: float, limit: fl
 def test_a_disturbance_moves_the_output_half_as_far_and_is_gone_sooner(disks: int) -> None:
     a, b = model(disks)
     quiet, fast = (
-        response_to_a_disturbance(a, b, loop)
+        closed(a, b, loop, np.ones(100), np.zeros(100))[1]
         for loop in (asked_loop(b, MOTOR.order, POLE), made(disks, 0.0))
     )
     assert np.max(np.abs(fast)) < 0.53 * np.max(np.abs(quiet))
@@ -145,18 +145,18 @@ def test_a_disturbance_moves_the_output_half_as_far_and_is_gone_sooner(disks: in
     assert abs(fast[-1]) < 1e-9
 
 
-def response_to_a_disturbance(a: list[float], b: list[float], loop: list[float]) -> np.ndarray:
-    """Output after a step of the input's offset, by the difference equations of load and law."""
-    gains, taps = loop_gains(equation(a, b), a, b, loop), len(b) - 1
-    u, y = np.zeros(100), np.zeros(100)
-    for k in range(10, 100):
-        y[k] = np.dot(b[1:], u[k - 1 : k - taps - 1 : -1] + 1.0) - np.dot(
-            a[1:], y[k - 1 : k - len(a) : -1]
-        )
-        u[k] = -np.dot(gains[:taps], u[k - 1 : k - taps - 1 : -1]) - np.dot(
-            gains[taps:], y[k : k - len(a) : -1]
-        )
-    return y[10:]
+def closed(
+    a: list[float], b: list[float], loop: list[float], offset: Array, noise: Array
+) -> tuple[Array, Array]:
+    """Input and output by the difference equations of load and law, with what disturbs them."""
+    gains, taps = np.array(loop_gains(equation(a, b), a, b, loop)), len(b) - 1
+    u, y, seen = np.zeros((3, len(offset)))
+    for k in range(taps, len(offset)):
+        past = u[k - taps : k][::-1]
+        y[k] = np.dot(b[1:], past + offset[k]) - np.dot(a[1:], y[k - len(a) + 1 : k][::-1])
+        seen[k] = y[k] + noise[k]
+        u[k] = -gains[:taps] @ past - gains[taps:] @ seen[k - len(a) + 1 : k + 1][::-1]
+    return u, y
 
 
 @pytest.mark.parametrize("pole", [0.3, 0.8, 0.93])
@@ -167,21 +167,6 @@ def test_the_loop_is_never_slower_than_asked(pole: float) -> None:
 
 
 roots = st.lists(st.floats(-0.95, 0.95), min_size=1, max_size=6)
-
-
-def input_of_a_noisy_loop(a: list[float], b: list[float], gains: list[float]) -> float:
-    """Standard deviation of u in a loop whose output is measured with a noise of 1."""
-    taps, noise = len(b) - 1, np.random.default_rng(3).normal(size=100_000)
-    u, y = np.zeros(len(noise) + taps), np.zeros(len(noise) + taps)
-    seen = np.zeros(len(noise) + taps)
-    for k in range(taps, len(noise)):
-        past = u[k - taps : k][::-1]
-        y[k] = np.dot(b[1:], past) - np.dot(a[1:], y[k - len(a) + 1 : k][::-1])
-        seen[k] = y[k] + noise[k]
-        u[k] = -np.dot(gains[:taps], past) - np.dot(
-            gains[taps:], seen[k - len(a) + 1 : k + 1][::-1]
-        )
-    return float(np.std(u))
 
 
 @given(roots, st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=6))
@@ -196,9 +181,9 @@ def test_the_norm_is_that_of_the_impulse_response(poles: list[float], b: list[fl
 
 def test_the_gain_is_what_a_noisy_loop_shows() -> None:
     a, b = model(3)
-    loop = asked_loop(b, MOTOR.order, POLE)
-    expected = input_of_a_noisy_loop(a, b, loop_gains(equation(a, b), a, b, loop))
-    assert noise_gain(equation(a, b), a, b, loop) == pytest.approx(expected, rel=0.02)
+    loop, noise = asked_loop(b, MOTOR.order, POLE), np.random.default_rng(3).normal(size=100_000)
+    u, _ = closed(a, b, loop, np.zeros(len(noise)), noise)
+    assert noise_gain(equation(a, b), a, b, loop) == pytest.approx(float(np.std(u)), rel=0.02)
 
 
 @pytest.mark.parametrize("count", [4, 6, 9])

@@ -272,22 +272,16 @@ def test_a_kick_stays_within_the_limits_of_the_drive_and_of_its_power() -> None:
     assert kicked(of, 1) == [310.0]
 
 
-def test_what_the_operator_sets_is_not_kicked() -> None:
+@pytest.mark.parametrize(("asked_V", "set_V"), [(100.0, 200.0), (320.0, 320.0), (900.0, 400.0)])
+def test_what_the_operator_sets_is_limited_and_not_kicked(asked_V: float, set_V: float) -> None:
     of = moving(280.0)
     kicked(of, 4)
-    fast.set_by_hand(of, KICKING, 300.0)
-    assert kicked(of, 8) == [300.0] * 8
-    of.by_hand = False
-    assert kicked(of, 2) == [300.0] * 2
-
-
-@pytest.mark.parametrize(("asked_V", "set_V"), [(100.0, 200.0), (320.0, 320.0), (900.0, 400.0)])
-def test_the_operator_sets_V_c_within_the_limits_of_the_drive(asked_V: float, set_V: float) -> None:
-    of = moving(280.0)
-    fast.set_by_hand(of, STAGE, asked_V)
+    fast.set_by_hand(of, KICKING, asked_V)
     assert (of.boost_reference_V, of.by_hand) == (set_V, True)
-    fast.set_by_hand(of, STAGE, math.nan)
-    assert of.boost_reference_V == set_V
+    fast.set_by_hand(of, KICKING, math.nan)
+    assert kicked(of, 8) == [set_V] * 8
+    of.by_hand = False
+    assert kicked(of, 2) == [set_V] * 2
 
 
 @pytest.mark.parametrize("samples", [1, 7, 60])

@@ -213,20 +213,6 @@ def test_p_stays_positive_definite_after_ten_million_poor_updates_compiled() -> 
     assert np.isfinite(np.concatenate([theta, upper])).all()
 
 
-def test_the_standard_deviation_is_what_many_experiments_show() -> None:
-    regressors, _ = data(3, 60)
-    truth, noise, jacobian = np.array([1.0, -2.0, 0.5]), 0.1, [1.0, 1.0, -1.0]
-    found, claimed, random = [], 0.0, np.random.default_rng(1)
-    for _ in range(400):
-        recursive = Recursive(3)
-        targets = regressors @ truth + noise * random.normal(size=60)
-        for r, y in zip(regressors, targets, strict=True):
-            recursive.take(r, y)
-        found.append(np.dot(jacobian, recursive.theta))
-        claimed = ud.standard_deviation(jacobian, recursive.upper, recursive.diagonal, noise)
-    assert claimed == pytest.approx(np.std(found), rel=0.15)
-
-
 def test_a_normalised_square_is_the_error_before_times_the_error_after_the_update() -> None:
     theta, upper, diagonal = [0.1, -0.2], [1.0, 0.3, 0.0, 1.0], [2.0, 0.5]
     regressor, target, forgetting = [0.7, -1.1], 0.9, 0.95

@@ -108,7 +108,7 @@ SUPERVISION = _control({
 })  # fmt: skip
 
 LEARNING = _control({
-    "lambda_transform": "test_lambda_transform",
+    "lambda_transform": "test_lambda_filter",
     "lambda_filter": "test_lambda_filter",
     "rls": "test_rls test_beside",
     "ud_factors": "test_rls test_beside",
