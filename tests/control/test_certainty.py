@@ -114,11 +114,8 @@ def test_a_mean_is_as_uncertain_as_the_factor_says(correlation: float) -> None:
     assert found == pytest.approx(spread, rel=0.08)
 
 
-def test_innovations_of_alternating_sign_narrow_nothing() -> None:
+def test_innovations_of_alternating_sign_narrow_nothing_and_equal_ones_are_one() -> None:
     assert correlation_factor(fed(np.resize([1.0, -1.0], 500))) == 1.0
-
-
-def test_innovations_that_are_all_alike_are_one_sample() -> None:
     state = fed(np.full(500, 0.1))
     assert correlation_factor(state) == pytest.approx(math.sqrt(state.residual_weight), rel=0.01)
 

@@ -94,11 +94,6 @@ def test_four_poles_lie_at_070_and_the_others_at_zero(
     assert distance(poles, [0.7] * 4 + [0.0] * (len(poles) - 4)) < 2e-3
 
 
-def test_a_model_without_gain_gives_gains_that_are_not_finite() -> None:
-    a, b = discrete_model(EXACT, MOTOR, [0.0, 0.0, 0.0], list(MOTOR.denominator), 1.0)
-    assert not np.isfinite(compensator_gains(a, b, MOTOR.order, 0.7)).any()
-
-
 def test_what_responds_at_once_needs_no_lead() -> None:
     assert reference_lead(EXACT, battery_load(0.25, 1.2, 0.4, 30.0)) == 0.0
     assert reference_lead(EXACT, MOTOR) > 0.0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from adaptdrive.control.lambda_filter import advance, chain_decay, ramp_gains, step_gains
-from adaptdrive.control.lambda_transform import binomial, from_lambda, to_lambda
+from adaptdrive.control.lambda_transform import from_lambda, to_lambda
 from tests.control.systems import Array, System, decades, motor_system, stable_systems
 
 TICK_s = 1.0 / 120.0
@@ -145,7 +145,3 @@ def test_a_complex_pair_has_a_real_sum_and_product(
     assert first / second == pytest.approx(tau_s * (2.0 + alpha1) / everything, rel=1e-9)
     assert 1.0 / second == pytest.approx(tau_s**2 / everything, rel=1e-9)
     assert numerator[2] / second == pytest.approx(beta2 / everything, rel=1e-9)
-
-
-def test_binomial_counts() -> None:
-    assert all(binomial(n, k) == math.comb(n, k) for n in range(12) for k in range(n + 4))

@@ -29,7 +29,6 @@ from adaptdrive.control.supervisor import (
 
 JACKET = Jacket(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=3)
 DAMPED = replace(JACKET, damping_min=0.8)
-NOMINAL = [0.011, 21.7, 117.0]
 WRONG = [
     Verdict.NOT_FINITE,
     Verdict.UNSTABLE_LOAD,

@@ -112,19 +112,19 @@ LEARNING = _control({
     "lambda_filter": "test_lambda_filter",
     "rls": "test_rls test_beside",
     "ud_factors": "test_rls test_beside",
-    "regression": "test_estimator test_explanation test_charge",
+    "regression": "test_estimator test_explanation test_methods",
     "branch": "test_explanation test_challenger",
     "hypotheses": "test_explanation",
     "rivals": "test_explanation",
     "challenger": "test_challenger",
     "explanation": "test_explanation test_challenger",
     "estimator": (
-        "test_estimator test_runs test_charge test_redesign test_explanation "
+        "test_estimator test_runs test_redesign test_explanation "
         "test_methods test_certainty"
     ),
-    "lambda_method": "test_methods test_charge test_explanation",
+    "lambda_method": "test_methods test_explanation",
     "direct_method": "test_methods test_estimator",
-    "drift": "test_drift test_charge test_estimator",
+    "drift": "test_drift test_methods test_estimator",
     "integrated": "test_drift",
     "in_force": "test_drift test_explanation test_certainty",
 })  # fmt: skip
