@@ -209,6 +209,8 @@ def test_too_much_power_holds_the_voltage_back_and_lets_it_rise_slowly() -> None
     assert 0.0 < following[0] - held < 1.0
     assert following == sorted(following)
     assert following[-1] == 400.0
+    at_just_its_power = state(boost_reference_V=400.0, ceiling_V=300.0)
+    assert fast.limit_power(at_just_its_power, STAGE, 310.0, STAGE.load_power_max_W) > 300.0
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 500.0), st.floats(-1e4, 1e5)), max_size=50))
