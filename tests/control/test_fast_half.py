@@ -309,3 +309,8 @@ def test_the_rounding_error_counts_the_changes_of_each_period_anew() -> None:
         expected = rounding_error(0.01, sum(shares) / len(shares))
         assert fast.take_rounding(settings, bank) == pytest.approx((0.01, expected))
         assert bank.grid.changes == 0
+
+
+def test_a_new_screen_is_as_wide_as_the_larger_of_present_and_expected_output() -> None:
+    for output, largest in ((3.5, 3.5), (-3.5, 3.5), (1.0, 0.011 * 280.0)):
+        assert bank(output).screen.deviation == pytest.approx(0.01 * largest)

@@ -75,12 +75,6 @@ def test_a_mean_of_rounded_samples_has_the_step_of_the_mean() -> None:
     assert found(np.convolve(rounded, [0.25] * 4, "valid")) == pytest.approx(0.0025, rel=0.01)
 
 
-def test_single_samples_beside_the_steps_do_not_hide_them() -> None:
-    samples = np.round((slow_course() + noise(0.002, len(slow_course()))) / 0.01) * 0.01
-    samples[500::2000] += 0.0637
-    assert found(samples) == pytest.approx(0.01, rel=0.01)
-
-
 def test_another_sensor_is_noticed() -> None:
     course = slow_course() + noise(0.004, len(slow_course()))
     grid = watched(np.concatenate([np.round(course / q) * q for q in (0.01, 0.0037)]))
