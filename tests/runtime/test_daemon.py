@@ -345,35 +345,12 @@ async def test_taking_over_and_falling_back_are_events() -> None:
         assert bench.states[-1].reason == "estimate is not finite"
 
 
-async def test_a_load_that_has_what_it_needs_ends_safe_without_a_trip() -> None:
-    async with running_daemon() as bench:
-        bench.controller.revise = lambda made: replace(made, complete=True)
-        await bench.run_until_decided()
-        assert bench.sent[-1] == SAFE_COMMAND
-        bench.frame()
-        assert (bench.states[-1].state, bench.states[-1].trip) == (State.STANDBY, None)
-        assert len(bench.events("complete")) == 1
-
-
 async def test_losing_the_bus_and_its_return_are_events() -> None:
     async with daemon_bench() as bench:
         bench.port.lose("unplugged")
         bench.port.restore()
         told = [(event.severity, event.detail) for event in bench.events("bus")]
         assert told == [(Severity.WARNING, "unplugged"), (Severity.INFO, "loopback")]
-
-
-async def test_the_fast_loop_is_reported_at_its_rate() -> None:
-    async with daemon_bench() as bench:
-        bench.frames(10)
-        await until(lambda: len(bench.drive_reports._items) >= 3)
-        reports = bench.drive_reports.drain()
-        last = reports[-1]
-        assert isinstance(last, DriveReport)
-        assert (last.ticks, last.held, last.missed) == (10, 0, 0)
-        assert last.bus["received"] == 10
-        assert last.measurement is not None
-        assert last.age_s >= 0.0
 
 
 @pytest.mark.parametrize(("ticks_per_reading", "rehearsed"), [(1, True), (2, False)])

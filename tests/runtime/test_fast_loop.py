@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Stage
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Enable, Reset
+from adaptdrive.runtime.requests import Enable, Reset
 from tests.runtime.bench import (
     FAST,
     MOTOR,
@@ -271,20 +270,6 @@ async def test_a_command_that_waits_is_sent_when_the_drive_reports_that_it_is_st
         assert [command.bridge for command in bench.sent[known:]] == [bridge]
 
 
-async def test_a_command_that_waits_is_forgotten_with_the_run_it_was_decided_in() -> None:
-    """The process stood still in a stand-in tick, and the reading that it stands for is next."""
-    async with running_bench(timed(stale_s=0.5), frames=10) as bench:
-        bench.stand_still_in_ticks(0.2)
-        tick, known, due_s = bench.loop.tick, len(bench.sent), bench.around.deadline_s
-        bench.oversleep(0.0)
-        assert len(bench.sent) == known
-        bench.ask(Disable())
-        late = replace(bench.measured, arrival_s=due_s, oldest_s=due_s, bridge=True)
-        bench.port.deliver(replace(late, counter=bench.counter + 1))
-        assert bench.loop.tick == tick + 1
-        assert not any(command.bridge for command in bench.sent[known:])
-
-
 @pytest.mark.parametrize(("frozen_s", "trips"), [(0.05, False), (0.2, True)])
 async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_the_safe_one(
     frozen_s: float, *, trips: bool
@@ -400,21 +385,6 @@ async def test_a_command_that_is_not_finite_trips(
         assert bench.trip.startswith("command cannot be sent: the controller gave")
         assert "nan" in bench.trip
         assert bench.sent[-1] == SAFE_COMMAND
-
-
-async def test_what_the_drives_protocol_complains_of_trips_in_the_next_tick() -> None:
-    async with running_bench() as bench:
-        bench.port.complaint = "node 5 has been restarted"
-        bench.frame()
-        assert bench.state() is State.TRIPPED
-        assert bench.machine.trip == "node 5 has been restarted"
-        assert bench.sent[-1] == SAFE_COMMAND
-        with pytest.raises(RefusedError, match="node 5"):
-            bench.ask(Reset())
-        bench.port.complaint = None
-        bench.frame()
-        bench.ask(Reset())
-        assert bench.state() is State.STANDBY
 
 
 async def test_a_command_that_the_wire_cannot_carry_trips_the_drive_not_the_daemon() -> None:

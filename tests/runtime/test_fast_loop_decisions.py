@@ -146,15 +146,6 @@ async def test_one_change_reaches_the_next_tick_and_nothing_else_does(name: str)
         assert bench.reports[-1].order == replace(before, **expected)  # type: ignore[arg-type]
 
 
-async def test_a_drive_that_is_polled_has_no_rate_of_its_own() -> None:
-    stride = 12
-    timing = replace(FAST.timing, stale_s=1.0, ticks_per_reading=stride)
-    polled = replace(FAST, timing=timing, drive_clocks=False)
-    async with fast_bench(polled, modulus=None) as bench:
-        bench.frames(100, after_s=1.3 * stride * TICK_S, counter=None)
-        assert bench.loop.cause is None
-
-
 async def test_silence_without_the_timer_sends_nothing_until_it_trips() -> None:
     async with running_bench(replace(FAST, timer_standin=False)) as bench:
         known = len(bench.sent)

@@ -203,20 +203,6 @@ def test_frames_that_waited_in_a_stall_are_no_wrong_rate(
             assert base.rate.cause is None
 
 
-@pytest.mark.parametrize("stride", [1, 2])
-@pytest.mark.parametrize("kept", [(0, 1, 2), (0, 4)])
-def test_lost_frames_of_a_drive_without_a_counter_are_no_wrong_rate(
-    stride: int, kept: tuple[int, ...]
-) -> None:
-    """Of each eight some are lost; the daemon has run no tick in their place."""
-    base, latest = HalfCycles(None, EXACT_S, stride), -1
-    for number in range(4000):
-        if number % 8 in kept:
-            latest = base.place(None, 64.0 + number * stride * EXACT_S, latest)
-    assert base.rate.judged
-    assert base.rate.cause is None
-
-
 @pytest.mark.parametrize("stride", [1, 2, 12, 120])
 @pytest.mark.parametrize("jump_at", [0, 17, 44])
 def test_the_rate_of_a_steady_drive_is_known_in_time(stride: int, jump_at: int) -> None:
@@ -245,17 +231,6 @@ async def test_a_drive_enabled_early_is_never_energised_wrongly(
         else:
             assert bench.trip.startswith("frame rate: the drive ")
         assert set(bench.sent) == {SAFE_COMMAND}
-
-
-async def test_enabled_at_the_first_frame_it_runs_by_itself() -> None:
-    async with fast_bench() as bench:
-        bench.frame()
-        bench.ask(Enable())
-        bench.frames(59)
-        assert bench.state() is State.STARTING
-        assert set(bench.sent) == {SAFE_COMMAND}
-        bench.frames(4)
-        assert bench.state() is State.RUNNING
 
 
 async def test_a_rate_that_goes_wrong_later_trips() -> None:
@@ -333,17 +308,6 @@ async def test_the_operator_is_watched_though_the_rate_is_not_known(every: int) 
         stutter(bench, frames=150, every=every)
         assert bench.state() is State.RUNNING
         stutter(bench, frames=100, every=every)
-        assert bench.trip.startswith("manual: no new voltage within the 2 s")
-
-
-async def test_a_voltage_holds_for_its_time_though_frames_come_in_pairs() -> None:
-    async with fast_bench(modulus=None) as bench:
-        run_by_hand(bench, 2.0)
-        began_s = bench.around.now
-        while bench.state() is State.RUNNING:
-            bench.frame(2 * TICK_S)
-            bench.frame(0.0)
-        assert bench.around.now - began_s == pytest.approx(2.0, abs=10 * TICK_S)
         assert bench.trip.startswith("manual: no new voltage within the 2 s")
 
 

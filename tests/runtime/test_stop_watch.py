@@ -256,14 +256,6 @@ async def test_a_drive_found_on_at_start_must_stop(*, stays: bool) -> None:
         assert bench.trip.startswith("the drive does not stop: its bridge is " if stays else "")
 
 
-async def test_a_drive_that_never_speaks_of_its_bridge_stops_at_once() -> None:
-    async with running_bench(slack_s=None) as bench:
-        disable(bench)
-        assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.IMPOSSIBLE)
-        bench.frames(2 * STOP_TICKS)
-        assert bench.state() is State.STANDBY
-
-
 @pytest.mark.parametrize("overslept_s", [0.0, 0.02, 0.5])
 async def test_a_stop_that_is_not_confirmed_is_an_alarm_however_long_the_last_sleep_is(
     overslept_s: float, monkeypatch: pytest.MonkeyPatch

@@ -5,13 +5,10 @@ from __future__ import annotations
 import asyncio
 import gc
 import math
-import re
-import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from itertools import count
-from pathlib import Path
 
 import pytest
 
@@ -155,24 +152,6 @@ def test_a_tick_is_rehearsed_from_frames_to_a_command_of_a_drive_that_runs(name:
     assert after.received >= before.received + 100
     refused = {name: count for name, count in asdict(after).items() if count and count > 0}
     assert refused.keys() == {"received", "send_drops"}
-
-
-def test_a_fault_that_is_the_drives_initial_value_ends_no_rehearsal(tmp_path: Path) -> None:
-    path, now = tmp_path / "motor.toml", count(1000.0, 1e-5)
-    shutil.copy(EXAMPLES / "motor.toml", path)
-    text = (EXAMPLES / "adaptdrive.dbc").read_text("utf-8")
-    message = re.search(r"BO_ (\d+) DriveStatus", text)
-    assert message is not None
-    attribute = '"GenSigStartValue"'
-    initial = f"BA_DEF_ SG_ {attribute} INT 0 255;\nBA_DEF_DEF_ {attribute} 0;\n"
-    initial += f"BA_ {attribute} SG_ {message[1]} Fault 1;\n"
-    (tmp_path / "adaptdrive.dbc").write_text(f"{text}\n{initial}", "utf-8")
-    configuration = load_configuration(path)
-    rehearsal = Rehearsal(configuration, build_port(configuration, lambda: next(now), path))
-    for _ in range(100):
-        rehearsal.tick()
-    assert rehearsal._machine.trip is None
-    assert rehearsal._loop.command.bridge
 
 
 class LateReader(LoopbackPort):
