@@ -51,6 +51,13 @@ RUNTIME: dict[str, tuple[str, ...]] = {
 
 _CAN_PORT = ("tests/contracts/port/test_port.py", "tests/hardware/test_can_port.py")
 _CANOPEN_PORT = ("tests/contracts/port/test_port.py", "tests/hardware/canopen/test_port.py")
+_MODBUS = (
+    "tests/contracts/port/test_port.py",
+    "tests/hardware/modbus/test_port.py",
+    "tests/hardware/modbus/test_faults.py",
+    "tests/hardware/modbus/test_writing.py",
+)
+_LOST = ("tests/hardware/modbus/test_losses.py",)
 _FRAMES = ("tests/hardware/test_can_codec.py", "tests/hardware/test_can_crc.py")
 
 HARDWARE: dict[str, tuple[str, ...]] = {
@@ -68,6 +75,15 @@ HARDWARE: dict[str, tuple[str, ...]] = {
         *_CANOPEN_PORT,
         "tests/hardware/canopen/test_frames.py",
         "tests/hardware/canopen/test_unseen.py",
+    ),
+    "adaptdrive.hardware.modbus.port": (*_MODBUS, "tests/hardware/modbus/test_sensors.py"),
+    "adaptdrive.hardware.modbus.frames": (*_MODBUS, "tests/hardware/modbus/test_functions.py"),
+    "adaptdrive.hardware.polled.commander": ("tests/hardware/test_commander.py", *_MODBUS, *_LOST),
+    "adaptdrive.hardware.polled.witness": (*_MODBUS, *_LOST),
+    "adaptdrive.hardware.polled.link": (*_MODBUS, "tests/hardware/modbus/test_names.py"),
+    "adaptdrive.hardware.scpi.port": (
+        "tests/hardware/scpi/test_port.py",
+        "tests/contracts/port/test_port.py",
     ),
     "adaptdrive.hardware.fault_latch": ("tests/hardware/test_fault_words.py", *_CAN_PORT),
     "adaptdrive.hardware.doubts": (*_CAN_PORT, "tests/hardware/canopen/test_port.py"),
