@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -70,19 +69,15 @@ async def remembering(folder: Path, clocks: Time, limit: int = 1000) -> AsyncIte
         yield memory_of(log, recalled, clocks, limit)
 
 
-def _clock() -> tuple[float, float]:
-    return time.monotonic(), time.time()
-
-
 @asynccontextmanager
 async def keeping(folder: Path, hub: Hub) -> AsyncIterator[ServiceSurroundings]:
     """The log of a daemon that records no session."""
-    recalled = recall(folder, datetime.now(UTC))
+    recalled, loop = recall(folder, datetime.now(UTC)), asyncio.get_running_loop()
     recorder = Recorder(
         Place(folder, None),
         Header(INFO, ""),
         hub,
-        lambda: (time.monotonic(), time.time()),
+        lambda: (loop.time(), datetime.now(UTC).timestamp()),
         recalled=recalled,
     )
     hub.kept = recorder.kept

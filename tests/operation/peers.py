@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from aiomqtt import Client, Message
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import (
@@ -38,6 +39,7 @@ from adaptdrive.runtime.reports import (
 )
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from tests.operation.logs import keeping
+from tests.operation.memory_broker import MemoryBroker, MemoryClient
 from tests.support import Broker
 
 PATIENCE_S = 120.0
@@ -101,7 +103,7 @@ class Bench:
     """A service that runs, and the drive behind it."""
 
     drive: str
-    broker: Broker
+    broker: Broker | MemoryBroker
     host: RememberingHost
     service: MqttService
 
@@ -115,7 +117,7 @@ class Bench:
 
 @asynccontextmanager
 async def serving(
-    broker: Broker,
+    broker: Broker | MemoryBroker,
     drive: str,
     folder: Path,
     host: RememberingHost | None = None,
@@ -128,7 +130,7 @@ async def serving(
     host = host or RememberingHost()
     async with keeping(folder / f"{drive}.log", host.hub) as log:
         surroundings = replace(log, **({"uniform": lambda low, _: low * 0.1} | around))
-        settings = Mqtt(host=broker.host, port=broker.port, home_assistant=home_assistant)
+        settings = settings_of(broker).model_copy(update={"home_assistant": home_assistant})
         service = MqttService(profile(drive), settings, host, host.hub, surroundings)
         host.show(host.report)
         task = asyncio.create_task(service.run())
@@ -142,6 +144,11 @@ async def serving(
             await asyncio.wait([task])
             if not task.cancelled():
                 task.result()
+
+
+def settings_of(broker: Broker | MemoryBroker) -> Mqtt:
+    """Address of a broker."""
+    return Mqtt(host=broker.host, port=broker.port) if isinstance(broker, Broker) else Mqtt()
 
 
 def profile(drive: str) -> Profile:
@@ -172,10 +179,10 @@ def _no_constant(name: str) -> None:
 
 
 class Ear:
-    """A running mosquitto_sub."""
+    """A running mosquitto_sub, or a client of a broker in this process."""
 
-    def __init__(self, stream: asyncio.StreamReader) -> None:
-        self._stream = stream
+    def __init__(self, read: Callable[[], Awaitable[Heard]]) -> None:
+        self._read = read
         self._passed = 0
         self.heard: list[Heard] = []
 
@@ -197,12 +204,6 @@ class Ear:
         self._passed += 1
         return self.heard[self._passed - 1]
 
-    async def _read(self) -> Heard:
-        line = (await self._stream.readline()).decode().rstrip("\n")
-        assert line, "mosquitto_sub ended"
-        retained, qos, topic, payload = line.split("\t", 3)
-        return Heard(topic, payload, retained == "1", int(qos))
-
     def start_over(self, unwanted: str) -> None:
         """Forget messages on a topic, and listen to the others once more."""
         self.heard = [message for message in self.heard if message.topic != unwanted]
@@ -210,8 +211,30 @@ class Ear:
 
 
 @asynccontextmanager
-async def listening(broker: Broker, *topics: str) -> AsyncIterator[Ear]:
-    """Have mosquitto_sub listen; it is subscribed when the context is entered."""
+async def listening(broker: Broker | MemoryBroker, *topics: str) -> AsyncIterator[Ear]:
+    """Have a client listen; it is subscribed when the context is entered."""
+    hear = _hearing_in_memory if isinstance(broker, MemoryBroker) else _hearing
+    async with hear(broker, *topics) as ear:  # type: ignore[operator]
+        yield ear
+
+
+@asynccontextmanager
+async def _hearing_in_memory(broker: MemoryBroker, *topics: str) -> AsyncIterator[Ear]:
+    client, heard = MemoryClient(broker), asyncio.Queue[Heard]()
+
+    def take(message: Message) -> None:
+        payload = bytes(message.payload).decode()
+        heard.put_nowait(Heard(message.topic.value, payload, message.retain, message.qos))
+
+    client.receive = take
+    async with client:
+        for topic in topics:
+            await client.subscribe(topic)
+        yield Ear(heard.get)
+
+
+@asynccontextmanager
+async def _hearing(broker: Broker, *topics: str) -> AsyncIterator[Ear]:
     ready = f"tests/ready/{id(topics)}/{id(broker)}"
     filters = [word for topic in (*topics, ready) for word in ("-t", topic)]
     process = await asyncio.create_subprocess_exec(
@@ -222,7 +245,15 @@ async def listening(broker: Broker, *topics: str) -> AsyncIterator[Ear]:
         stdout=asyncio.subprocess.PIPE,
     )
     assert process.stdout is not None
-    ear = Ear(process.stdout)
+    stream = process.stdout
+
+    async def read() -> Heard:
+        line = (await stream.readline()).decode().rstrip("\n")
+        assert line, "mosquitto_sub ended"
+        retained, qos, topic, payload = line.split("\t", 3)
+        return Heard(topic, payload, retained == "1", int(qos))
+
+    ear = Ear(read)
     try:
         await _await_subscription(broker, ear, ready)
         yield ear
@@ -246,18 +277,15 @@ async def _await_subscription(broker: Broker, ear: Ear, ready: str) -> None:
     ear.start_over(ready)
 
 
-async def publish_lines(broker: Broker, topic: str, lines: Sequence[str]) -> None:
-    """Have mosquitto_pub publish a message for each line, as fast as it can."""
-    await _publish(broker, topic, "\n".join(lines).encode() + b"\n", "-l")
-
-
-async def publish(broker: Broker, topic: str, payload: str | bytes, *more: str) -> None:
-    """Have mosquitto_pub publish one message with QoS 1."""
+async def publish(
+    broker: Broker | MemoryBroker, topic: str, payload: str | bytes, *more: str
+) -> None:
+    """Have another client publish one message with QoS 1."""
     content = payload if isinstance(payload, bytes) else payload.encode()
-    await _publish(broker, topic, content, "-s" if payload else "-n", *more)
-
-
-async def _publish(broker: Broker, topic: str, content: bytes, *options: str) -> None:
+    if isinstance(broker, MemoryBroker):
+        broker.publish(topic, content, retain="-r" in more)
+        return
+    options = ("-s" if payload else "-n", *more)
     assert await _try_to_publish(broker, topic, content, *options) == 0
 
 
@@ -303,6 +331,25 @@ def _program(name: str) -> str:
     if found is None:
         pytest.skip(f"{name} is not installed")
     return found
+
+
+@asynccontextmanager
+async def commands(
+    broker: Broker, drive: str
+) -> AsyncIterator[asyncio.Queue[tuple[str, dict[str, Any]]]]:
+    """What a drive is asked: each verb and its payload come into a queue."""
+    heard: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
+    async with Client(broker.host, broker.port) as client, asyncio.TaskGroup() as tasks:
+        await client.subscribe(f"adaptdrive/{drive}/command/#")
+
+        async def listen() -> None:
+            async for message in client.messages:
+                verb = message.topic.value.rpartition("/")[2]
+                heard.put_nowait((verb, json.loads(bytes(message.payload))))
+
+        hearing = tasks.create_task(listen())
+        yield heard
+        hearing.cancel()
 
 
 def drive_report(ticks: int) -> DriveReport:

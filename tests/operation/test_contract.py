@@ -12,6 +12,7 @@ from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.operation.commands import FORMS
 from adaptdrive.runtime.reports import Event, Severity, State
 from tests.operation.contract import validators
+from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import (
     STANDBY,
     Heard,
@@ -21,7 +22,6 @@ from tests.operation.peers import (
     publish,
     serving,
 )
-from tests.support import Broker
 from tools.pages.asyncapi import asyncapi, documents, schema
 from tools.pages.topic_table import Topic, topics
 
@@ -88,11 +88,11 @@ def test_every_verb_has_a_topic() -> None:
 
 
 async def test_every_message_of_a_service_fits_its_schema(
-    mosquitto: Broker, tmp_path: Path
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
     async with (
-        listening(mosquitto, "adaptdrive/strict/#") as ear,
-        serving(mosquitto, "strict", tmp_path) as bench,
+        listening(broker, "adaptdrive/strict/#") as ear,
+        serving(broker, "strict", tmp_path) as bench,
     ):
         wave = Waveform(Shape.SINE, 1.0, 2.0, 60.0)
         bench.host.show(replace(STANDBY, state=State.RUNNING, waveform=wave))
@@ -102,8 +102,8 @@ async def test_every_message_of_a_service_fits_its_schema(
         bench.hub.publish(replace(drive_report(0), measurement=None, age_s=float("nan")))
         bench.hub.publish(Event("trip", Severity.ALARM, "slow loop: no decision for three", 1))
         for payload in ("", "{}", '{"id": 7}', '{"id": "a", "value": 1}'):
-            await publish(mosquitto, bench.topic("command/setpoint"), payload)
-        await publish(mosquitto, bench.topic("ask/history"), "")
+            await publish(broker, bench.topic("command/setpoint"), payload)
+        await publish(broker, bench.topic("ask/history"), "")
         wanted = {topic.name for topic in topics() if topic.sent}
 
         def judge(message: Heard) -> bool:

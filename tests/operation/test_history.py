@@ -14,8 +14,8 @@ import pytest
 from adaptdrive.control.signals import Command
 from adaptdrive.operation.intake import BUCKET_S, KEYS, PAGE_READINGS, PAGE_ROWS, History
 from adaptdrive.operation.messages import Output, Payload, encode, load_message
+from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import listening, load_report, publish, serving
-from tests.support import Broker
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
@@ -116,18 +116,18 @@ def test_the_readings_of_five_minutes_come_back_in_their_order() -> None:
 
 
 async def test_a_flood_of_requests_gets_one_answer_at_a_time(
-    mosquitto: Broker, tmp_path: Path
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
     async with (
-        serving(mosquitto, "past", tmp_path) as bench,
-        listening(mosquitto, bench.topic("#")) as ear,
+        serving(broker, "past", tmp_path) as bench,
+        listening(broker, bench.topic("#")) as ear,
     ):
         bench.hub.publish(load_report(7))
         await ear.on(bench.topic("telemetry/load"))
         for payload in ("", "{", '{"id": "x"}', "\0"):
-            await publish(mosquitto, bench.topic("ask/history"), payload)
+            await publish(broker, bench.topic("ask/history"), payload)
         first = await ear.on(bench.topic("history"))
-        await publish(mosquitto, bench.topic("command/ready"), '{"id": "done"}')
+        await publish(broker, bench.topic("command/ready"), '{"id": "done"}')
         await ear.on(bench.topic("reply"))
     assert [row["k"] for row in first.content["rows"]] == [7]
     assert not first.retained

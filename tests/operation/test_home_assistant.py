@@ -18,6 +18,7 @@ from adaptdrive.operation.home_assistant import discovery
 from adaptdrive.operation.messages import Output, encode
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from tests.operation.contract import validators
+from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import (
     ask,
     drive_report,
@@ -27,7 +28,6 @@ from tests.operation.peers import (
     publish,
     serving,
 )
-from tests.support import Broker
 
 TOPIC = "homeassistant/device/adaptdrive-{}/config"
 
@@ -76,18 +76,18 @@ def rendered(template: str, *, at: datetime | None = None, **names: Any) -> str:
 
 
 async def test_the_device_is_announced_only_where_it_is_wanted(
-    mosquitto: Broker, tmp_path: Path
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
-    async with serving(mosquitto, "plain", tmp_path):
+    async with serving(broker, "plain", tmp_path):
         pass
     async with (
-        listening(mosquitto, "homeassistant/#") as ear,
-        serving(mosquitto, "wanted", tmp_path, home_assistant="homeassistant"),
+        listening(broker, "homeassistant/#") as ear,
+        serving(broker, "wanted", tmp_path, home_assistant="homeassistant"),
     ):
         found = await ear.on(TOPIC.format("wanted"))
-    async with listening(mosquitto, "homeassistant/#") as late:
+    async with listening(broker, "homeassistant/#") as late:
         assert (await late.on(found.topic)).retained
-        await publish(mosquitto, "homeassistant/end", "{}")
+        await publish(broker, "homeassistant/end", "{}")
         await late.on("homeassistant/end")
     assert [message.topic for message in late.heard] == [found.topic, "homeassistant/end"]
     assert found.content["device"]["identifiers"] == ["adaptdrive-wanted"]
@@ -98,27 +98,27 @@ async def test_the_device_is_announced_only_where_it_is_wanted(
 
 @pytest.mark.parametrize(("name", "value", "request_"), COMMANDS)
 async def test_what_home_assistant_sends_is_accepted(
-    mosquitto: Broker, tmp_path: Path, name: str, value: str, request_: Request
+    broker: MemoryBroker, tmp_path: Path, name: str, value: str, request_: Request
 ) -> None:
     component = discovery(profile("commanded"), "homeassistant")[1]["components"][name]
     verb = component["command_topic"].rpartition("/")[2]
     payload = rendered(component["command_template"], value=value)
     validators()[f"command/{verb}"].validate(json.loads(payload))
-    async with serving(mosquitto, "commanded", tmp_path) as bench:
+    async with serving(broker, "commanded", tmp_path) as bench:
         assert (await ask(bench, verb, payload))["accepted"]
     assert bench.host.asked == [request_]
 
 
 @pytest.mark.parametrize(("name", "value", "request_"), COMMANDS)
 async def test_only_a_stop_of_home_assistant_acts_late(
-    mosquitto: Broker, tmp_path: Path, name: str, value: str, request_: Request
+    broker: MemoryBroker, tmp_path: Path, name: str, value: str, request_: Request
 ) -> None:
     """Its client sends again, after any time, what a loss of the broker has left unacknowledged."""
     component = discovery(profile("late"), "homeassistant")[1]["components"][name]
     verb = component["command_topic"].rpartition("/")[2]
     given = datetime.now(UTC) - timedelta(seconds=5)
     payload = rendered(component["command_template"], at=given, value=value)
-    async with serving(mosquitto, "late", tmp_path) as bench:
+    async with serving(broker, "late", tmp_path) as bench:
         reply = await ask(bench, verb, payload)
     late = [request_] if name == "stop" else []
     assert (reply["accepted"], bench.host.asked) == (name == "stop", late)
@@ -134,12 +134,12 @@ def test_commands_of_home_assistant_expire_alike_when_summer_time_ends() -> None
 
 
 async def test_what_home_assistant_shows_is_in_the_messages(
-    mosquitto: Broker, tmp_path: Path
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
     payload = json.loads(encode(discovery(profile("shown"), "homeassistant")[1]))
     async with (
-        serving(mosquitto, "shown", tmp_path) as bench,
-        listening(mosquitto, bench.topic("#")) as ear,
+        serving(broker, "shown", tmp_path) as bench,
+        listening(broker, bench.topic("#")) as ear,
     ):
         bench.hub.publish(load_report(7))
         load = await ear.on(bench.topic("telemetry/load"))

@@ -1,165 +1,168 @@
-"""What the operator's side of the contract sends, heard by another client of a real broker."""
+"""What the operator's side of the contract sends, and how long it waits, in virtual time."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import uuid
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
 from typing import Any
 
 import numpy as np
 import pytest
-from aiomqtt import Client
+from aiomqtt import Message
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.conversation import NoAnswerError, decoded
 from adaptdrive.operation.listener import read_site, read_status
-from adaptdrive.operation.sender import send_command
-from adaptdrive.operation.steady import SteadyClient
-from tests.support import Broker
+from adaptdrive.operation.messages import DISTURB, REPLY, simulator_topic
+from adaptdrive.operation.sender import _Timed, disturb, send_command
+from tests.operation.memory_broker import MemoryBroker, MemoryClient
 
 TIMEOUT_S = 4.0
-PATIENCE_S = 60.0
+START = datetime(2026, 1, 1, tzinfo=UTC)
+Heard = list[tuple[str, dict[str, Any]]]
 
 
-Heard = asyncio.Queue[tuple[str, dict[str, Any]]]
+class VirtualClock(datetime):
+    """The clock of the sender's machine, which goes with the event loop."""
+
+    @classmethod
+    def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]  # noqa: ARG003
+        return START + timedelta(seconds=asyncio.get_running_loop().time())
+
+
+decoded(b"{}", _Timed)  # its types are those of the real clock
+
+
+@pytest.fixture(autouse=True)
+def _clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("adaptdrive.operation.sender.datetime", VirtualClock)
 
 
 @asynccontextmanager
-async def commands(broker: Broker, drive: str) -> AsyncIterator[Heard]:
-    """What a drive is asked: each verb and its payload come into a queue."""
-    heard: Heard = asyncio.Queue()
-    async with Client(broker.host, broker.port) as client, asyncio.TaskGroup() as tasks:
-        await client.subscribe(f"adaptdrive/{drive}/command/#")
+async def drive(
+    broker: MemoryBroker, ahead_s: float | None = 0.0, *, answers: bool = False
+) -> AsyncIterator[Heard]:
+    """A drive whose clock is ahead, None for one without telemetry; what it is asked."""
+    heard: Heard = []
+    client = MemoryClient(broker)
 
-        async def listen() -> None:
-            async for message in client.messages:
-                verb = message.topic.value.rpartition("/")[2]
-                heard.put_nowait((verb, json.loads(bytes(message.payload))))
+    def hear(message: Message) -> None:
+        verb, content = message.topic.value.rpartition("/")[2], json.loads(bytes(message.payload))
+        heard.append((verb, content))
+        if answers:
+            reply = {"id": content["id"], "verb": verb, "accepted": True, "reason": ""}
+            for other in (b"{", json.dumps(reply | {"id": "foreign", "state": None}).encode()):
+                broker.publish("adaptdrive/motor/reply", other)
+            body = json.dumps(reply | {"state": "standby"})
+            broker.publish("adaptdrive/motor/reply", body.encode())
 
-        listening = tasks.create_task(listen())
+    async def talk() -> None:
+        while ahead_s is not None:
+            time = VirtualClock.now() + timedelta(seconds=ahead_s)
+            body = json.dumps({"time": time.isoformat()})
+            await client.publish("adaptdrive/motor/telemetry/drive", body)
+            await asyncio.sleep(0.5)
+
+    client.receive = hear
+    async with client:
+        await client.subscribe("adaptdrive/motor/command/#")
+        talking = asyncio.create_task(talk())
         yield heard
-        listening.cancel()
+        talking.cancel()
+        await asyncio.wait([talking])
 
 
-@asynccontextmanager
-async def mute_drive(broker: Broker, drive: str, ahead: timedelta) -> AsyncIterator[Heard]:
-    """A drive that publishes telemetry and answers nothing."""
-
-    async def publish() -> None:
-        async with SteadyClient(broker.host, broker.port) as client:
-            while True:
-                time = (datetime.now(UTC) + ahead).isoformat()
-                topic = f"adaptdrive/{drive}/telemetry/drive"
-                await client.publish(topic, json.dumps({"time": time}))
-                await asyncio.sleep(0.02)
-
-    async with commands(broker, drive) as heard:
-        publishing = asyncio.create_task(publish())
-        try:
-            yield heard
-        finally:
-            publishing.cancel()
-            await asyncio.wait([publishing])
+async def send(verb: str, value: object = None, **fields: object) -> None:
+    """Send a command to a drive that answers nothing."""
+    with pytest.raises(NoAnswerError, match=r"no answer through 127\.0\.0\.1:1883; see `adap"):
+        await send_command(Mqtt(host="127.0.0.1"), "motor", verb, value, TIMEOUT_S, **fields)
 
 
-async def ask(
-    broker: Broker, drive: str, verb: str, ahead: timedelta = timedelta()
-) -> tuple[dict[str, Any], datetime]:
-    """What a drive hears of a command, and when its sender gave it up."""
-    settings = Mqtt(host=broker.host, port=broker.port)
-    async with asyncio.timeout(PATIENCE_S), mute_drive(broker, drive, ahead) as heard:
-        with pytest.raises(NoAnswerError):
-            await send_command(settings, drive, verb, None, TIMEOUT_S)
-        return (await heard.get())[1], datetime.now(UTC)
-
-
-async def test_a_command_expires_before_its_sender_gives_it_up(mosquitto: Broker) -> None:
-    command, given_up = await ask(mosquitto, f"mute-{uuid.uuid4()}", "enable")
-    expires = datetime.fromisoformat(command["expires"])
-    assert given_up - timedelta(seconds=TIMEOUT_S) < expires <= given_up
-
-
-async def test_a_disable_never_expires(mosquitto: Broker) -> None:
-    command, _ = await ask(mosquitto, f"mute-{uuid.uuid4()}", "disable")
-    assert "expires" not in command
-
-
-async def test_a_value_may_be_a_number_of_numpy(mosquitto: Broker) -> None:
-    drive = f"mute-{uuid.uuid4()}"
-    settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
-    async with asyncio.timeout(PATIENCE_S), mute_drive(mosquitto, drive, timedelta()) as heard:
-        volts, hold_s = np.float32(280.5), np.int64(5)
-        with pytest.raises(NoAnswerError):
-            await send_command(settings, drive, "voltage", volts, TIMEOUT_S, hold_s=hold_s)
-        _, command = await heard.get()
-    assert (command["value"], command["hold_s"]) == (280.5, 5)
-
-
-@asynccontextmanager
-async def silent_broker() -> AsyncIterator[Mqtt]:
-    """A broker that accepts connections and never says a word."""
-    ended = asyncio.Event()
-
-    async def hold(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await ended.wait()
-        writer.close()
-
-    async with await asyncio.start_server(hold, "127.0.0.1") as server:
-        yield Mqtt(host="127.0.0.1", port=server.sockets[0].getsockname()[1])
-        ended.set()
-
-
-async def test_a_time_out_bounds_the_connection_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adaptdrive.operation.link.TIMEOUT_S", PATIENCE_S)
-    async with asyncio.timeout(PATIENCE_S / 2.0), silent_broker() as broker:
-        silence = f"no answer from broker {broker.host}:{broker.port} within 0.2 s"
-        for wait in (
-            send_command(broker, "mute", "disable", None, 0.2),
-            read_status(broker, "mute", 0.2),
-            read_site(broker, 0.2),
-        ):
-            with pytest.raises(NoAnswerError, match=silence):
-                await wait
-
-
-@pytest.mark.parametrize("ahead_s", [-1.8e9, -3600.0, 3600.0])
-async def test_the_time_of_the_end_is_by_the_clock_of_the_drive(
-    mosquitto: Broker, ahead_s: float
+@pytest.mark.parametrize("ahead_s", [0.0, -1.8e9, -3600.0, 3600.0, 3.0e9 - 1e6])
+async def test_a_command_expires_before_its_sender_gives_it_up(
+    broker: MemoryBroker, ahead_s: float
 ) -> None:
-    drive, ahead = f"mute-{uuid.uuid4()}", timedelta(seconds=ahead_s)
-    command, given_up = await ask(mosquitto, drive, "enable", ahead)
-    expires = datetime.fromisoformat(command["expires"]) - ahead
-    assert given_up - timedelta(seconds=TIMEOUT_S) < expires <= given_up
+    """By the clock of the drive."""
+    async with drive(broker, ahead_s) as heard:
+        await send("enable")
+        given_up = VirtualClock.now() + timedelta(seconds=ahead_s)
+    ((verb, command),) = heard
+    expires = datetime.fromisoformat(command["expires"])
+    assert verb == "enable"
+    assert abs(given_up - expires) < timedelta(milliseconds=1)
 
 
-async def test_nothing_but_a_stop_is_sent_to_a_drive_that_is_not_heard(mosquitto: Broker) -> None:
-    drive, settings = f"mute-{uuid.uuid4()}", Mqtt(host=mosquitto.host, port=mosquitto.port)
-    async with asyncio.timeout(PATIENCE_S), commands(mosquitto, drive) as heard:
+async def test_a_clock_that_says_nothing_is_taken_for_the_senders_own(broker: MemoryBroker) -> None:
+    async with drive(broker, 3.1e9) as heard:
+        await send("enable")
+        given_up = VirtualClock.now()
+    expires = datetime.fromisoformat(heard[0][1]["expires"])
+    assert abs(given_up - expires) < timedelta(milliseconds=1)
+
+
+async def test_a_disable_never_expires(broker: MemoryBroker) -> None:
+    async with drive(broker) as heard:
+        await send("disable")
+    assert "expires" not in heard[0][1]
+
+
+async def test_a_value_may_be_a_number_of_numpy(broker: MemoryBroker) -> None:
+    async with drive(broker) as heard:
+        await send("voltage", np.float32(280.5), hold_s=np.int64(5))
+    ((_, command),) = heard
+    assert (command["value"], command["hold_s"]) == (280.5, 5)
+    assert "@" in command["user"]
+
+
+async def test_nothing_but_a_stop_is_sent_to_a_drive_that_is_not_heard(
+    broker: MemoryBroker,
+) -> None:
+    async with drive(broker, None) as heard:
         for verb in ("enable", "setpoint", "disable"):
-            with pytest.raises(NoAnswerError):
-                await send_command(settings, drive, verb, None, TIMEOUT_S)
-        verbs = [heard.get_nowait()[0] for _ in range(heard.qsize())]
-    assert verbs == ["ping", "ping", "disable"]
+            await send(verb)
+    assert [verb for verb, _ in heard] == ["ping", "ping", "disable"]
 
 
-async def test_a_drive_without_telemetry_that_answers_is_commanded(mosquitto: Broker) -> None:
-    drive, settings = f"dumb-{uuid.uuid4()}", Mqtt(host=mosquitto.host, port=mosquitto.port)
-    async with asyncio.timeout(PATIENCE_S), commands(mosquitto, drive) as heard:
-        asking = asyncio.create_task(send_command(settings, drive, "enable", None, TIMEOUT_S))
-        async with Client(mosquitto.host, mosquitto.port) as client:
-            for verb in ("ping", "enable"):
-                asked, content = await heard.get()
-                assert asked == verb
-                reply = {
-                    "id": content["id"],
-                    "verb": verb,
-                    "accepted": True,
-                    "reason": "",
-                    "state": "standby",
-                }
-                await client.publish(f"adaptdrive/{drive}/reply", json.dumps(reply))
-        assert (await asking).verb == "enable"
+async def test_telemetry_of_an_earlier_time_says_nothing_of_a_clock(broker: MemoryBroker) -> None:
+    old = json.dumps({"time": (START - timedelta(days=9)).isoformat()}).encode()
+    broker.publish("adaptdrive/motor/telemetry/drive", old, retain=True)
+    async with drive(broker, None, answers=True) as heard:
+        reply = await send_command(Mqtt(), "motor", "enable", None, TIMEOUT_S)
+    assert (reply.verb, reply.accepted) == ("enable", True)
+    assert [verb for verb, _ in heard] == ["ping", "enable"]
+
+
+async def test_the_answer_of_a_device_is_its_own(broker: MemoryBroker) -> None:
+    client = MemoryClient(broker)
+
+    def answer(message: Message) -> None:
+        identity = json.loads(bytes(message.payload))["id"]
+        body = json.dumps({"id": identity, "accepted": True, "reason": ""})
+        broker.publish(simulator_topic("motor", REPLY), body.encode())
+
+    client.receive = answer
+    async with client:
+        await client.subscribe(simulator_topic("motor", DISTURB))
+        assert (await disturb(Mqtt(), "motor", {"kind": "load"}, TIMEOUT_S)).accepted
+
+
+async def test_a_time_out_bounds_the_connection_too(broker: MemoryBroker) -> None:
+    broker.hangs = True
+    place, began_s = Mqtt(host="127.0.0.1"), asyncio.get_running_loop().time()
+    for wait in (
+        send_command(place, "mute", "disable", None, 0.2),
+        read_status(place, "mute", 0.2),
+        read_site(place, 0.2),
+    ):
+        with pytest.raises(NoAnswerError, match="no answer from"):
+            await wait
+    assert asyncio.get_running_loop().time() - began_s == pytest.approx(0.6)
+
+
+async def test_a_broker_that_ends_the_connection_is_named(broker: MemoryBroker) -> None:
+    broker.away = True
+    with pytest.raises(NoAnswerError, match=r"broker 127\.0\.0\.1:1883: connection refused"):
+        await send_command(Mqtt(host="127.0.0.1"), "motor", "enable", None, TIMEOUT_S)

@@ -1,21 +1,22 @@
-"""The MQTT contract, held against mosquitto and its own clients."""
+"""The MQTT contract of a service, in virtual time; scenes hold it against mosquitto."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.operation.clock import Synchronisation
+from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.reports import CommandReport, Event, Severity, State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -28,30 +29,24 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import (
     STANDBY,
     Bench,
     Heard,
+    RememberingHost,
     ask,
     drive_report,
     expect_retained,
     listening,
     load_report,
+    profile,
     publish,
     serving,
 )
-from tests.support import Broker
+from tests.virtual_time import virtual_time
 
 SQUARE = {"shape": "square", "low": 3.0, "high": 3.2, "period_s": 120}
-
-
-@pytest.fixture
-async def bench(
-    mosquitto: Broker, tmp_path: Path, request: pytest.FixtureRequest
-) -> AsyncIterator[Bench]:
-    drive = f"drive-{abs(hash(request.node.nodeid))}"
-    async with serving(mosquitto, drive, tmp_path) as running:
-        yield running
 
 
 @pytest.mark.parametrize(
@@ -176,9 +171,9 @@ async def test_an_id_that_cannot_be_sent_back_is_refused(bench: Bench) -> None:
 
 @pytest.mark.parametrize("payload", ['{"id": "p"}', '{"id": "p", "value": 3}'])
 async def test_a_ping_is_accepted_and_changes_nothing(
-    mosquitto: Broker, tmp_path: Path, payload: str
+    broker: MemoryBroker, tmp_path: Path, payload: str
 ) -> None:
-    async with serving(mosquitto, "pinged", tmp_path) as bench:
+    async with serving(broker, "pinged", tmp_path) as bench:
         reports = bench.hub.subscribe(CommandReport, size=9)
         reply = await ask(bench, "ping", payload)
         assert reply == {
@@ -199,10 +194,10 @@ async def test_a_retained_ping_is_refused(bench: Bench) -> None:
 
 
 async def test_expires_is_held_against_the_clock_of_the_daemon(
-    mosquitto: Broker, tmp_path: Path
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
     now = datetime(1999, 12, 31, 23, 0, tzinfo=UTC)
-    async with serving(mosquitto, "expiry", tmp_path, wall=lambda: now) as bench:
+    async with serving(broker, "expiry", tmp_path, wall=lambda: now) as bench:
         east = timedelta(hours=2)
         ahead = (now + timedelta(seconds=1) + east).replace(tzinfo=None).isoformat() + "+02:00"
         command = {"id": "a", "value": 1, "expires": ahead}
@@ -218,22 +213,24 @@ async def test_a_live_retained_command_is_refused(bench: Bench) -> None:
     assert bench.host.asked == []
 
 
-async def test_a_command_that_the_broker_kept_is_refused(mosquitto: Broker, tmp_path: Path) -> None:
+async def test_a_command_that_the_broker_kept_is_refused(
+    broker: MemoryBroker, tmp_path: Path
+) -> None:
     kept = "adaptdrive/kept/command/setpoint"
-    await publish(mosquitto, kept, '{"id": "a", "value": 1}', "-r")
-    async with listening(mosquitto, "adaptdrive/kept/reply") as ear:
-        async with serving(mosquitto, "kept", tmp_path) as bench:
+    await publish(broker, kept, '{"id": "a", "value": 1}', "-r")
+    async with listening(broker, "adaptdrive/kept/reply") as ear:
+        async with serving(broker, "kept", tmp_path) as bench:
             assert "retain" in (await ear.on("adaptdrive/kept/reply")).content["reason"]
         assert bench.host.asked == []
 
 
 async def test_a_command_from_before_the_connection_is_never_carried_out(
-    mosquitto: Broker, tmp_path: Path
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
-    async with serving(mosquitto, "early", tmp_path):
+    async with serving(broker, "early", tmp_path):
         pass
-    await publish(mosquitto, "adaptdrive/early/command/setpoint", '{"id": "a", "value": 1}')
-    async with serving(mosquitto, "early", tmp_path) as bench:
+    await publish(broker, "adaptdrive/early/command/setpoint", '{"id": "a", "value": 1}')
+    async with serving(broker, "early", tmp_path) as bench:
         assert (await ask(bench, "setpoint", '{"id": "b", "value": 2}'))["id"] == "b"
     assert bench.host.asked == [SetSetpoint(2.0)]
 
@@ -245,11 +242,11 @@ async def test_a_repeat_acts_once_and_hears_the_first_reply(bench: Bench) -> Non
     assert bench.host.asked == [SetSetpoint(1.0)]
 
 
-async def test_ids_are_remembered_across_restarts(mosquitto: Broker, tmp_path: Path) -> None:
-    async with serving(mosquitto, "memory", tmp_path) as bench:
+async def test_ids_are_remembered_across_restarts(broker: MemoryBroker, tmp_path: Path) -> None:
+    async with serving(broker, "memory", tmp_path) as bench:
         accepted = await ask(bench, "setpoint", '{"id": "a", "value": 1}')
         refused = await ask(bench, "setpoint", '{"id": "b", "value": 99}')
-    async with serving(mosquitto, "memory", tmp_path) as bench:
+    async with serving(broker, "memory", tmp_path) as bench:
         bench.host.highest = 100.0
         assert await ask(bench, "setpoint", '{"id": "a", "value": 1}') == accepted
         assert await ask(bench, "setpoint", '{"id": "b", "value": 99}') == refused
@@ -280,11 +277,11 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
 
 @pytest.mark.parametrize("word", list(Synchronisation))
 async def test_the_state_says_whether_the_clock_can_be_trusted(
-    mosquitto: Broker, tmp_path: Path, word: Synchronisation
+    broker: MemoryBroker, tmp_path: Path, word: Synchronisation
 ) -> None:
     async with (
-        serving(mosquitto, f"clock-{word}", tmp_path, synchronisation=lambda: word) as bench,
-        listening(mosquitto, bench.topic("state")) as ear,
+        serving(broker, f"clock-{word}", tmp_path, synchronisation=lambda: word) as bench,
+        listening(broker, bench.topic("state")) as ear,
     ):
         await ear.until(lambda message: message.content["clock"] == word.value)
 
@@ -359,13 +356,13 @@ async def test_the_state_tells_drive_output_limits_modes_and_version(bench: Benc
 
 
 async def test_since_is_the_time_of_the_state_not_of_any_change(
-    mosquitto: Broker, tmp_path: Path
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
     start, passed_s = datetime(2026, 1, 1, tzinfo=UTC), 0.0
     wall = lambda: start + timedelta(seconds=passed_s)  # noqa: E731
     async with (
-        serving(mosquitto, "since", tmp_path, wall=wall) as bench,
-        listening(mosquitto, bench.topic("state")) as ear,
+        serving(broker, "since", tmp_path, wall=wall) as bench,
+        listening(broker, bench.topic("state")) as ear,
     ):
         passed_s = 10.0
         bench.host.show(replace(STANDBY, state=State.RUNNING))
@@ -392,21 +389,21 @@ async def test_the_last_trip_stays_with_its_remedy_after_a_reset(bench: Bench) -
     assert tripped["last_trip"]["time"] == tripped["since"]
 
 
-async def test_the_last_trip_survives_a_restart(mosquitto: Broker, tmp_path: Path) -> None:
+async def test_the_last_trip_survives_a_restart(broker: MemoryBroker, tmp_path: Path) -> None:
     cause = "over-voltage: v_bst = 431.2 V, limit 430 V"
 
     def tripped(message: Heard) -> bool:
         return message.content["last_trip"] is not None
 
     async with (
-        serving(mosquitto, "tripped", tmp_path) as bench,
+        serving(broker, "tripped", tmp_path) as bench,
         listening(bench.broker, bench.topic("state")) as ear,
     ):
         bench.host.trip(cause)
         bench.hub.publish(Event("trip", Severity.ALARM, cause, 1))  # as the runtime does
         before = (await ear.until(tripped)).content["last_trip"]
     async with (
-        serving(mosquitto, "tripped", tmp_path) as bench,
+        serving(broker, "tripped", tmp_path) as bench,
         listening(bench.broker, bench.topic("state")) as ear,
     ):
         first = (await ear.until(tripped)).content
@@ -468,10 +465,10 @@ async def test_events_are_sent_in_order(bench: Bench) -> None:
 
 
 async def test_an_orderly_stop_sends_what_is_left_and_says_offline(
-    mosquitto: Broker, tmp_path: Path
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
-    async with listening(mosquitto, "adaptdrive/stop/#") as ear:
-        async with serving(mosquitto, "stop", tmp_path) as bench:
+    async with listening(broker, "adaptdrive/stop/#") as ear:
+        async with serving(broker, "stop", tmp_path) as bench:
             bench.hub.publish(Event("stop", Severity.INFO, "told to stop", 1))
             bench.host.show(replace(STANDBY, reason="told to stop"))
         await ear.until(lambda message: message.payload == "offline")
@@ -490,21 +487,22 @@ def _junk() -> st.SearchStrategy[bytes]:
     return st.binary() | documents.map(lambda document: json.dumps(document).encode())
 
 
-@settings(max_examples=10)
 @given(st.lists(st.tuples(st.sampled_from(["setpoint", "waveform", "mode", "x"]), _junk())))
-def test_junk_never_stops_the_service(
-    mosquitto: Broker, tmp_path_factory: pytest.TempPathFactory, junk: list[tuple[str, bytes]]
-) -> None:
+def test_junk_never_stops_the_service(junk: list[tuple[str, bytes]]) -> None:
     async def scenario() -> None:
-        folder = tmp_path_factory.mktemp("junk")
-        async with serving(mosquitto, "junk", folder) as bench:
-            bench.host.highest = -1.0
+        broker, host = MemoryBroker(), RememberingHost(highest=-1.0)
+        service = MqttService(profile("junk"), Mqtt(), host, host.hub, ServiceSurroundings())
+        with broker.joined():
+            running = asyncio.create_task(service.run())
+            await asyncio.sleep(1.0)
             for verb, payload in junk:
-                await publish(mosquitto, bench.topic(f"command/{verb}"), payload)
-            async with listening(mosquitto, bench.topic("reply")) as ear:
-                await publish(mosquitto, bench.topic("command/reset"), '{"id": "still here"}')
-                # replies to junk may still be on their way
-                await ear.until(lambda reply: reply.content.get("id") == "still here")
-            assert Reset() in bench.host.asked
+                await publish(broker, f"adaptdrive/junk/command/{verb}", payload)
+            await publish(broker, "adaptdrive/junk/command/reset", '{"id": "still here"}')
+            await asyncio.sleep(1.0)
+            assert not running.done()
+            running.cancel()
+            await asyncio.wait([running])
+        assert Reset() in host.asked
 
-    asyncio.run(scenario())
+    with virtual_time() as runner:
+        runner.run(scenario())

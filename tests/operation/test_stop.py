@@ -1,43 +1,20 @@
-"""A `disable` acts whatever its payload says, and is examined afterwards."""
+"""A `disable` acts whatever its payload says, ahead of all that waits, and is examined later."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 
-from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Enable, Request, SetSetpoint
-from tests.operation.peers import (
-    PATIENCE_S,
-    Bench,
-    RememberingHost,
-    ask,
-    listening,
-    publish,
-    serving,
-)
-from tests.support import Broker
+from adaptdrive.operation.session import COMMANDS_HELD
+from adaptdrive.runtime.requests import Disable, Enable, SetMode, SetSetpoint
+from tests.operation.memory_broker import MemoryBroker
+from tests.operation.peers import Bench, RememberingHost, ask, listening, publish, serving
 
 EXPIRED = '{"id": "x", "expires": "2001-01-01T00:00:00Z"}'
-
-
-@pytest.fixture
-async def bench(
-    mosquitto: Broker, tmp_path: Path, request: pytest.FixtureRequest
-) -> AsyncIterator[Bench]:
-    async with serving(mosquitto, f"stop-{abs(hash(request.node.nodeid))}", tmp_path) as running:
-        yield running
-
-
-async def asked(bench: Bench, *wanted: Request) -> None:
-    """Wait until the host was asked for exactly this."""
-    async with asyncio.timeout(PATIENCE_S):
-        while bench.host.asked != list(wanted):  # noqa: ASYNC110 - the host has no event
-            await asyncio.sleep(0.01)
+MORE = COMMANDS_HELD + 50
 
 
 @pytest.mark.parametrize(
@@ -47,7 +24,7 @@ async def asked(bench: Bench, *wanted: Request) -> None:
 async def test_a_stop_without_an_id_acts(bench: Bench, payload: str | bytes) -> None:
     reply = await ask(bench, "disable", payload)
     assert (reply["id"], reply["accepted"]) == (None, True)
-    await asked(bench, Disable())
+    assert bench.host.asked == [Disable()]
 
 
 @pytest.mark.parametrize(
@@ -67,75 +44,67 @@ async def test_a_stop_acts_and_then_hears_its_flaw(bench: Bench, payload: str, f
     assert flaw in reply["reason"]
     assert bool(flaw) is bool(reply.pop("reason"))
     assert reply == {"id": "x", "verb": "disable", "accepted": True, "state": "standby"}
-    await asked(bench, Enable(), Disable())
-
-
-async def test_a_stop_with_a_used_id_acts_each_time(bench: Bench) -> None:
-    await ask(bench, "enable", '{"id": "a"}')
-    reply = await ask(bench, "disable", '{"id": "a"}')
-    assert (reply["accepted"], reply["state"]) == (True, State.STANDBY)
-    assert "was used by 'enable'" in reply["reason"]
-    await ask(bench, "disable", '{"id": "b"}')
-    await ask(bench, "disable", '{"id": "b"}')
-    await asked(bench, Enable(), Disable(), Disable(), Disable())
-
-
-async def test_an_id_of_another_verb_is_refused(mosquitto: Broker, tmp_path: Path) -> None:
-    async with serving(mosquitto, "verbs", tmp_path) as bench:
-        await ask(bench, "setpoint", '{"id": "a", "value": 1}')
-        await ask(bench, "disable", '{"id": "b"}')
-        for verb, identity in (("enable", "a"), ("enable", "b"), ("reset", "b")):
-            reply = await ask(bench, verb, json.dumps({"id": identity}))
-            assert (reply["verb"], reply["accepted"]) == (verb, False)
-            assert f"id '{identity}' was used by" in reply["reason"]
-        await asked(bench, SetSetpoint(1.0), Disable())
-    async with serving(mosquitto, "verbs", tmp_path) as bench:
-        assert "'setpoint'" in (await ask(bench, "enable", '{"id": "a"}'))["reason"]
-        assert "'disable'" in (await ask(bench, "enable", '{"id": "b"}'))["reason"]
-        assert bench.host.asked == []
+    assert bench.host.asked == [Enable(), Disable()]
 
 
 @pytest.mark.parametrize("live", [False, True])
 @pytest.mark.parametrize("payload", ["OFF", '{"id": "a"}'])
 async def test_a_retained_stop_acts_once_and_is_deleted(
-    mosquitto: Broker, tmp_path: Path, payload: str, *, live: bool
+    broker: MemoryBroker, tmp_path: Path, payload: str, *, live: bool
 ) -> None:
-    drive = f"kept-{live}-{len(payload)}"
-    topic = f"adaptdrive/{drive}/command/disable"
+    topic = "adaptdrive/kept/command/disable"
     if not live:
-        await publish(mosquitto, topic, payload, "-r")
+        await publish(broker, topic, payload, "-r")
     async with (
-        listening(mosquitto, f"adaptdrive/{drive}/event") as ear,
-        serving(mosquitto, drive, tmp_path) as bench,
+        listening(broker, "adaptdrive/kept/event") as ear,
+        serving(broker, "kept", tmp_path) as bench,
     ):
         if live:
-            await publish(mosquitto, topic, payload, "-r")
+            await publish(broker, topic, payload, "-r")
         event = await ear.on(bench.topic("event"))
-        assert event.content["kind"] == "command"
+        assert (event.content["kind"], event.content["severity"]) == ("command", "warning")
         assert "a retained disable" in event.content["detail"]
         await ask(bench, "setpoint", '{"id": "later", "value": 1}')
-        await asked(bench, Disable(), SetSetpoint(1.0))
-    async with serving(mosquitto, drive, tmp_path) as bench:
-        await ask(bench, "setpoint", '{"id": "again", "value": 1}')
-        await asked(bench, SetSetpoint(1.0))
+        assert bench.host.asked == [Disable(), SetSetpoint(1.0)]
+        assert topic not in broker.retained
 
 
 async def test_an_operator_who_deletes_a_retained_stop_stops(bench: Bench) -> None:
     await publish(bench.broker, bench.topic("command/disable"), "", "-r")
-    await ask(bench, "setpoint", '{"id": "a", "value": 1}')
-    await asked(bench, Disable(), SetSetpoint(1.0))
+    assert bench.host.asked == [Disable()]
 
 
-async def test_a_stop_acts_while_the_disk_hangs(
-    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_a_stop_acts_ahead_of_a_flood_which_costs_its_oldest_commands(
+    broker: MemoryBroker, tmp_path: Path
 ) -> None:
-    host = RememberingHost()
-    async with serving(mosquitto, "hung", tmp_path, host) as bench:
+    """The commands before it are refused, and those after it are carried out."""
+    gate = asyncio.Event()
+    host = RememberingHost(gate=gate)
+    async with (
+        serving(broker, "flooded", tmp_path, host) as bench,
+        listening(broker, bench.topic("reply")) as ear,
+    ):
+        topic = bench.topic("command")
+        await publish(broker, f"{topic}/mode", '{"id": "first", "value": "fixed"}')
+        await host.busy.wait()
+        for number in range(MORE):
+            payload = json.dumps({"id": f"before-{number}", "value": 1.0})
+            await publish(broker, f"{topic}/setpoint", payload)
+        await publish(broker, f"{topic}/disable", '{"id": "stop"}')
+        assert [type(request) for request in host.asked] == [SetMode, Disable]
+        stop = await ear.on(bench.topic("reply"))
+        assert (stop.content["id"], stop.content["accepted"]) == ("stop", True)
+        gate.set()
+        await publish(broker, f"{topic}/setpoint", '{"id": "after", "value": 2}')
+        last = await ear.until(lambda reply: reply.content["id"] == "after")
+    assert last.content["accepted"]
+    refused = {one.content["id"]: one.content["reason"] for one in ear.heard[2:-1]}
+    assert list(refused) == [f"before-{number}" for number in range(51, MORE)]
+    assert all("a disable arrived after this command" in reason for reason in refused.values())
+    assert [type(request) for request in host.asked] == [SetMode, Disable, SetSetpoint]
 
-        async def hang(_log: object, patience_s: float) -> None:
-            await asyncio.sleep(patience_s)
 
-        monkeypatch.setattr("adaptdrive.recording.log.Log.kept", hang)
-        await publish(mosquitto, bench.topic("command/enable"), '{"id": "a"}')
-        assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
-        assert host.asked == [Disable()]
+async def test_a_flood_of_stops_is_carried_out_whole(bench: Bench) -> None:
+    for _ in range(MORE):
+        await publish(bench.broker, bench.topic("command/disable"), "x")
+    assert bench.host.asked == [Disable()] * MORE

@@ -19,10 +19,10 @@ from typing import Any
 
 from adaptdrive.operation.commands import FORMS, PING, STOP
 from tests.operation.contract import validators
-from tests.operation.fence import Fence
 from tests.scenes.panel.hostile import Hostile
 from tests.scenes.system.site import PATIENT_DRIVE, Site
 from tests.support import MosquittoLauncher, free_port, resident_MiB
+from tools.benchmarks.fence import Fence
 from tools.benchmarks.rows import Extent, Row
 from tools.benchmarks.tools import cpu_s
 from tools.fuzz.mutate import mutated
