@@ -91,6 +91,38 @@ HARDWARE: dict[str, tuple[str, ...]] = {
 
 OPERATION: dict[str, tuple[str, ...]] = {
     "adaptdrive.operation.desk": ("tests/operation/test_desk.py",),
+    "adaptdrive.operation.intake": (
+        "tests/operation/test_intake.py",
+        "tests/operation/test_history.py",
+        "tests/operation/test_service.py",
+        "tests/operation/test_link.py",
+    ),
+    "adaptdrive.operation.commands": (
+        "tests/operation/test_commands.py",
+        "tests/operation/test_desk.py",
+        "tests/operation/test_service.py",
+    ),
+    "adaptdrive.operation.conversation": (
+        "tests/operation/test_sender.py",
+        "tests/operation/test_lab_drive.py",
+    ),
+    "adaptdrive.operation.sender": ("tests/operation/test_sender.py",),
+}
+
+RECORDING: dict[str, tuple[str, ...]] = {
+    "adaptdrive.recording.log_writer": (
+        "tests/recording/test_log.py",
+        "tests/recording/test_recorder.py",
+        "tests/operation/test_stores.py",
+    ),
+    "adaptdrive.recording.recorder": ("tests/recording/test_recorder.py",),
+    "adaptdrive.recording.archive": ("tests/recording/test_archive.py",),
+    "adaptdrive.recording.session": (
+        "tests/recording/test_session.py",
+        "tests/recording/test_round_trip.py",
+        "tests/recording/test_retention.py",
+        "tests/recording/test_archive.py",
+    ),
 }
 
 
