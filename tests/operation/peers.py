@@ -213,8 +213,11 @@ class Ear:
 @asynccontextmanager
 async def listening(broker: Broker | MemoryBroker, *topics: str) -> AsyncIterator[Ear]:
     """Have a client listen; it is subscribed when the context is entered."""
-    hear = _hearing_in_memory if isinstance(broker, MemoryBroker) else _hearing
-    async with hear(broker, *topics) as ear:  # type: ignore[operator]
+    if isinstance(broker, MemoryBroker):
+        hearing = _hearing_in_memory(broker, *topics)
+    else:
+        hearing = _hearing(broker, *topics)
+    async with hearing as ear:
         yield ear
 
 

@@ -10,8 +10,7 @@ import pytest
 
 from adaptdrive.watch.terminal import REFRESH_S
 from tests.commission.answering_drive import answering_drive
-from tests.operation.peers import PATIENCE_S
-from tests.operation.peers import commands
+from tests.operation.peers import PATIENCE_S, commands
 from tests.support import Broker, acting
 from tests.watch.test_watch import Terminal, terminal
 

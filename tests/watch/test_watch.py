@@ -26,8 +26,7 @@ from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader
 from adaptdrive.watch.plot import PlotPoint, plot
 from adaptdrive.watch.record import POINTS, WatchRecord
 from adaptdrive.watch.view import screen
-from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
-from tests.operation.peers import commands
+from tests.operation.peers import PATIENCE_S, Bench, commands, drive_report, load_report, serving
 from tests.support import Broker
 
 AROUND = {"TERM": "xterm", "LINES": "40", "COLUMNS": "120"}
