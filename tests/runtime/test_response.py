@@ -145,3 +145,8 @@ def test_after_a_pause_it_begins_anew() -> None:
     watch.forget()
     assert watch.find_cause(replace(CALM, arrival_s=60.0, output=0.1)) is None
     assert watch.find_cause(replace(CALM, arrival_s=60.1, output=0.1)) is None
+
+
+def test_a_current_that_ends_with_its_power_is_believed() -> None:
+    powers, outputs = [800.0] * 1200 + [0.0] * 600, [10.0] * 1200 + [0.0] * 600
+    assert first_complaint(BATTERY, outputs, [320.0] * 1800, powers) == (math.inf, "")

@@ -151,3 +151,10 @@ def test_a_share_that_lasts_is_reported_once_until_a_good_window(
         )
     assert len(port.reported) == reports
     assert port.share.cause is None
+
+
+def test_the_last_of_seventeen_bins_begins_at_32768_us() -> None:
+    window = TimeWindow()
+    for time_us in (32_767.0, 32_768.0, 1e12):
+        window.add(time_us)
+    assert window.histogram == (0,) * 15 + (1, 2)
