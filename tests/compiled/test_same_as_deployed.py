@@ -17,9 +17,10 @@ from adaptdrive_sim.course import Course
 from adaptdrive_sim.plants.motor import Motor
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World
-from tests.support import sample
 
 DECISIONS = ("adaptive", "accepted", "verdict")
+
+pytestmark = [pytest.mark.proof, pytest.mark.timeout(3600)]
 
 
 def compare(seed: int, mode: Mode, duration_s: float | None = None) -> None:
@@ -40,10 +41,6 @@ def compare(seed: int, mode: Mode, duration_s: float | None = None) -> None:
 
 def test_a_short_run_is_the_same_with_the_fixed_controller() -> None:
     compare(1, Mode.FIXED, duration_s=120.0)
-
-
-def test_a_short_run_is_the_same_with_the_adaptive_controller() -> None:
-    compare(4, Mode.ADAPTIVE, duration_s=240.0)
 
 
 def probed(stand: Stand) -> tuple[Site, Course]:
@@ -77,7 +74,6 @@ def test_a_probe_is_the_same() -> None:
     np.testing.assert_allclose(found["boost_reference_V"], expected["boost_reference_V"], atol=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", sample(range(1, 51), 1))
+@pytest.mark.parametrize("seed", range(1, 51))
 def test_a_whole_run_is_the_same(seed: int) -> None:
     compare(seed, Mode.ADAPTIVE)

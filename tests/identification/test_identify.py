@@ -40,12 +40,18 @@ def recorded(plant: Plant, seed: int, noise: float, delay: int = 0) -> Excerpt:
     return Excerpt(volts, output + noise_std * random.normal(size=COUNT), PERIOD_s)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seeds", sample([range(20), range(60)], 1), ids=len)
-def test_intervals_hold_what_they_claim(kind: str, seeds: range) -> None:
+def test_a_load_is_found_within_its_interval(kind: str) -> None:
+    plant = KINDS[kind](np.random.default_rng(0))
+    excerpt = recorded(plant, 1000, noise=0.05, delay=2)
+    assert np.abs(scores(identify([excerpt], plant.structure), plant)).max() < 3.0
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("kind", KINDS)
+def test_intervals_hold_what_they_claim(kind: str) -> None:
     errors = []
-    for seed in seeds:
+    for seed in range(60):
         plant = KINDS[kind](np.random.default_rng(seed))
         excerpt = recorded(plant, seed + 1000, noise=0.05, delay=seed % 4)
         errors += scores(identify([excerpt], plant.structure), plant)
@@ -63,17 +69,16 @@ def looped(plant: Plant, seed: int, colour: float) -> Excerpt:
     return closed_loop(plant.truth, steps, noise, PERIOD_s, (2.0 / gain, 0.1 / gain))
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 @pytest.mark.parametrize("colour", [0.0, 0.8])
-@pytest.mark.parametrize("seeds", sample([range(20), range(80)], 1), ids=len)
-def test_feedback_of_the_noise_leaves_no_bias(colour: float, seeds: range) -> None:
+def test_feedback_of_the_noise_leaves_no_bias(colour: float) -> None:
     errors = []
-    for seed in seeds:
+    for seed in range(80):
         plant = KINDS["motor"](np.random.default_rng(seed))
         excerpt = looped(plant, seed + 2000, colour)
         errors.append(scores(identify([excerpt], plant.structure, longest_delay=0), plant))
     assert 0.90 <= np.mean(np.abs(errors) < 1.96) <= 0.99
-    assert np.abs(np.mean(errors, axis=0)).max() < 3.0 / np.sqrt(len(seeds))
+    assert np.abs(np.mean(errors, axis=0)).max() < 3.0 / np.sqrt(80)
 
 
 def test_a_direct_difference_of_samples_would_be_biased_in_that_loop() -> None:
@@ -90,7 +95,7 @@ def test_a_direct_difference_of_samples_would_be_biased_in_that_loop() -> None:
     assert abs(gain - true) > 10.0 * found.std
 
 
-@pytest.mark.parametrize("delay", [0, 1, 2, 3])
+@pytest.mark.parametrize("delay", sample([0, 3, 1, 2], 2))
 def test_the_dead_time_is_found(delay: int) -> None:
     plant = KINDS["battery"](np.random.default_rng(3))
     found = identify([recorded(plant, 4, 0.01, delay)], plant.structure)
@@ -101,7 +106,7 @@ def test_the_dead_time_is_found(delay: int) -> None:
     assert found.whiteness > 0.01
 
 
-@pytest.mark.parametrize("tau_s", [2.5, 5.0, 10.0])
+@pytest.mark.parametrize("tau_s", sample([2.5, 5.0, 10.0], 1))
 def test_a_simulation_begins_as_the_output_where_the_noise_is_as_slow_as_the_load(
     tau_s: float,
 ) -> None:
@@ -145,18 +150,18 @@ def test_an_input_that_nobody_measures_is_an_offset() -> None:
     assert found.input_offset.std < 5.0
 
 
-@pytest.mark.parametrize("bent", [0.0, 0.1])
+@pytest.mark.parametrize("bent", sample([0.1, 0.0], 1))
 def test_the_rising_voltage_of_a_battery_is_no_dynamics(bent: float) -> None:
     """The curve of charge to voltage is straight, or bent in its middle."""
     truth = battery_load(0.25, 1.2, 0.4, 30.0)
     random = np.random.default_rng(10)
-    volts = 300.0 + 0.2 * (random_voltage(random, 2000) - 300.0)
-    output = np.zeros(2000)
-    for _ in range(40):  # the charge depends on the current, which depends on the charge
+    volts = 300.0 + 0.2 * (random_voltage(random, 1200) - 300.0)
+    output = np.zeros(1200)
+    for _ in range(25):  # the charge depends on the current, which depends on the charge
         charge = np.cumsum(output) * PERIOD_s + 1e-9
         rise_V = 2e-3 * (charge + bent * charge[-1] * np.sin(np.pi * charge / charge[-1]))
         output = open_loop(truth, volts + 60.0 - rise_V / 0.25, PERIOD_s, offset=-300.0)
-    noisy = output + 0.01 * random.normal(size=2000)
+    noisy = output + 0.01 * random.normal(size=1200)
     structure = battery_load(0.25, 9.0, 9.0, 9.0, charging())
     found = identify([Excerpt(volts, noisy, PERIOD_s)], structure, longest_delay=0)
     assert np.abs(scores(found, Plant(structure, truth))).max() < 3.5

@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lti, step
 
 from adaptdrive.control.loads.battery import battery_load, physical
-from adaptdrive_sim.parameters import ParameterError
 from adaptdrive_sim.plants.battery import CELL_V, Battery, BatteryParameters
 from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.world import World, WorldParameters
@@ -68,13 +67,6 @@ def test_the_open_circuit_voltage_rises_with_the_charge_and_follows_its_curve(
     battery = Battery(BatteryParameters(charge=charge))
     curve = 20.0 * np.interp(charge, np.linspace(0.0, 1.0, 11), CELL_V)
     assert battery.open_circuit_V == pytest.approx(float(curve), rel=1e-12)
-
-
-def test_beyond_full_the_voltage_goes_on_rising() -> None:
-    battery = Battery(BatteryParameters(charge=1.0))
-    full_V = battery.open_circuit_V
-    battery.charge = 1.05
-    assert battery.open_circuit_V > full_V
 
 
 def test_the_model_is_the_admittance_of_the_control_side() -> None:
@@ -153,10 +145,3 @@ def test_the_sampled_output_is_the_mean_current_of_the_half_cycle() -> None:
         assert sample.output == sample.load_current_A
     world.step(0.0, bridge=False)
     assert world.step(0.0, bridge=False).output == 0.0
-
-
-def test_a_parameter_out_of_range_is_refused_by_name() -> None:
-    with pytest.raises(ParameterError, match=r"BatteryParameters\.charge = 1\.5"):
-        BatteryParameters(charge=1.5)
-    with pytest.raises(ParameterError, match=r"BatteryParameters\.cells = 0"):
-        BatteryParameters(cells=0)

@@ -3,8 +3,6 @@
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from adaptdrive.config import Configuration
 from adaptdrive_sim.device_main import build_drive
@@ -48,11 +46,6 @@ class Bench:
         return [data for event, data in self.events if event == name]
 
 
-def test_a_drive_without_any_command_is_safe_and_healthy() -> None:
-    frame = Bench().silent(20)
-    assert (frame.bridge, frame.fault, frame.sample.load_current_A) == (False, 0, 0.0)
-
-
 def test_commands_are_carried_out() -> None:
     bench = Bench()
     frame = bench.commanded(600, bench.holding_S)
@@ -60,16 +53,6 @@ def test_commands_are_carried_out() -> None:
     assert frame.fault == 0
     assert frame.sample.load_current_A == pytest.approx(6.7, abs=0.5)
     assert bench.named("safe") == []
-
-
-@given(silence=st.integers(1, 40).filter(lambda ticks: ticks != 12))
-def test_a_silent_host_means_the_safe_state_after_100_ms_and_not_before(silence: int) -> None:
-    bench = Bench()
-    bench.commanded(20, bench.holding_S)
-    frame = bench.silent(silence)
-    age_s = silence * HALF_CYCLE_s
-    assert len(bench.named("safe")) == (0 if age_s < 0.1 else 1)
-    assert frame.bridge is (age_s < 0.1)
 
 
 def test_the_safe_state_is_logged_with_what_is_true_then() -> None:
@@ -86,13 +69,6 @@ def test_the_safe_state_is_logged_with_what_is_true_then() -> None:
         "bridge": False,
         "load_current_A": 0.0,
     }
-
-
-def test_a_command_ends_the_safe_state() -> None:
-    bench = Bench()
-    bench.commanded(20, bench.holding_S)
-    bench.silent(30)
-    assert bench.commanded(2, bench.holding_S).bridge
 
 
 def test_over_voltage_stops_the_line_current_and_leaves_the_bridge() -> None:

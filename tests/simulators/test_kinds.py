@@ -1,23 +1,25 @@
-"""The simulated load is that of the configuration."""
+"""The simulated load is that of the configuration, and a wrong option is one clear line."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from adaptdrive.app.loads import build_load
+from adaptdrive.cli import carry_out
+from adaptdrive.cli.commands import understood
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import RefusedError
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.messages import DeviceReply
+from adaptdrive_sim import cli
 from adaptdrive_sim.device_main import build_world
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.kinds import load_of
-from adaptdrive_sim.plants.motor import Motor
 from tests.hardware.bench import EXAMPLES
 
 MODELS: dict[str, dict[str, float]] = {
@@ -87,59 +89,102 @@ def test_an_unknown_parameter_is_refused_with_the_nearest_one() -> None:
         load_of(configuration)
 
 
-def simulator(*words: str, hidden: str = "pass") -> subprocess.CompletedProcess[str]:
-    code = f"import sys; {hidden}; from adaptdrive_sim.cli import main; main()"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-c", code, *words]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+def status_of(words: str) -> int:
+    """Carry out a command of the simulators; return its status."""
+    return carry_out("adaptdrive-sim", understood(cli.app, words.split()), (), cli.FAILED)
+
+
+MOTOR = EXAMPLES / "motor.toml"
 
 
 @pytest.mark.parametrize(
-    ("example", "words", "problem"),
+    ("words", "complaint"),
     [
-        ("bath", ("--disks", "3"), "--disks 3: a bath has no shaft"),
-        ("motor-cia402", ("--command-timeout", "0.2"), "canopen watches a heartbeat"),
+        (f"device {MOTOR} --disks 0", "disks = 0 must lie in 1…10"),
+        (f"device {MOTOR} --noise -1", "NoiseParameters.sigma = -1.0 must lie in"),
+        (f"device {MOTOR} --initial-voltage 100", "boost_voltage_V = 100.0 must be at least"),
+        (f"device {MOTOR} --broker a/b", "broker 'a/b' is not HOST:PORT"),
+        (f"device {MOTOR} --interface udp_multicast --port 0", "--port = 0 must lie in 1…65535"),
+        (f"device {EXAMPLES}/bath.toml --disks 3", "--disks 3: a bath has no shaft"),
+        (f"device {EXAMPLES}/motor-cia402.toml --command-timeout 0.2", "watches a heartbeat"),
+        ("device none.toml", "none.toml"),
+        ("reproduce motor --output out --spikes often", "spikes 'often' is not RATE,SIGMA"),
+        ("reproduce motor --output out --noise -1", "noise = -1.0 must lie in"),
+        ("reproduce motor --output out --seed -4", "seed = -4 must lie in"),
+        ("reproduce bath --output out --keep-speed", "--keep-speed: a bath has no disks"),
+        ("reproduce bath --output occupied", "occupied: File exists"),
+        ("campaign standard.toml --output out --runs=0", "--runs = 0 must lie in "),
+        ("campaign standard.toml --output out --processes=0", "--processes = 0 must lie in "),
+        ("campaign standard.toml --output out --only=-1", "--only = -1 must lie in "),
     ],
 )
-def test_an_option_that_does_not_apply_is_refused(
-    example: str, words: tuple[str, ...], problem: str
+def test_what_cannot_be_asked_for_is_one_clear_line(
+    words: str,
+    complaint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    answer = simulator("device", str(EXAMPLES / f"{example}.toml"), *words)
-    assert answer.returncode == 1
-    assert problem in answer.stderr
-    assert answer.stderr.count("\n") == 1
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "occupied").touch()
+    assert status_of(words) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("adaptdrive-sim: ")
+    assert complaint in said
+    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize(
-    ("words", "option"),
+    "words",
     [
-        ("campaign no-file.toml --output out", "--runs"),
-        ("campaign no-file.toml --output out", "--processes"),
-        ("campaign no-file.toml --output out", "--only"),
-        ("reproduce bath --output out --spikes none", "--seed"),
-        ("demo bath --duration 0.1", "--seed"),
-        ("device no-file.toml", "--seed"),
-        ("device no-file.toml", "--disks"),
-        ("device no-file.toml", "--port"),
+        "campaign no-file.toml --output out --runs",
+        "campaign no-file.toml --output out --processes",
+        "campaign no-file.toml --output out --only",
+        "reproduce bath --output out --seed",
+        "demo bath --seed",
+        "device no-file.toml --seed",
+        "device no-file.toml --disks",
+        "device no-file.toml --port",
     ],
 )
-def test_an_integer_is_not_rounded(words: str, option: str) -> None:
-    answer = simulator(*words.split(), option, "1.9")
-    assert answer.returncode == 2
-    assert f'Invalid value for {option}: unable to convert "1.9" into int.' in answer.stderr
+def test_an_integer_is_not_rounded(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of(f"{words} 1.9") == 2
+    option = words.rpartition(" ")[2]
+    said = capsys.readouterr().err
+    assert f'Invalid value for {option}: unable to convert "1.9" into int.' in said
 
 
-def test_without_its_extra_it_names_the_command_to_install_it() -> None:
-    hidden = "sys.modules['numpy'] = None"
-    answer = simulator("device", str(EXAMPLES / "motor.toml"), hidden=hidden)
-    assert answer.returncode == 1
-    assert answer.stderr == ("adaptdrive-sim: numpy is missing: pip install 'adaptdrive[sim]'\n")
+@pytest.mark.parametrize(
+    ("answer", "status", "said"),
+    [
+        (DeviceReply("1", True, ""), 0, ""),
+        (DeviceReply("1", False, "disks = 0"), 1, "adaptdrive-sim: refused: disks = 0\n"),
+        (NoAnswerError("bench", "broker b:1: refused"), 3, "adaptdrive-sim: broker b:1: refused\n"),
+    ],
+)
+def test_a_disturbance_has_the_status_of_its_answer(
+    answer: DeviceReply | Exception,
+    status: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async def ask(*_: object) -> DeviceReply:
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr("adaptdrive.operation.sender.disturb", ask)
+    assert status_of("disturb bench remove-disk --broker b:1") == status
+    assert capsys.readouterr().err == said
 
 
-@pytest.mark.parametrize(("given", "speed"), [({}, 100.0), ({"dropped_at_rest": 1.0}, 50.0)])
-def test_a_disk_may_land_on_the_shaft_at_rest(given: dict[str, float], speed: float) -> None:
-    motor = load_of(changed("motor", ("simulation.parameters", given)))
-    assert isinstance(motor, Motor)
-    motor.speed_rad_s = 100.0
-    motor.disks = 2
-    assert motor.speed_rad_s == pytest.approx(speed)
+def test_without_its_extra_it_names_the_command_to_install_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def run(*_: object, **__: object) -> int:
+        raise ModuleNotFoundError(name="numpy")
+
+    monkeypatch.setattr(cli, "carry_out", run)
+    with pytest.raises(SystemExit, match=r"numpy is missing: pip install 'adaptdrive\[sim\]'"):
+        cli.main()

@@ -30,11 +30,7 @@ def run(plant: World, ticks: int) -> list[Sample]:
 
 
 def test_the_same_seed_gives_the_same_samples_bit_for_bit() -> None:
-    assert run(world(ROUGH), 6000) == run(world(ROUGH), 6000)
-
-
-def test_samples_are_plain_numbers() -> None:
-    assert {type(value) for value in run(world(ROUGH), 2)[1]} == {int, float}
+    assert run(world(ROUGH), 2000) == run(world(ROUGH), 2000)
 
 
 def test_a_command_acts_one_half_cycle_after_its_frame() -> None:
@@ -118,15 +114,6 @@ def test_energy_from_the_line_ends_in_the_capacitor_or_the_load() -> None:
     assert line_J == pytest.approx(load_J + stored_J, rel=1e-9)
 
 
-def test_power_into_the_dc_dc_stage_is_power_at_the_load_and_in_the_droop() -> None:
-    plant = world()
-    plant.settle(300.0)
-    for n in range(600):
-        sample = plant.step(0.03 + 0.02 * math.sin(0.05 * n), bridge=True)
-        source_W = 0.25 * plant.boost.mean_voltage_V * sample.load_current_A
-        assert sample.load_power_W == pytest.approx(source_W, rel=2e-3)
-
-
 def test_from_290_to_200_V_the_current_of_the_reference_plant_stays_positive() -> None:
     plant = world()
     plant.settle(290.0)
@@ -154,13 +141,6 @@ def test_spikes_strike_the_asked_share_of_samples() -> None:
     assert statistics.fmean(struck) == pytest.approx(0.02, abs=0.006)
 
 
-def test_noise_can_be_silenced_while_it_runs() -> None:
-    plant = world(ROUGH)
-    plant.step(0.0, bridge=False)
-    plant.noise = NoiseParameters()
-    assert plant.step(0.0, bridge=False).output == plant.true_output
-
-
 def test_the_line_drifts_and_wanders_within_its_bounds_and_reaches_them() -> None:
     samples = run(world(ROUGH), 6000)
     frequencies = [0.5 / sample.tick_period_s for sample in samples]
@@ -177,14 +157,6 @@ def test_a_sag_takes_its_share_for_its_time(line: LineParameters) -> None:
     voltages = [plant.step(0.0, bridge=False).line_voltage_V for _ in range(40)]
     runs = [(round(v), len(list(same))) for v, same in itertools.groupby(voltages, round)]
     assert runs == [(96, 12), (120, 28)]
-
-
-def test_a_sag_can_be_called_off() -> None:
-    plant = world()
-    plant.line.sag(0.5, 10.0)
-    assert plant.step(0.0, bridge=False).line_voltage_V == 60.0
-    plant.line.sag(0.0, 0.0)
-    assert plant.step(0.0, bridge=False).line_voltage_V == 120.0
 
 
 @pytest.mark.parametrize(("fraction", "duration_s"), [(1.1, 1.0), (-0.1, 1.0), (0.2, 61.0)])
