@@ -18,11 +18,11 @@ from adaptdrive_sim.campaign.battery_bench import (
 )
 from adaptdrive_sim.campaign.main import repeat_run, run_campaign, run_seed
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
-from tests.campaign.flaws import message_about
+from tests.support import compiled
 
 SHIPPED = Path("battery.toml")
 TEXT = (FOLDER / SHIPPED).read_text(encoding="utf-8")
-SEEDS = range(310_001, 310_201)
+SEEDS = range(310_001, 310_101)
 
 
 def read_battery_campaign(path: Path) -> BatteryCampaign:
@@ -61,7 +61,7 @@ def test_the_ideal_current_settles_without_overshoot() -> None:
     assert found[-1] == pytest.approx(8.0)
 
 
-@pytest.mark.slow
+@compiled
 def test_the_resistance_grows_in_the_plant() -> None:
     scenario = next(one for one in scenarios() if one.growth > 1.5 and one.charge < 0.4)
     assert scenario.series_at(0.0) == 1.0
@@ -77,7 +77,7 @@ def test_the_resistance_grows_in_the_plant() -> None:
     assert after - before > 0.9 * scenario.current_A * series_Ohm * (scenario.growth - 1.0)
 
 
-@pytest.mark.slow
+@compiled
 def test_a_row_says_what_happened_and_the_same_seed_says_the_same() -> None:
     campaign = read_battery_campaign(SHIPPED)
     row = run_seed(campaign, 310_002)
@@ -87,7 +87,7 @@ def test_a_row_says_what_happened_and_the_same_seed_says_the_same() -> None:
     assert row["ripple_found"] < row["ripple"] + 0.01
 
 
-@pytest.mark.slow
+@compiled
 def test_a_campaign_is_written_and_a_run_is_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -102,19 +102,3 @@ def test_a_campaign_is_written_and_a_run_is_repeated(
     printed = capsys.readouterr().out
     assert "2 runs, each fixed and adaptive" in printed
     assert "adaptive in force for half of the constant current" in printed
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "flaw"),
-    [
-        ("full_V = [12.0, 400.0]", "full_V = [5.0, 400.0]", "battery.full_V = [5.0, 400.0]: "),
-        ("growth = [1.2, 2.0]", "growth = [0.5, 2.0]", "battery.growth = [0.5, 2.0]: "),
-        ("aged = 0.5", "aged = 1.5", "battery.aged = 1.5: "),
-        ("runs = 300", "runs = 0", "runs = 0: "),
-    ],
-)
-def test_an_error_in_a_file_names_key_and_value(
-    tmp_path: Path, old: str, new: str, flaw: str
-) -> None:
-    path = tmp_path / "mine.toml"
-    assert f"{path}: {flaw}" in message_about(path, TEXT, old, new)

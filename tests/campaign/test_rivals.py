@@ -8,15 +8,15 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.run import run_held
+from tests.support import compiled
 from tools.benchmarks.rivals.cases import CASES
 from tools.benchmarks.rivals.results import PAGES, read, rendered
 from tools.benchmarks.rivals.runs import CONTROLLERS, figures, takes_part
 
-pytestmark = pytest.mark.slow
-
 SEED = 44_900_000
 
 
+@compiled
 def test_a_rival_meets_the_plant_that_the_daemon_meets() -> None:
     stand = CASES["I"].stand(SEED)
     expected = stand.run(Mode.ADAPTIVE).trace
@@ -26,11 +26,13 @@ def test_a_rival_meets_the_plant_that_the_daemon_meets() -> None:
     np.testing.assert_allclose(found, expected[:, : bench.ADAPTIVE], rtol=1e-9, equal_nan=False)
 
 
+@compiled
 @pytest.mark.parametrize("rival", ["fixed", "SIMC PI", "relay PID"])
 def test_with_three_disks_adaptive_follows_better(rival: str) -> None:
     assert figures(CASES["B"], SEED, "adaptive").rms < 0.25 * figures(CASES["B"], SEED, rival).rms
 
 
+@compiled
 @pytest.mark.parametrize("name", ["A", "B"])
 def test_adaptive_comes_near_to_a_controller_that_knows_load_and_limits(name: str) -> None:
     known, adaptive = (figures(CASES[name], SEED, one).rms for one in ("MPC", "adaptive"))

@@ -1,23 +1,21 @@
-"""The guide against a drive that is not heard, or whose clock is set, on a real broker."""
+"""The guide, and a drive that answers it in this process: not heard, set clocks, and its end."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
-import json
 import re
-import uuid
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.guide import Guide
+from adaptdrive.commission.guide import HOLD_S, Guide
 from adaptdrive.commission.readings import fast_readings
 from adaptdrive.commission.samples import Samples
 from adaptdrive.commission.target import build_target
@@ -25,13 +23,15 @@ from adaptdrive.config.file import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.steady import SteadyClient
+from adaptdrive.operation.listener import DriveStatus
+from adaptdrive.operation.messages import Reply
 from adaptdrive.watch.ending import whole
-from tests.commission.answering_drive import answering_drive
-from tests.support import Broker
+from tests.commission.test_experiment import TARGET, lag
+from tests.hardware.bench import EXAMPLES
 
-EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
-PATIENCE_S = 60.0
+BROKER = Mqtt(host="localhost", port=1883)
+BEGAN = datetime(2026, 11, 29, tzinfo=UTC)
+TELEMETRY_S = 0.05
 STEADY_S = 2.0
 """Time between two moments at which the clock of a drive is set."""
 
@@ -39,114 +39,127 @@ POLL_S = 0.2
 JITTER_S = 0.005
 """Poll of a slow drive, and what a busy host adds to the times that it publishes."""
 
-MEASUREMENT = {"boost_voltage_V": 280.0, "output": 1.0, "command": {"bridge": False}}
 
-Telemetry = Callable[[float], dict[str, Any]]
-"""Returns a message of a drive at a time since the begin, in s."""
+@dataclass
+class PretendDrive:
+    """A drive in standby that publishes some telemetry and does at once what it is asked for.
 
+    Attributes:
+        message: Returns a message of the drive at a time since the begin, in s.
+        state: Its state.
+        voltage_V: Last voltage that it was asked for.
+        verbs: Commands that came, without the repeated ones.
+        stopped: Set when a `disable` came.
+        answers_stop: Lets the answer to it go.
+    """
 
-async def publish(broker: Broker, drive: str, telemetry: Telemetry) -> None:
-    """Publish a drive in standby, and its telemetry twenty times a second."""
-    place, begin_s = f"adaptdrive/{drive}", asyncio.get_running_loop().time()
-    async with SteadyClient(broker.host, broker.port) as client:
-        await client.publish(f"{place}/availability", "online", retain=True)
-        await client.publish(f"{place}/state", json.dumps({"state": "standby"}), retain=True)
+    message: Callable[[float], dict[str, Any]]
+    state: dict[str, Any] = field(default_factory=lambda: {"state": "standby", "mode": "fixed"})
+    voltage_V: float = 200.0
+    verbs: list[str] = field(default_factory=list)
+    stopped: asyncio.Event = field(default_factory=asyncio.Event)
+    answers_stop: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def telemetry(self, *_: object) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+        loop = asyncio.get_running_loop()
+        begin_s = loop.time()
         while True:
-            message = telemetry(asyncio.get_running_loop().time() - begin_s)
-            await client.publish(f"{place}/telemetry/drive", json.dumps(message))
-            await asyncio.sleep(0.05)
+            yield "drive", self.message(loop.time() - begin_s)
+            await asyncio.sleep(TELEMETRY_S)
+
+    async def read_status(self, *_: object) -> DriveStatus:
+        return DriveStatus("online", dict(self.state))
+
+    async def send_command(
+        self, _broker: object, _drive: object, verb: str, value: Any, *_: object, **__: object
+    ) -> Reply:
+        if verb not in self.verbs[-1:]:
+            self.verbs.append(verb)
+        if verb == "mode":
+            self.state["mode"] = value
+        elif verb == "enable":
+            self.state |= {"state": "running", "coasting": True}
+        elif verb == "voltage":
+            self.state["coasting"], self.voltage_V = False, value
+        elif verb == "disable":
+            self.state |= {"state": "standby", "coasting": False}
+            self.stopped.set()
+            await self.answers_stop.wait()
+        return Reply("1", verb, accepted=True, reason="", state=None)
 
 
-async def watch(broker: Broker, telemetry: Telemetry, duration_s: float) -> Samples:
-    """Return what the guide sees of a drive in standby that publishes some telemetry."""
-    drive = f"heard-{uuid.uuid4()}"
-    publishing = asyncio.create_task(publish(broker, drive, telemetry))
-    try:
-        async with asyncio.timeout(PATIENCE_S):
-            guide = Guide(Mqtt(host=broker.host, port=broker.port), drive, 20.0)
-            return await guide.watch_standby(duration_s)
-    finally:
-        publishing.cancel()
-        await asyncio.wait([publishing])
+def stamped(passed_s: float, **fields: object) -> dict[str, Any]:
+    """A message of a drive by the clock of its host."""
+    time = BEGAN + timedelta(seconds=passed_s)
+    measured = {"boost_voltage_V": 280.0, "output": 1.0, "command": {"bridge": False}}
+    return {"time": time.isoformat(), "age_s": 0.0} | measured | fields
 
 
-def stamped(time: datetime, **fields: object) -> dict[str, Any]:
-    """Return a message of a drive by the clock of its host."""
-    return MEASUREMENT | {"time": time.isoformat(), "age_s": 0.0} | fields
+Pretend = Callable[[Callable[[float], dict[str, Any]]], PretendDrive]
 
 
-async def test_a_value_that_is_held_is_no_measurement(mosquitto: Broker) -> None:
-    def held(passed_s: float) -> dict[str, Any]:
-        return stamped(datetime.now(UTC), age_s=passed_s)
+@pytest.fixture
+def pretend(monkeypatch: pytest.MonkeyPatch) -> Pretend:
+    """Let a drive in this process answer."""
 
+    def put(message: Callable[[float], dict[str, Any]]) -> PretendDrive:
+        drive = PretendDrive(message)
+        monkeypatch.setattr("adaptdrive.commission.readings.telemetry", drive.telemetry)
+        for name in ("read_status", "send_command"):
+            monkeypatch.setattr(f"adaptdrive.commission.guide.{name}", getattr(drive, name))
+        return drive
+
+    return put
+
+
+async def watch(duration_s: float) -> Samples:
+    return await Guide(BROKER, "bench", 20.0).watch_standby(duration_s)
+
+
+@pytest.mark.parametrize(
+    "wrong", [None, {"boost_voltage_V": None}, {"age_s": None}, {"age_s": "0.0"}, {"age_s": [0.0]}]
+)
+async def test_a_value_that_is_held_is_no_measurement(
+    pretend: Pretend, wrong: dict[str, object] | None
+) -> None:
+    """Nor is a message without a voltage or its age."""
+    pretend(lambda s: stamped(s, age_s=s) if wrong is None else stamped(s, **wrong))
     with pytest.raises(NoAnswerError, match="no measurement for 4 s"):
-        await watch(mosquitto, held, 30.0)
+        await watch(30.0)
 
 
 @pytest.mark.parametrize("step_s", [-600.0, 600.0])
-async def test_a_clock_that_is_set_ends_the_experiment(mosquitto: Broker, step_s: float) -> None:
-    def telemetry(passed_s: float) -> dict[str, Any]:
-        return stamped(datetime.now(UTC) + passed_s // STEADY_S * timedelta(seconds=step_s))
-
+async def test_a_clock_that_is_set_ends_the_experiment(pretend: Pretend, step_s: float) -> None:
+    pretend(lambda s: stamped(s + s // STEADY_S * step_s))
     with pytest.raises(CommissionError, match=re.escape(f"moved by {step_s:+.0f} s against")):
-        await watch(mosquitto, telemetry, 60.0)
+        await watch(60.0)
 
 
-async def test_a_clock_that_is_slewed_or_set_by_one_second_ends_nothing(
-    mosquitto: Broker,
-) -> None:
-    def telemetry(passed_s: float) -> dict[str, Any]:
-        step_s = passed_s // STEADY_S % 2.0
-        return stamped(datetime.now(UTC) + timedelta(seconds=step_s + 5e-4 * passed_s))
-
-    samples = await watch(mosquitto, telemetry, 4.0)
-    assert samples.times_s[-1] - samples.times_s[0] >= 4.0
+async def test_a_clock_that_is_slewed_or_set_by_one_second_ends_nothing(pretend: Pretend) -> None:
+    pretend(lambda s: stamped(s + s // STEADY_S % 2.0 + 5e-4 * s))
+    samples = await watch(600.0)
+    assert samples.times_s[-1] - samples.times_s[0] >= 600.0
 
 
-async def test_a_value_that_is_published_again_is_no_sample_of_the_noise(mosquitto: Broker) -> None:
+async def test_a_value_that_is_published_again_is_no_sample_of_the_noise(pretend: Pretend) -> None:
     random = np.random.default_rng(3)
     outputs = 20.0 + 0.02 * random.standard_normal(10_000)
 
     def polled(passed_s: float) -> dict[str, Any]:
         number, age_s = divmod(passed_s, POLL_S)
-        late = timedelta(seconds=random.uniform(0.0, JITTER_S))
-        return stamped(datetime.now(UTC) + late, age_s=age_s, output=outputs[int(number)])
+        late_s = random.uniform(0.0, JITTER_S)
+        return stamped(passed_s + late_s, age_s=age_s, output=outputs[int(number)])
 
-    samples = await watch(mosquitto, polled, 8.0)
+    pretend(polled)
+    samples = await watch(60.0)
     assert all(a != b for a, b in itertools.pairwise(samples.outputs))
-    assert samples.noise(0.0, samples.times_s[-1]) == pytest.approx(0.02, rel=0.4)
+    assert samples.noise(0.0, samples.times_s[-1]) == pytest.approx(0.02, rel=0.2)
 
 
-async def test_a_drive_that_goes_off_is_seen_before_its_next_measurement(mosquitto: Broker) -> None:
-    drive = f"heard-{uuid.uuid4()}"
-
-    def held(passed_s: float) -> dict[str, Any]:
-        command = {"bridge": passed_s < STEADY_S}
-        return stamped(datetime.now(UTC), age_s=passed_s, command=command)
-
-    publishing = asyncio.create_task(publish(mosquitto, drive, held))
-    try:
-        async with asyncio.timeout(PATIENCE_S):
-            readings = fast_readings(Mqtt(host=mosquitto.host, port=mosquitto.port), drive)
-            async with aclosing(readings):
-                bridges = [(await anext(readings)).bridge for _ in range(2)]
-    finally:
-        publishing.cancel()
-        await asyncio.wait([publishing])
-    assert bridges == [True, False]
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"boost_voltage_V": None}, {"age_s": None}, {"age_s": "0.0"}, {"age_s": [0.0]}]
-)
-async def test_a_message_without_a_voltage_or_its_age_is_no_measurement(
-    mosquitto: Broker, wrong: dict[str, object]
-) -> None:
-    def telemetry(passed_s: float) -> dict[str, Any]:
-        return stamped(datetime.now(UTC), **wrong)
-
-    with pytest.raises(NoAnswerError, match="no measurement for 4 s"):
-        await watch(mosquitto, telemetry, 30.0)
+async def test_a_drive_that_goes_off_is_seen_before_its_next_measurement(pretend: Pretend) -> None:
+    pretend(lambda s: stamped(s, age_s=s, command={"bridge": s < STEADY_S}))
+    async with aclosing(fast_readings(BROKER, "bench")) as readings:
+        assert [(await anext(readings)).bridge for _ in range(2)] == [True, False]
 
 
 @pytest.mark.parametrize("device", ["maxon-epos4", "cascadia-pm", "odrive-s1"])
@@ -158,15 +171,71 @@ def test_an_experiment_rests_the_load_at_0_where_its_drive_may_turn_it_backwards
     assert build_target(configuration, 0.05).low_V == 0.0
 
 
-async def test_a_drive_that_another_operator_has_enabled_is_left_alone(mosquitto: Broker) -> None:
-    name = f"taken-{uuid.uuid4()}"
-    target = build_target(load_configuration(EXAMPLES / "motor.toml"), 0.05)
-    async with answering_drive(mosquitto, name) as drive:
-        drive.state = "running"
-        guide = Guide(Mqtt(host=mosquitto.host, port=mosquitto.port), name, 20.0)
-        with pytest.raises(CommissionError, match="is running: commissioning begins in standby"):
-            await guide.carry_out(LoadExperiment(target), lambda *_: None)
+async def test_a_drive_that_another_operator_has_enabled_is_left_alone(pretend: Pretend) -> None:
+    drive = pretend(stamped)
+    drive.state["state"] = "running"
+    with pytest.raises(CommissionError, match="is running: commissioning begins in standby"):
+        await begun(Guide(BROKER, "bench", 20.0))
     assert drive.verbs == []
+
+
+async def begun(guide: Guide) -> LoadExperiment:
+    experiment = LoadExperiment(TARGET)
+    await guide.carry_out(experiment, lambda *_: None)
+    return experiment
+
+
+ORDERLY = ["mode", "enable", "voltage", "disable", "mode"]
+
+
+def obedient(pretend: Pretend) -> PretendDrive:
+    """A drive with a load of first order."""
+    load = lag(0.01, 2.0, noise=0.002)
+
+    def message(passed_s: float) -> dict[str, Any]:
+        running = {"bridge": drive.state["state"] == "running"}
+        volts = drive.voltage_V
+        return stamped(passed_s, boost_voltage_V=volts, output=load(volts), command=running)
+
+    drive = pretend(message)
+    return drive
+
+
+async def test_a_whole_experiment_leaves_the_drive_off_in_its_old_mode(pretend: Pretend) -> None:
+    drive = obedient(pretend)
+    drive.answers_stop.set()
+    experiment = await begun(Guide(BROKER, "bench", 20.0))
+    assert experiment.outcome is not None
+    assert experiment.outcome.gain == pytest.approx(0.01, rel=0.1)
+    assert drive.verbs == ORDERLY
+    assert drive.state == {"state": "standby", "mode": "fixed", "coasting": False}
+
+
+async def test_an_end_that_is_asked_for_twice_stops_the_drive_once(pretend: Pretend) -> None:
+    drive = obedient(pretend)
+    running = asyncio.create_task(begun(Guide(BROKER, "bench", 20.0)))
+    await asyncio.sleep(3.0)
+    running.cancel()
+    await drive.stopped.wait()
+    running.cancel()
+    await asyncio.sleep(1.0)
+    assert not running.done()
+    drive.answers_stop.set()
+    with pytest.raises(asyncio.CancelledError):
+        await running
+    assert drive.verbs == ORDERLY
+    assert drive.state["mode"] == "fixed"
+
+
+async def test_a_stop_that_nobody_answers_is_named(pretend: Pretend) -> None:
+    drive, guide = obedient(pretend), Guide(BROKER, "bench", 20.0)
+    running = asyncio.create_task(begun(guide))
+    await asyncio.sleep(3.0)
+    running.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await running
+    assert drive.stopped.is_set()
+    assert f"where bench is energised, it trips within {HOLD_S:g} s" in guide.unstopped
 
 
 @pytest.mark.parametrize("complete", [False, True])

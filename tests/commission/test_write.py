@@ -1,7 +1,8 @@
-"""The proposed settings go only into a configuration that is valid at that moment."""
+"""Nothing begins unasked; proposed settings go only into a configuration valid at that moment."""
 
 from __future__ import annotations
 
+import io
 import os
 import resource
 import shutil
@@ -13,12 +14,47 @@ from typing import cast
 import pytest
 
 from adaptdrive.app.examine import examine_text
+from adaptdrive.cli import main
 from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
 from adaptdrive.commission.report import Commissioned
-from adaptdrive.commission.run import CommissionRequest, announcement, write
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.commission.run import CommissionRequest, alone, announcement, write
+from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import CommissionError, ConfigurationError
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+
+
+class Terminal(io.StringIO):
+    """Input that somebody types."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("typed", ["", "\n", "n\n"], ids=["Ctrl-D", "Enter", "no"])
+def test_without_a_yes_nothing_begins(
+    typed: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", Terminal(typed))
+    assert main(["commission", "motor", "--config", str(EXAMPLES / "motor.toml")]) == 1
+    said = capsys.readouterr()
+    assert "is enabled in mode manual" in said.out
+    assert said.out.endswith("begin? [y/N] " if typed else "begin? [y/N] \n")
+    assert said.err == ""
+
+
+def test_a_second_experiment_on_a_drive_is_refused() -> None:
+    broker = Mqtt(host="bench.example")
+    with (
+        alone("commissioned", broker),
+        alone("another", broker),
+        alone("commissioned", Mqtt(host="elsewhere.example")),
+        pytest.raises(CommissionError, match=rf"commissioned by process {os.getpid()}"),
+        alone("commissioned", broker),
+    ):
+        pytest.fail("it began")
+    with alone("commissioned", broker):
+        pass
 
 
 def test_a_file_that_became_invalid_is_left_as_it_is(tmp_path: Path) -> None:

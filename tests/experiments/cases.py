@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable
+from dataclasses import replace
 
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import (
@@ -16,10 +15,18 @@ from adaptdrive_sim.experiments.case import (
     case_settings,
     run_case,
 )
-from adaptdrive_sim.experiments.experiment import Experiment
+from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
+from adaptdrive_sim.experiments.published import MOTOR
 
 SEEDS = range(20)
+SHORT_MOTOR = replace(
+    MOTOR, duration_s=840.0, changes=(LoadChange(360.0, 2.0), LoadChange(600.0, 3.0))
+)
+"""The paper's experiment with the motor, in seven cycles in the place of eleven."""
+
+SHORT_LAST_CYCLES = (2, 4, 6)
+"""Of it, with one, two and three disks."""
 
 
 def make_case(
@@ -34,33 +41,23 @@ def make_case(
     return Case(experiment, variant, case_settings(experiment, variant, design), noise, seed)
 
 
-def run_all(cases: Iterable[Case]) -> list[Run]:
-    """Run many cases on all processors, in order."""
-    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        return list(pool.map(run_case, cases))
-
-
 def run_all_compiled(cases: Iterable[Case]) -> list[Run]:
-    """The same on compiled code, for many cases of one kind."""
+    """Run many cases of one kind, on compiled code."""
     return [run_case(case, compiled=True) for case in cases]
 
 
-def outcomes(
+def outcome(
     experiment: Experiment,
     variants: tuple[Variant, ...],
     disturbance: Disturbance | None = None,
-    seeds: Iterable[int] = SEEDS,
-    run: Callable[[Iterable[Case]], list[Run]] = run_all,
-) -> list[ExperimentOutcome]:
-    """The experiment in the paper's design, once for each seed."""
+    seed: int = 0,
+    *,
+    compiled: bool = False,
+) -> ExperimentOutcome:
+    """The experiment in the paper's design."""
     noise = disturbance or Disturbance(experiment.noise)
-    wanted = [(seed, variant) for seed in seeds for variant in variants]
-    cases = [make_case(experiment, variant, "paper", noise, seed) for seed, variant in wanted]
-    records = dict(zip(wanted, run(cases), strict=True))
-    return [
-        judge(
-            ReproduceRequest(experiment, "paper", noise, seed),
-            {variant: records[seed, variant] for variant in variants},
-        )
-        for seed in dict.fromkeys(seed for seed, _ in wanted)
-    ]
+    records = {
+        one: run_case(make_case(experiment, one, "paper", noise, seed), compiled=compiled)
+        for one in variants
+    }
+    return judge(ReproduceRequest(experiment, "paper", noise, seed), records)

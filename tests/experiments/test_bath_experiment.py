@@ -4,42 +4,29 @@ import pytest
 
 from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome
 from adaptdrive_sim.experiments.published import BATH
-from tests.experiments.cases import make_case, outcomes, run_all_compiled
+from tests.experiments.cases import SEEDS, make_case, outcome
+from tests.support import compiled
 
 AFTER = slice(2, None)
 """The cycle within which the volume changes, and those after it."""
 
 
-@pytest.fixture(scope="module")
-def published() -> ExperimentOutcome:
-    return outcomes(BATH, ("fixed", "adaptive"), seeds=[0])[0]
-
-
-def judge(found: ExperimentOutcome) -> None:
+@compiled
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_fixed_controller_overshoots_after_the_change_and_the_adaptive_one_does_not(
+    seed: int,
+) -> None:
+    found = outcome(BATH, ("fixed", "adaptive"), seed=seed, compiled=True)
     fixed, adaptive = found.cycles["fixed"], found.cycles["adaptive"]
-    assert max(one.overshoot for one in fixed[:2]) < 0.035, found.seed
-    assert min(one.overshoot for one in fixed[AFTER]) > 0.07, found.seed
-    assert max(one.overshoot for one in adaptive) < 0.035, found.seed
+    assert max(one.overshoot for one in fixed[:2]) < 0.035
+    assert min(one.overshoot for one in fixed[AFTER]) > 0.07
+    assert max(one.overshoot for one in adaptive) < 0.035
     assert [one.load for one in fixed] == [1.0, 1.0, 2.5, 2.5, 2.5]
     assert found.records["adaptive"]["adaptive"].tolist().index(True) == 30
 
 
-@pytest.mark.slow
-def test_the_fixed_controller_overshoots_after_the_change_and_the_adaptive_one_does_not(
-    published: ExperimentOutcome,
-) -> None:
-    judge(published)
-
-
-@pytest.mark.proof
-def test_that_is_so_for_every_seed() -> None:
-    for found in outcomes(BATH, ("fixed", "adaptive"), run=run_all_compiled):
-        judge(found)
-
-
-@pytest.mark.proof
+@compiled
 def test_without_noise_direct_least_squares_finds_the_bath() -> None:
     record = run_case(make_case(BATH, "adaptive", disturbance=Disturbance(0.0)), compiled=True)
     before = round(5400.0 / BATH.period_s) - 1
@@ -50,11 +37,9 @@ def test_without_noise_direct_least_squares_finds_the_bath() -> None:
     assert max(one.overshoot for one in judged[3:]) < 0.005
 
 
-@pytest.mark.slow
-def test_under_noise_lm_rls_finds_what_direct_least_squares_misses(
-    published: ExperimentOutcome,
-) -> None:
-    direct, filtered = published.records["adaptive"], run_case(make_case(BATH, "lm_rls"))
+@compiled
+def test_under_noise_lm_rls_finds_what_direct_least_squares_misses() -> None:
+    direct, filtered = (run_case(make_case(BATH, name)) for name in ("adaptive", "lm_rls"))
     (change,) = BATH.changes
     assert convergence_cycles(BATH, direct, change) is None
     found = convergence_cycles(BATH, filtered, change)
@@ -62,7 +47,7 @@ def test_under_noise_lm_rls_finds_what_direct_least_squares_misses(
     assert found < 2.0
 
 
-@pytest.mark.slow
+@compiled
 def test_the_daemons_own_design_keeps_the_bath_within_the_papers_limits() -> None:
     judged = cycles(BATH, "exact", run_case(make_case(BATH, "adaptive", "exact")))
     assert max(one.overshoot for one in judged) < 0.035

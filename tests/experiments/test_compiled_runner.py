@@ -11,24 +11,21 @@ from adaptdrive_sim.experiments.case import Design, Disturbance, Variant, run_ca
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 from adaptdrive_sim.experiments.published import BATH, DROPPED
 from tests.experiments.cases import make_case
-from tests.support import sample
+from tests.support import compiled
 
 SHORT_BATH = replace(BATH, duration_s=2400.0, changes=(LoadChange(1000.0, 2.5, over_s=300.0),))
 SHORT_MOTOR = replace(DROPPED, duration_s=240.0, changes=(LoadChange(150.0, 2.0),))
 SPIKES = Disturbance(0.002, 0.02, 0.1)
 
 
-@pytest.mark.slow
+@compiled
 @pytest.mark.parametrize(
     ("experiment", "variant", "design", "disturbance"),
-    sample(
-        [
-            (SHORT_MOTOR, "adaptive", "exact", SPIKES),
-            (SHORT_BATH, "fixed", "paper", None),
-            (SHORT_BATH, "adaptive", "paper", None),
-        ],
-        1,
-    ),
+    [
+        (SHORT_MOTOR, "adaptive", "exact", SPIKES),
+        (SHORT_BATH, "fixed", "paper", None),
+        (SHORT_BATH, "adaptive", "paper", None),
+    ],
 )
 def test_a_compiled_case_is_the_interpreted_one(
     experiment: Experiment, variant: Variant, design: Design, disturbance: Disturbance | None

@@ -10,17 +10,16 @@ from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
 from adaptdrive_sim.experiments.published import MOTOR
-from tests.experiments.cases import make_case, run_all_compiled
+from tests.experiments.cases import SHORT_LAST_CYCLES, SHORT_MOTOR, make_case, run_all_compiled
+from tests.support import compiled
 
 ORACLE = 0.030
 """Model error with three disks of a noise-free controller that knows the load."""
 
-LAST = {"one disk": 4, "two disks": 7, "three disks": 10}
 
-
-def error(record: Run, segment: str) -> float:
-    """Model error in the last cycle of a segment, as a fraction of the step."""
-    return cycles(MOTOR, "exact", record)[LAST[segment]].model_error_rms
+def error(record: Run) -> float:
+    """Model error in the last cycle, with three disks, as a fraction of the step."""
+    return cycles(MOTOR, "exact", record)[-1].model_error_rms
 
 
 def runs(disturbance: Disturbance) -> list[Run]:
@@ -32,23 +31,25 @@ def runs(disturbance: Disturbance) -> list[Run]:
 
 @pytest.fixture(scope="module")
 def silent() -> Run:
-    return run_case(make_case(MOTOR, "adaptive", "exact", disturbance=Disturbance(0.0)))
+    return run_case(make_case(SHORT_MOTOR, "adaptive", "exact", disturbance=Disturbance(0.0)))
 
 
 def test_without_noise_only_saturation_is_left_of_the_model_error(silent: Run) -> None:
-    assert error(silent, "one disk") < 0.003
-    assert error(silent, "two disks") < 0.008
-    assert error(silent, "three disks") < 1.10 * ORACLE
+    judged = cycles(SHORT_MOTOR, "exact", silent)
+    one, two, three = (judged[i].model_error_rms for i in SHORT_LAST_CYCLES)
+    assert one < 0.003
+    assert two < 0.008
+    assert three < 1.10 * ORACLE
 
 
 def test_a_change_of_the_load_does_not_show(silent: Run) -> None:
-    assert max(cycle.overshoot for cycle in cycles(MOTOR, "exact", silent)) < 0.02
+    assert max(cycle.overshoot for cycle in cycles(SHORT_MOTOR, "exact", silent)) < 0.02
 
 
-@pytest.mark.slow
+@compiled
 def test_spikes_stop_mattering() -> None:
     records = runs(Disturbance(0.002, 0.02, 0.1))
-    found = [error(record, "three disks") for record in records]
+    found = [error(record) for record in records]
     assert statistics.median(found) <= 1.10 * ORACLE
     assert max(found) <= 1.25 * ORACLE
     for record in records:
@@ -58,8 +59,8 @@ def test_spikes_stop_mattering() -> None:
             assert taken <= 1.0
 
 
-@pytest.mark.slow
+@compiled
 @pytest.mark.parametrize(("noise", "factor"), [(0.02, 1.15), (0.05, 1.40)])
 def test_noise_stops_mattering(noise: float, factor: float) -> None:
-    found = [error(record, "three disks") for record in runs(Disturbance(noise))]
+    found = [error(record) for record in runs(Disturbance(noise))]
     assert statistics.median(found) <= factor * ORACLE

@@ -19,7 +19,7 @@ from adaptdrive_sim.experiments.published import DROPPED
 from tests.experiments.cases import make_case
 
 SHORT = dataclasses.replace(
-    DROPPED, duration_s=480.0, changes=(LoadChange(240.0, 2.0), LoadChange(360.0, 3.0))
+    DROPPED, duration_s=240.0, changes=(LoadChange(120.0, 2.0), LoadChange(180.0, 3.0))
 )
 VARIANTS: tuple[Variant, ...] = ("fixed", "adaptive", "direct_rls")
 
@@ -63,15 +63,15 @@ def test_each_controller_has_its_speed_and_its_voltage(
         assert line(voltage, r"$v_{bst}$ applied")[:-1] == record["applied_V"][1:].tolist()
 
 
-@pytest.mark.parametrize("panel", [0, 1, 2, 3, 4, 5, 7])
-def test_nothing_is_cut(figure: Figure, panel: int) -> None:
-    axes = figure.axes[panel]
-    low, high = axes.get_ylim()
-    for one in axes.lines:
-        if one.get_transform() == axes.transData:
-            values = np.asarray(one.get_ydata(), dtype=float)
-            assert low <= values.min(), one.get_label()
-            assert values.max() <= high, one.get_label()
+def test_nothing_is_cut(figure: Figure) -> None:
+    for panel in (0, 1, 2, 3, 4, 5, 7):
+        axes = figure.axes[panel]
+        low, high = axes.get_ylim()
+        for one in axes.lines:
+            if one.get_transform() == axes.transData:
+                values = np.asarray(one.get_ydata(), dtype=float)
+                assert low <= values.min(), one.get_label()
+                assert values.max() <= high, one.get_label()
 
 
 def test_the_model_errors_are_those_of_the_cycles(

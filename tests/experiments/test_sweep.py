@@ -39,7 +39,7 @@ def test_estimates_from_the_recorded_ticks_are_those_of_the_controller() -> None
 
 
 def test_that_is_so_for_direct_least_squares_too() -> None:
-    bath = dataclasses.replace(BATH, duration_s=2400.0, changes=())
+    bath = dataclasses.replace(BATH, duration_s=600.0, changes=())
     case = make_case(bath, "fixed", disturbance=SILENT)
     record = run_case(case, keep_ticks=True)
     (found,) = _estimate_directly(listen(case, record), case.settings.learning, [])
@@ -69,6 +69,7 @@ def test_every_method_is_tried_with_every_forgetting_factor() -> None:
     ]
 
 
+@pytest.mark.proof
 def test_forgetting_and_filtering_trade_speed_for_noise() -> None:
     case = make_case(MOTOR, "fixed")
     heard = listen(case, run_case(case, keep_ticks=True))

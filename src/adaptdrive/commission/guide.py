@@ -6,7 +6,6 @@ Each voltage has a time to live: when this program or its connection dies, the d
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from contextlib import aclosing, suppress
 from typing import Any
@@ -142,14 +141,15 @@ class Guide:
 
     async def _await_running(self, *, coasting: bool) -> None:
         """Wait until the drive runs, with its load fed unless it may coast."""
-        end_s = time.monotonic() + _START_S
+        now = asyncio.get_running_loop().time
+        end_s = now() + _START_S
         while True:
             state = await self._state()
             if state["state"] == "running" and (coasting or not state.get("coasting")):
                 return
             if state["state"] not in _ENERGISED:
                 raise CommissionError(await self._end())
-            if time.monotonic() > end_s:
+            if now() > end_s:
                 raise CommissionError(f"{self._drive} is not running {_START_S:g} s after enable")
             await asyncio.sleep(_POLL_S)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import time
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import aclosing
 from dataclasses import dataclass
@@ -97,21 +96,22 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
         NoAnswerError: The newest measurement is too old.
         CommissionError: A clock was set.
     """
-    last_s, heard_s, clock = -math.inf, time.monotonic(), ReadingClock()
+    now = asyncio.get_running_loop().time
+    last_s, heard_s, clock = -math.inf, now(), ReadingClock()
     last: FastReading | None = None
     async with aclosing(telemetry(broker, drive)) as messages:
         while True:
             name, content = await _next(messages, drive)
             reading = reading_of(content) if name == "drive" else None
             if reading is not None:
-                now_s = time.monotonic()
+                now_s = now()
                 _look_at_time(drive, clock.lead_s(reading.time_s, now_s))
                 if reading.time_s > last_s:
                     last_s, heard_s = reading.time_s, now_s - reading.age_s
                     if last is None or _is_news(reading, last):
                         last = reading
                         yield reading
-            if time.monotonic() - heard_s > _SILENCE_S:
+            if now() - heard_s > _SILENCE_S:
                 silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
                 raise NoAnswerError(drive, silence)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import io
 import os
 import shutil
 import signal
@@ -16,14 +15,13 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.cli import main
 from tests.commission.answering_drive import answering_drive
 from tests.pseudo_terminal import Screen
 from tests.support import Broker, acting
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.proof
 
-EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 PATIENCE_S = 120.0
 HELD_S = 1.0
 """Time for which an answer is kept back after the operator asked for the end again."""
@@ -93,25 +91,6 @@ def screen() -> Iterator[Screen]:
     screen.close()
 
 
-class Terminal(io.StringIO):
-    """Input that somebody types."""
-
-    def isatty(self) -> bool:
-        return True
-
-
-@pytest.mark.parametrize("typed", ["", "\n", "n\n"], ids=["Ctrl-D", "Enter", "no"])
-def test_without_a_yes_nothing_begins(
-    motor: Path, typed: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stdin", Terminal(typed))
-    assert main(["commission", motor.stem, "--config", str(motor)]) == 1
-    said = capsys.readouterr()
-    assert "is enabled in mode manual" in said.out
-    assert said.out.endswith("begin? [y/N] " if typed else "begin? [y/N] \n")
-    assert said.err == ""
-
-
 async def test_a_key_that_is_held_down_ends_an_experiment_once(
     mosquitto: Broker, motor: Path, screen: Screen
 ) -> None:
@@ -128,22 +107,6 @@ async def test_a_key_that_is_held_down_ends_an_experiment_once(
     assert "ended by a key: the drive is off" in screen.read()
     assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]
     assert drive.mode == "fixed"
-
-
-async def test_without_a_picture_each_phase_is_a_line(
-    mosquitto: Broker, motor: Path, screen: Screen
-) -> None:
-    around = {"TERM": "dumb"}
-    async with answering_drive(mosquitto, motor.stem) as drive:
-        drive.answers_stop.set()
-        with commissioning(mosquitto, motor, screen.inner, around) as process:
-            await until(lambda: "V  output 1  waiting for rest" in screen.read())
-            screen.press("q")
-            await until(lambda: has_ended(process, screen))
-    assert process.returncode == 1
-    shown = screen.read()
-    assert shown.count("adaptdrive: no picture, each phase is a line: ") == 1
-    assert "ended by a key: the drive is off" in shown
 
 
 async def test_a_terminal_of_ascii_shows_a_picture(
@@ -179,23 +142,7 @@ async def test_a_stopped_terminal_holds_up_no_experiment(
     assert "ended by a key: the drive is off" in screen.read()
 
 
-async def test_a_stop_that_nobody_answers_is_named(
-    mosquitto: Broker, motor: Path, screen: Screen
-) -> None:
-    async with answering_drive(mosquitto, motor.stem) as drive:
-        with commissioning(mosquitto, motor, screen.inner) as process:
-            await until(lambda: "waiting for rest" in screen.read())
-            screen.press("q")
-            await until(lambda: has_ended(process, screen))
-    assert process.returncode == 1
-    assert drive.stopped.is_set()
-    shown = screen.read()
-    assert f"where {motor.stem} is energised, it trips within 5 s" in shown
-    assert "ended by a key" in shown
-    assert "the drive is off" not in shown.partition("the stop is unanswered")[2]
-
-
-@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
 async def test_signals_that_are_repeated_end_an_experiment_once(
     mosquitto: Broker, motor: Path, first: signal.Signals
 ) -> None:
