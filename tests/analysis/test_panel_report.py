@@ -16,7 +16,9 @@ from tests.recording.material import INFO
 
 
 @pytest.fixture
-def report(session_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def report(
+    outside: None, session_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[str]:
     """Address of the report of the drive that has a session."""
     shutil.copytree(session_path, tmp_path / "sessions" / session_path.name)
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))

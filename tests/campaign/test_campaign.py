@@ -102,7 +102,11 @@ def test_an_error_that_nobody_sees_costs_the_floor() -> None:
     assert cost(np.full(10, 0.1)) == pytest.approx(0.01 + FLOOR**2)
 
 
-def test_without_a_scheduler_there_the_address_is_named() -> None:
+def test_without_a_scheduler_there_the_address_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(address: str, **_: object) -> None:
+        raise OSError(f"no answer from {address}")
+
+    monkeypatch.setattr("distributed.Client", absent)
     with pytest.raises(ClusterError, match=r"127\.0\.0\.1:1"), workers(None, "127.0.0.1:1"):
         pass
 

@@ -1,13 +1,8 @@
-"""Random sequences of accepted commands to healthy drives, on compiled code.
-
-`python -m tests.closed_loop.commands COUNT [SEED]` runs COUNT sequences for each load and prints
-those that tripped, latched or moved the load where no command asked for it.
-"""
+"""Random sequences of accepted commands to healthy drives, compiled or interpreted."""
 
 from __future__ import annotations
 
 import random
-import sys
 from dataclasses import dataclass
 from functools import cache
 
@@ -31,9 +26,6 @@ from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World
-
-COMPILED = ("motor", "bath")
-"""Loads whose plant can be compiled."""
 
 HOLD_PERIODS = (2, 120)
 COMMANDS = 4
@@ -118,7 +110,7 @@ def plant(name: str) -> SimulatedLoad:
     return Motor(MotorParameters()) if name == "motor" else Bath(BathParameters())
 
 
-def run(name: str, sequence: Sequence) -> str:
+def run(name: str, sequence: Sequence, *, compiled: bool) -> str:
     """Run a sequence; what went wrong, or an empty string."""
     settings = controller_settings(configuration(name))
     course = Course(
@@ -134,7 +126,7 @@ def run(name: str, sequence: Sequence) -> str:
     world = World(load)
     load.resize(sequence.size, 0.0)  # type: ignore[attr-defined]
     controller = Controller(settings, build_load(configuration(name)))
-    found = Site(controller, world).run(course, compiled=True)
+    found = Site(controller, world).run(course, compiled=compiled)
     return trip(found.interlock) or latch(found) or motion(sequence, found)
 
 
@@ -163,20 +155,7 @@ def motion(sequence: Sequence, found: Run) -> str:
     return f"moved to {outputs.min():.3g}…{outputs.max():.3g}, asked for {low:.3g}…{high:.3g}"
 
 
-def problems(name: str, seeds: range) -> list[str]:
+def problems(name: str, seeds: range, *, compiled: bool) -> list[str]:
     """Run sequences; those that went wrong."""
-    found = ((seed, run(name, drawn(name, seed))) for seed in seeds)
+    found = ((seed, run(name, drawn(name, seed), compiled=compiled)) for seed in seeds)
     return [f"{name} {seed}: {text}" for seed, text in found if text]
-
-
-def main() -> None:
-    """Run the long form."""
-    count, first = int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
-    for name in COMPILED:
-        found = problems(name, range(first, first + count))
-        sys.stdout.write(f"{name}: {len(found)} of {count}\n" + "".join(f"{f}\n" for f in found))
-        sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    main()

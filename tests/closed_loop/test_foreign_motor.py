@@ -8,11 +8,9 @@ from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.foreign_motor import ForeignMotor, draw, run, truth
 
-SEEDS = range(31000, 31003)
 
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.proof
+@pytest.mark.parametrize("seed", range(31000, 31003))
 def test_every_change_of_a_foreign_motor_is_known_and_survived(seed: int) -> None:
     _, judged = run(draw(seed))
     assert judged.known == [True, True], judged

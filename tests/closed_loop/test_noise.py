@@ -12,8 +12,6 @@ from tests.support import sample
 LEARNT_s, AT_REST_s = 480.0, 35.0
 NOISE = 0.05 * STEP
 
-pytestmark = pytest.mark.slow
-
 
 def voltage_noise_V(rows: Rows) -> float:
     """Standard deviation of V_c at rest, in the second part of each half cycle."""
@@ -27,7 +25,7 @@ def voltage_noise_V(rows: Rows) -> float:
 
 def limited_to(limit_V: float) -> float:
     """Noise of V_c with a limit, 0 V for none."""
-    motion = Motion(noise=NOISE, seed=71)
+    motion = Motion(noise=NOISE, seed=71, duration_s=720.0)
     return voltage_noise_V(motion.run(Mode.ADAPTIVE, changes={"load": {"noise_V": limit_V}}))
 
 
@@ -36,11 +34,13 @@ def test_noise_shakes_the_voltage_no_more_than_configured(limit_V: float) -> Non
     assert 0.6 * limit_V <= limited_to(limit_V) <= 1.25 * limit_V
 
 
+@pytest.mark.proof
 def test_without_a_limit_noise_shakes_the_voltage_more() -> None:
     assert limited_to(0.0) > 15.0
 
 
-@pytest.mark.parametrize("resolution", sample([0.0, 0.01], 1))
+@pytest.mark.proof
+@pytest.mark.parametrize("resolution", [0.0, 0.01])
 def test_a_coarse_sensor_does_not_make_the_loop_hunt(resolution: float) -> None:
     """Whether its resolution is configured or has to be found (0.068 where it is neither)."""
     rows = Motion(quantum=0.01).run(Mode.ADAPTIVE, changes={"load": {"resolution": resolution}})

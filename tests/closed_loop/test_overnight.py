@@ -14,6 +14,7 @@ from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.signals import Measurement, Mode
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import HIGH, LOW, STEP, Bench, CYCLE_s, order, square_wave
+from tests.support import sample
 
 DAEMON = controller_settings(
     load_configuration(Path(__file__).parents[2] / "deploy/examples/motor.toml")
@@ -43,7 +44,7 @@ class QuantisedBench(Bench):
         )
 
 
-@pytest.mark.parametrize("bias", [False, True])
+@pytest.mark.parametrize("bias", sample([True, False], 1))
 def test_at_rest_without_noise_the_adaptive_controller_stays_trusted(bias: bool) -> None:
     bench = QuantisedBench(replace(DAEMON, learning=replace(DAEMON.learning, bias=bias)))
     for second in range(90):

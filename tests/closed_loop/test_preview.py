@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.signal import lfilter
 
 from adaptdrive.app.loads import build_load
@@ -28,8 +27,6 @@ from tests.closed_loop.test_probing import RecordedDrive
 
 LOW, HIGH, CYCLE_S = 2.6, 4.3, 120.0
 
-pytestmark = pytest.mark.slow
-
 
 def configuration() -> Configuration:
     return validate_configuration(example_tables("motor.toml"), FOLDER / "motor.toml")
@@ -37,13 +34,13 @@ def configuration() -> Configuration:
 
 @cache
 def run(shape: Shape, preview: bool) -> RecordedDrive:
-    """Five cycles under adaptive control."""
+    """Three cycles under adaptive control."""
     noise = NoiseParameters(sigma=2e-3 * (HIGH - LOW))
     world = World(Motor(MotorParameters()), WorldParameters(noise=noise, seed=3))
     world.settle(world.boost_voltage_for(LOW))
     drive = RecordedDrive(configuration(), world)
     drive.carry_out(SetWaveform(Waveform(shape, LOW, HIGH, CYCLE_S), preview))
-    wait(drive, 5.0 * CYCLE_S)
+    wait(drive, 3.0 * CYCLE_S)
     return drive
 
 
@@ -89,7 +86,7 @@ def test_without_preview_the_controller_is_told_nothing() -> None:
 
 
 def test_a_set_point_ends_what_the_controller_is_told() -> None:
-    drive = run(Shape.SINE, True)
+    drive = run(Shape.SQUARE, True)
     count = len(drive.kept.ticks)
     drive.carry_out(SetSetpoint(3.0))
     wait(drive, 2.0)
@@ -103,5 +100,5 @@ def test_it_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     report = replay(drive.session(tmp_path), controller)
     assert report.exact
     assert report.differing_decisions == 0
-    assert report.slow_steps == len(drive.kept.slow) > 4.0 * CYCLE_S
+    assert report.slow_steps == len(drive.kept.slow) > 2.5 * CYCLE_S
     assert math.isfinite(drive.kept.slow[-1].decision.boost_reference_V)

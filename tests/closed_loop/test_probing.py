@@ -23,7 +23,14 @@ from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import LoadReport, StopWord, TickReport
-from adaptdrive.runtime.requests import Disable, Enable, SetMode, SetSetpoint, SetWaveform
+from adaptdrive.runtime.requests import (
+    Disable,
+    Enable,
+    Request,
+    SetMode,
+    SetSetpoint,
+    SetWaveform,
+)
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -81,7 +88,6 @@ def wait_for_a_probe(drive: OperatedDrive, longest_s: float = 600.0) -> None:
     assert any(abs(shift(drive)) > 0.0 for _ in periods(drive, longest_s))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", sample([71, 72], 1))
 def test_disks_that_nobody_saw_fall_are_known_before_the_next_step(seed: int) -> None:
     drive = learnt_drive(PROBED, 0.02, seed)
@@ -96,8 +102,8 @@ def test_disks_that_nobody_saw_fall_are_known_before_the_next_step(seed: int) ->
     assert overshoot(drive) < 0.05
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", sample([71, 77000101, 77000201, 77000204], 1))
+@pytest.mark.proof
+@pytest.mark.parametrize("seed", [71, 77000101, 77000201, 77000204])
 def test_without_probing_nobody_knows_of_them_and_operators_are_told(seed: int) -> None:
     drive = learnt_drive({}, 0.02, seed)
     assert state_report(drive.machine, drive.decision, StopWord.AWAITED).reason == ""
@@ -134,31 +140,32 @@ def course(
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_a_waveform_is_never_moved() -> None:
     slow = Waveform(Shape.SQUARE, LOW, HIGH, 700.0)
     assert course(PROBED, slow) == course({}, slow)
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_at_rest_it_is_off_unless_it_is_asked_for() -> None:
     off = course({"load": {"probe_share": 0.0, "probe_s": 10.0}}, None)
     assert off == course({}, None)
     assert off != course(PROBED, None)
 
 
-@pytest.mark.slow
-def test_operators_see_it_and_end_it_at_once() -> None:
-    for request in (Disable(), SetMode(Mode.MANUAL), SetMode(Mode.FIXED), SetSetpoint(3.1)):
-        drive = motor_drive({"load": {"probe_share": 0.02, "probe_s": 30.0}}, 0.002, 74)
-        wait_for_a_probe(drive)
-        report = state_report(drive.machine, drive.decision, StopWord.AWAITED)
-        assert "probing: the set-point is moved by +0.09" in report.reason
-        drive.carry_out(request)
-        assert all(not abs(shift(drive)) > 0.0 for _ in periods(drive, 20.0))
+@pytest.mark.parametrize(
+    "request_", sample([SetSetpoint(3.1), Disable(), SetMode(Mode.MANUAL), SetMode(Mode.FIXED)], 1)
+)
+def test_operators_see_it_and_end_it_at_once(request_: Request) -> None:
+    drive = motor_drive({"load": {"probe_share": 0.02, "probe_s": 30.0}}, 0.002, 74)
+    wait_for_a_probe(drive)
+    report = state_report(drive.machine, drive.decision, StopWord.AWAITED)
+    assert "probing: the set-point is moved by +0.09" in report.reason
+    drive.carry_out(request_)
+    assert all(not abs(shift(drive)) > 0.0 for _ in periods(drive, 20.0))
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_noise_that_hides_the_load_is_not_probed_for_ever() -> None:
     drive = motor_drive({"load": {"probe_share": 0.005}}, 0.3, 75)
     moved = [abs(shift(drive)) > 0.0 for _ in periods(drive, 1200.0)]
@@ -203,7 +210,7 @@ class RecordedDrive(OperatedDrive):
         return command, decided
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_a_probe_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     tables = example_tables("motor.toml")
     tables["load"] |= PROBED["load"] | {"probe_s": 30.0}

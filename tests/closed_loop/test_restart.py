@@ -14,7 +14,7 @@ from tests.closed_loop.bench import STEP, Bench, order
 from tests.closed_loop.test_overnight import DAEMON
 from tests.support import sample
 
-LOW, HIGH, RUN_s = 2.9, 3.2, 400
+LOW, HIGH, RUN_s = 2.9, 3.2, 240
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,14 @@ def largest_trusted_error(settings: ControllerSettings, restart: Restart) -> flo
     )
 
 
-@pytest.mark.parametrize("off_s", sample([5.0, 60.0, 20.0], 2))
+@pytest.mark.parametrize("off_s", sample([60.0, 5.0, 20.0], 1))
 def test_a_load_that_still_moves_at_the_start_is_learnt_as_it_is(off_s: float) -> None:
     assert largest_trusted_error(DAEMON, Restart(off_s)) < 0.02
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seeds", sample([range(4), range(12)], 1), ids=len)
-def test_so_is_whatever_motor_after_whatever_break(seeds: range) -> None:
-    errors = [largest_trusted_error(DAEMON, drawn(seed)) for seed in seeds]
+@pytest.mark.proof
+def test_so_is_whatever_motor_after_whatever_break() -> None:
+    errors = [largest_trusted_error(DAEMON, drawn(seed)) for seed in range(12)]
     assert np.median(errors) < 0.05
     assert max(errors) < 0.5
 

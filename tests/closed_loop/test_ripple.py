@@ -15,12 +15,13 @@ from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.life import periods, started
-from tests.support import sample
 
 CURRENT_A = 12.0
 SHARE = 0.008
 LIMIT_V = 82.0
 NAMES = ("direct_S", "gain_S", "tau_s")
+
+pytestmark = pytest.mark.proof
 
 
 @dataclass
@@ -65,8 +66,7 @@ def charged(seed: int, share: float = SHARE) -> ChargeCourse:
     return found
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", sample([61, 62], 1))
+@pytest.mark.parametrize("seed", [61, 62])
 def test_a_charge_is_adaptive_for_most_of_its_constant_current(seed: int) -> None:
     found = charged(seed)
     constant = found.constant
@@ -81,7 +81,6 @@ def test_a_charge_is_adaptive_for_most_of_its_constant_current(seed: int) -> Non
     assert np.quantile(errors, 0.9) < 0.25
 
 
-@pytest.mark.slow
 def test_no_ripple_at_the_voltage_limit() -> None:
     found = charged(61)
     end = found.constant.stop
@@ -91,7 +90,6 @@ def test_no_ripple_at_the_voltage_limit() -> None:
     assert found.completed
 
 
-@pytest.mark.slow
 def test_off_it_moves_nothing_and_knows_nothing() -> None:
     found = charged(64, share=0.0)
     assert not any(found.shift_A)

@@ -11,6 +11,7 @@ import socket
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ from tests.virtual_time import virtual_time
 TACHOMETER = "-modbus-rtu+tachometer"
 TICK_s = 1.0 / 120.0
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+
+pytestmark = pytest.mark.usefixtures("outside")
 
 
 @dataclass(frozen=True)
@@ -203,31 +206,27 @@ def _note(run: Run, reference: float, output: float) -> None:
     run.outputs.append(output)
 
 
-@pytest.fixture(scope="module", params=sorted(COURSES))
-def load(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
-@pytest.fixture(scope="module")
-def expected(load: str, tmp_path_factory: pytest.TempPathFactory) -> Run:
+@cache
+def expected_of(load: str) -> Run:
     """The run without any bus."""
-    configuration, _ = configured(load, tmp_path_factory.mktemp("none"))
+    configuration, _ = configured(load, EXAMPLES)
     return without_bus(configuration, COURSES[load])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "bus",
-    sample(["", "-modbus-tcp", "-scpi", "-thermocouples", TACHOMETER, "-modbus-rtu"], 5),
+    ("load", "bus"),
+    sample(
+        [
+            *(("motor", bus) for bus in ("", "-modbus-tcp", "-scpi", TACHOMETER)),
+            ("bath", "-thermocouples"),
+            ("motor", "-modbus-rtu"),
+            *(("bath", bus) for bus in ("", "-modbus-tcp", "-modbus-rtu")),
+        ],
+        5,
+    ),
 )
-def test_the_control_result_does_not_depend_on_the_bus(
-    load: str, bus: str, expected: Run, tmp_path: Path
-) -> None:
-    if (bus == "-thermocouples" and load == "motor") or (
-        bus in {TACHOMETER, "-scpi"} and load == "bath"
-    ):
-        pytest.skip(f"a {load} has none")
-    course = COURSES[load]
+def test_the_control_result_does_not_depend_on_the_bus(load: str, bus: str, tmp_path: Path) -> None:
+    course, expected = COURSES[load], expected_of(load)
     found = on_the_wire(f"{load}{bus}", tmp_path, course)
     assert found.references == expected.references
     assert found.adaptive > course.hold

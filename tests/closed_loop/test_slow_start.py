@@ -18,6 +18,8 @@ from tests.closed_loop.test_same_on_every_bus import COURSES, configured
 from tests.closed_loop.wire import WAIT_s, Wire, wired
 from tests.virtual_time import virtual_time
 
+pytestmark = pytest.mark.usefixtures("outside")
+
 START_TICKS = 60
 BUSES = ["motor", "motor-modbus-tcp", "motor-scpi"]
 

@@ -39,7 +39,6 @@ class Kit:
         return round(shown_K / RESOLUTION_K) * RESOLUTION_K, power_W
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("lag_s", "delay_s"), sample([(20.0, 18.0), (20.0, 0.0), (0.0, 0.0)], 1))
 def test_lags_and_dead_time_are_taken_where_the_record_shows_them(
     lag_s: float, delay_s: float
@@ -58,7 +57,7 @@ def test_lags_and_dead_time_are_taken_where_the_record_shows_them(
         assert values["load.period_s"] == 10.0
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_adaptive_is_in_force_on_a_bath_of_twice_the_lag() -> None:
     found = commission(EXAMPLES / "bath.toml", Kit(5, 20.0, 0.0), move=0.15, patience_s=300.0)
     run = simulate(

@@ -64,7 +64,7 @@ def roots(proposal: Proposal, factor: float) -> float:
     return float(np.abs(np.roots(closed)).max())
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", sample([2, 0, 1], 1))
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(seed: int) -> None:
     _, proposal, _, _ = proposed("motor", seed)
     assert roots(proposal, 1.0) < 1.0
@@ -72,8 +72,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(seed: int) -> None:
     assert roots(proposal, 1.02 * proposal.margins.gain) > 1.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", sample([0, 1, 2], 1))
+@pytest.mark.parametrize("seed", sample([2, 0, 1], 1))
 def test_a_motor_responds_as_predicted(seed: int) -> None:
     draw, proposal, prediction, rest_V = proposed("motor", seed)
     drive = settled(draw, proposal, rest_V)
@@ -120,7 +119,7 @@ def test_the_proposed_configuration_has_the_identified_load(kind: str) -> None:
     assert prediction.quality.unsettled == 0
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", sample([2, 0, 1], 1))
 def test_the_bounds_are_those_that_the_slow_period_suits(seed: int) -> None:
     draw, proposal, _, _ = proposed("motor", seed)
     section = proposal.configuration.supervisor
