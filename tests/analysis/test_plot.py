@@ -45,15 +45,6 @@ def test_a_part_shows_that_part_only(session_path: Path) -> None:
     assert (window.started - session.info.started).total_seconds() == pytest.approx(10.0)
 
 
-def test_estimates_keep_their_step_and_their_band(session_path: Path) -> None:
-    session = read_session(session_path)
-    curves = read_curves(session, find_window(session, None, None))
-    value, std = curves.estimates["gain"]
-    rows = session.slow["estimates"].to_pylist()
-    assert value.tolist() == [row[0]["value"] for row in rows]
-    np.testing.assert_array_equal(std, [row[0]["std"] for row in rows])
-
-
 def test_a_part_without_ticks_is_refused(session_path: Path) -> None:
     session = read_session(session_path)
     with pytest.raises(RecordingError, match="none of them in there"):
@@ -101,18 +92,8 @@ def test_a_session_with_a_manual_phase_is_drawn(session_path: Path, tmp_path: Pa
         assert draw_session(session, configuration, replace(curves, slow=slow))
 
 
-def test_a_table_in_the_place_of_another_is_named(session_path: Path, tmp_path: Path) -> None:
-    session = copied(session_path, tmp_path)
-    ticks, slow = session / "ticks-0001.parquet", session / "slow-0001.parquet"
-    slow.rename(tmp_path / "slow")
-    ticks.rename(slow)
-    (tmp_path / "slow").rename(ticks)
-    with pytest.raises(RecordingError, match=r"slow-0001.parquet: a column is damaged"):
-        plot(session, into=tmp_path)
-
-
 def test_a_controller_that_does_not_exist_is_named(session_path: Path, tmp_path: Path) -> None:
-    session = copied(session_path, tmp_path)
+    session = Path(shutil.copytree(session_path, tmp_path / "session"))
     slow = session / "slow-0001.parquet"
     table = pq.read_table(slow)
     foreign = pa.array(["tuned"] * table.num_rows)
@@ -120,7 +101,3 @@ def test_a_controller_that_does_not_exist_is_named(session_path: Path, tmp_path:
     pq.write_table(table.set_column(place, "controller", foreign), slow)
     with pytest.raises(RecordingError, match=r"slow-0001.parquet: .* controller is 'tuned'"):
         plot(session, into=tmp_path)
-
-
-def copied(session: Path, folder: Path) -> Path:
-    return Path(shutil.copytree(session, folder / "session"))

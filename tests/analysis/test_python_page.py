@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import shutil
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import polars as pl
 import pytest
 
-from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import RefusedError
-from adaptdrive.lab import Drive, load_session
-from adaptdrive.recording.reader import read_session
 from tests.app.test_replay import EXAMPLE
-from tests.operation.peers import load_report, serving
-from tests.support import Broker
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -67,6 +59,7 @@ def test_the_walk_through_a_session_runs(
     assert (tmp_path / "walk.png").stat().st_size > 10_000
 
 
+@pytest.mark.proof
 def test_the_example_with_a_plant_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -82,26 +75,3 @@ def test_the_example_with_a_plant_runs(
     assert settled == pytest.approx([2.5] * len(settled), abs=0.01)
     held = first.ticks.filter(pl.col("time_s").is_between(410.0, 419.0))
     assert held["output"].to_list() == pytest.approx([2.4] * held.height, abs=0.01)
-
-
-async def test_the_example_on_a_running_drive_runs(mosquitto: Broker, tmp_path: Path) -> None:
-    names: dict[str, Any] = {}
-    exec(examples()[6], names)
-    broker = Mqtt(host=mosquitto.host, port=mosquitto.port)
-    async with serving(mosquitto, "motor", tmp_path) as bench, asyncio.TaskGroup() as group:
-        stepping = group.create_task(names["step"](broker))
-        while not stepping.done():
-            bench.hub.publish(load_report(7))
-            await asyncio.sleep(0.05)
-        assert isinstance(stepping.result(), float)
-        with pytest.raises(RefusedError, match="outside"):
-            await Drive("motor", broker).set_setpoint(9.0)
-
-
-def test_pandas_holds_the_same(session_path: Path) -> None:
-    tables = load_session(session_path, "pandas")
-    assert isinstance(tables.ticks, pd.DataFrame)
-    recorded = read_session(session_path).ticks["output"].to_pylist()
-    assert tables.ticks["output"].tolist() == recorded
-    assert tables.units["output"] == "V"
-    assert tables.events["detail"].tolist() == ["stale: 54 ms"]

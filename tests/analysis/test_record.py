@@ -237,7 +237,6 @@ GOOD = {"time": [2 * n for n in range(60)], "u": [0, 5] * 30, "y": list(range(60
     ("change", "options", "problem"),
     [
         ({"y": [*range(17), "n/a", *range(42)]}, {}, "line 19, column 'y': 'n/a' is not a number"),
-        ({"u": [*range(3), "", *range(56)]}, {}, "line 5, column 'u': '' is not a number"),
         ({"u": [*range(3), "nan", *range(56)]}, {}, "line 5, column 'u': 'nan'"),
         ({"time": [*range(30), *range(30)]}, {}, "line 32, column 'time': 0 is not after 29"),
         ({}, {"input": "boost"}, "no column 'boost'; there are: time, u, y"),

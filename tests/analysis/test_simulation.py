@@ -77,14 +77,6 @@ def test_a_plant_may_return_numbers_of_numpy(number: type[np.floating]) -> None:
     assert run.ticks["output"][-1] == pytest.approx(3.0, abs=1e-3)
 
 
-def test_a_set_point_that_is_no_number_is_named() -> None:
-    def broken(time_s: float) -> float:
-        return math.nan if time_s > 0.1 else 3.0
-
-    with pytest.raises(IdentificationError, match=r"the set-point at 0\.108333 s is nan"):
-        simulate(EXAMPLES / "motor.toml", ReferenceMotor(1), broken, 1.0)
-
-
 class AtOwnStep(ReferenceMotor):
     """The motor as a program that takes steps of one length only."""
 

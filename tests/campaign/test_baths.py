@@ -58,30 +58,6 @@ def test_no_set_point_needs_more_than_v_c_has(drawn: list[BathScenario]) -> None
             assert 200.0 < least < most < 400.0
 
 
-def test_the_true_volume_is_the_one_that_the_model_is_told(drawn: list[BathScenario]) -> None:
-    """Over a whole run of fills: the plant itself, moved as the course asks."""
-    scenario = next(one for one in drawn if len(one.fill_times_s) > 1)
-    stand = BathStand(scenario)
-    bath, course = stand.world().load, stand.course(Mode.FIXED)
-    assert isinstance(bath, Bath)
-    found = []
-    for k, size in enumerate(course.sizes.tolist()):
-        if k > 0 and size != course.sizes[k - 1]:
-            bath.resize(size, course.over_s)
-        found.append(bath.volume_gal)
-        bath.coast(stand.own.period_s)
-    slip = np.abs(np.diff(stand.sizes)).max()
-    np.testing.assert_allclose(found, stand.sizes, atol=slip + 1e-9)
-
-
-def test_the_truth_of_the_reference_bath_is_its_configured_model() -> None:
-    scenario = draw_bath(campaign(), 1)
-    stand = BathStand(scenario)
-    stand.sizes, stand.inflows = np.array([0.6]), np.array([1.0])
-    object.__setattr__(scenario, "resistance", 1.0)
-    assert stand.truth_at(0) == pytest.approx([0.02104, 200.0], rel=2e-3)
-
-
 @compiled
 def test_a_campaign_of_baths_leaves_a_row_for_each_seed_and_pictures(tmp_path: Path) -> None:
     path = tmp_path / "short.toml"

@@ -14,9 +14,8 @@ from adaptdrive_sim.campaign.battery_bench import (
     BatteryScenario,
     BatteryTrial,
     draw_battery,
-    ideal_current,
 )
-from adaptdrive_sim.campaign.main import repeat_run, run_campaign, run_seed
+from adaptdrive_sim.campaign.main import repeat_run, run_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
 from tests.support import compiled
 
@@ -53,14 +52,6 @@ def test_every_charger_has_the_power_and_the_reach_of_the_example() -> None:
         assert configuration.load.reference_max == one.largest_A
 
 
-def test_the_ideal_current_settles_without_overshoot() -> None:
-    references = np.repeat([10.0, 8.0], [5, 60])
-    found = ideal_current(references, 0.7)
-    assert found[:6] == pytest.approx(10.0)
-    assert found[6:9] == pytest.approx(8.0 + 2.0 * 0.7 ** np.arange(1, 4))
-    assert found[-1] == pytest.approx(8.0)
-
-
 @compiled
 def test_the_resistance_grows_in_the_plant() -> None:
     scenario = next(one for one in scenarios() if one.growth > 1.5 and one.charge < 0.4)
@@ -75,16 +66,6 @@ def test_the_resistance_grows_in_the_plant() -> None:
     )
     series_Ohm = scenario.battery().series_Ohm
     assert after - before > 0.9 * scenario.current_A * series_Ohm * (scenario.growth - 1.0)
-
-
-@compiled
-def test_a_row_says_what_happened_and_the_same_seed_says_the_same() -> None:
-    campaign = read_battery_campaign(SHIPPED)
-    row = run_seed(campaign, 310_002)
-    assert row == run_seed(campaign, 310_002)
-    assert row["interlock_fixed"] == row["interlock_adaptive"] == 0
-    assert 0.0 < row["rms_fixed"] < 0.1
-    assert row["ripple_found"] < row["ripple"] + 0.01
 
 
 @compiled

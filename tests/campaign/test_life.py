@@ -11,9 +11,9 @@ import pytest
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive_sim.campaign.bench import Scenario, Stand, draw
 from adaptdrive_sim.campaign.judge import judge
-from adaptdrive_sim.campaign.life import Life, draw_life, volt_Nm
+from adaptdrive_sim.campaign.life import Life, volt_Nm
 from adaptdrive_sim.campaign.settings import LifeRanges, read_campaign
-from adaptdrive_sim.course import Run, moving
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.plants.motor import Motor
 from tests.support import compiled
 
@@ -60,25 +60,6 @@ def test_no_set_point_needs_more_than_v_c_has(drawn: list[Scenario]) -> None:
         assert world.boost_voltage_for(scenario.reference.high - scenario.life.offset) < 400.0
 
 
-def test_a_movement_takes_its_time_and_the_next_one_ends_it() -> None:
-    times_s = np.arange(8.0)
-    found = moving(times_s, (1.0, 3.0, 6.0), (0.0, 8.0, 2.0, 5.0), (4.0, 1.0, 0.0))
-    assert found.tolist() == [0.0, 0.0, 2.0, 4.0, 2.0, 2.0, 5.0, 5.0]
-
-
-def test_the_reference_stands_still_in_an_idle_phase(drawn: list[Scenario]) -> None:
-    scenario = next(one for one in drawn if 100.0 < sum(one.life.idle_s) < np.inf)
-    start_s, length_s = scenario.life.idle_times_s[0], scenario.life.idle_s[0]
-    within = scenario.references_at(np.arange(start_s, start_s + length_s))
-    assert np.ptp(within) == 0.0
-    constant = next(one for one in drawn if np.inf in one.life.idle_s)
-    assert np.ptp(constant.references_at(np.arange(1320.0))) == 0.0
-
-
-def test_a_run_without_a_life_draws_none() -> None:
-    assert draw_life(LifeRanges(), 5, 1320.0, 0) == Life()
-
-
 def eventful(seed: int = 3, **life: object) -> Stand:
     """A short run of a motor like the model, without noise, whose reference stands still."""
     standard = read_campaign(Path("standard.toml"))
@@ -106,15 +87,6 @@ def test_torque_and_friction_take_the_volts_that_were_drawn() -> None:
     assert held(coulomb_V=(8.0, 8.0)) - plain == pytest.approx(8.0, abs=0.3)
     speed = eventful(seed).references[0] / 3.3
     assert held(drag_V=(8.0, 8.0)) - plain == pytest.approx(8.0 * speed**2, abs=0.3)
-
-
-@compiled
-def test_what_the_sensor_shows_is_held_whatever_its_offset() -> None:
-    stand = eventful(offset=(0.04, 0.04))
-    outcome = stand.run(Mode.FIXED)
-    shown = outcome["output"] + 0.04
-    assert np.max(np.abs(shown - stand.references)) < 0.002
-    assert judge(stand, outcome, outcome)["rms_fixed"] < 0.03
 
 
 @compiled

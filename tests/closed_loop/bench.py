@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -173,7 +172,6 @@ def experiment(
     disks: tuple[int, ...] = (1, 2, 3),
     noise: float = 0.0,
     seed: int = 0,
-    watch: Callable[[Bench], None] | None = None,
 ) -> Trace:
     """The motor under a square wave, with one more disk from segment to segment.
 
@@ -184,7 +182,6 @@ def experiment(
         disks: Disks of each segment.
         noise: Of each fast sample, over the step.
         seed: Of the noise.
-        watch: Called at each slow instant.
     """
     bench = Bench(settings, noise=NoiseParameters(sigma=noise * STEP), seed=seed)
     bench.tick(order(LOW, mode))
@@ -197,16 +194,12 @@ def experiment(
         trace.reference.append(reference)
         trace.disks.append(bench.motor.disks)
         bench.run(1.0, order(reference, mode))
-        if watch is not None:
-            watch(bench)
     return trace
 
 
-def ideal_output(trace: Trace, *, exact: bool, pole: float = 0.7) -> Array:
+def ideal_output(trace: Trace, pole: float = 0.7) -> Array:
     """The loop as designed for the true load: no limits, no delays, one disk throughout."""
     wanted = np.poly([pole] * 4)
-    zeros = np.array([0.0, 1.0])
-    if exact:
-        zeros = held_polynomials(motor_system(trace.disks[0]), 1.0)[1]
+    zeros = held_polynomials(motor_system(trace.disks[0]), 1.0)[1]
     filtered = lfilter(sum(wanted) / sum(zeros) * zeros, wanted, np.array(trace.reference) - LOW)
     return np.asarray(LOW + filtered)

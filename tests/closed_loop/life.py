@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -104,6 +104,24 @@ def ideal(reference: list[float], disks: float, pole: float = 0.7) -> NDArray[np
     return course_of_design
 
 
+SMALL_BATH: dict[str, dict[str, Any]] = {
+    "load": {"period_s": 4.0, "samples": 120},
+    "load.model": {"tau_s": 40.0},
+    "estimator": {"tau_lambda_s": 20.0, "settle_s": 40.0},
+    "supervisor": {"warm_up_s": 80.0, "saturated_s": 480.0, "response_s": 120.0},
+}
+"""Settings of a bath with a fifth of the water, which is five times as fast."""
+
+
+def change(tables: dict[str, Any], changes: Mapping[str, Mapping[str, Any]]) -> None:
+    """Change values of a configuration, by the names of their tables."""
+    for section, values in changes.items():
+        table = tables
+        for name in section.split("."):
+            table = table.setdefault(name, {})
+        table.update(values)
+
+
 def started(
     name: str,
     world: World,
@@ -112,11 +130,7 @@ def started(
 ) -> OperatedDrive:
     """A drive of an example configuration that has just reached `running`."""
     tables = example_tables(f"{name}.toml")
-    for section, values in (changes or {}).items():
-        table = tables
-        for name_of_table in section.split("."):
-            table = table.setdefault(name_of_table, {})
-        table.update(values)
+    change(tables, changes or {})
     drive = OperatedDrive(validate_configuration(tables, FOLDER / f"{name}.toml"), world)
     drive.begin(mode)
     return drive

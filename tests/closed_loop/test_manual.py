@@ -128,19 +128,6 @@ def test_the_transfer_from_manual_has_no_bump(
     assert max(abs(output - present) for output in outputs) < 0.01 * present
 
 
-def test_a_voltage_set_within_one_slow_period_is_not_taken_back() -> None:
-    drive = bath()
-    present_V = in_force_V(drive)
-    courses(drive, 5.0)
-    drive.carry_out(SetMode(Mode.MANUAL))
-    drive.carry_out(SetVoltage(present_V + 40.0))
-    courses(drive, 1.0)
-    drive.carry_out(SetMode(Mode.FIXED))
-    voltages, _ = courses(drive, 30.0)
-    assert voltages[0] == present_V + 40.0
-    assert abs(voltages[-1] - present_V - 40.0) < 15.0
-
-
 def test_the_estimator_learns_from_the_steps_of_the_operator() -> None:
     drive = motor(noise=0.01)
     drive.carry_out(SetMode(Mode.MANUAL))
@@ -172,15 +159,3 @@ def test_after_enable_manual_is_off_until_a_voltage_and_begins_at_the_lowest() -
     assert drive._command.bridge
     assert voltages[-1] == 200.0
     assert max(voltages) == 200.0
-
-
-def test_a_lost_operator_trips_the_drive() -> None:
-    drive = motor()
-    drive.carry_out(SetMode(Mode.MANUAL))
-    for _ in range(3):
-        drive.carry_out(SetVoltage(280.0, hold_s=2.0))
-        courses(drive, 1.9)
-        assert drive.machine.state is State.RUNNING
-    courses(drive, 0.2)
-    assert drive.machine.trip == "manual: no new voltage within the 2 s that its sender had set"
-    assert not drive._command.bridge

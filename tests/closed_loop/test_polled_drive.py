@@ -113,15 +113,6 @@ def test_half_a_period_without_a_reading_of_a_polled_drive_ends_adaptive_control
     assert "measurements" in bench.decisions[-1].reason
 
 
-@pytest.mark.parametrize("stride", [1, 12])
-def test_the_share_of_samples_that_change_is_that_of_the_readings(stride: int) -> None:
-    bench = PolledBench(stride)
-    for second in range(8 * TICKS // stride):
-        bench.world.load.settle(bench.world.coupling.ratio * (280.0 + second % 2), 1.0)
-        bench.poll(LOW)
-    assert bench.controller._bank.grid.share == pytest.approx(1.0, abs=0.02)
-
-
 def test_the_slowest_pole_that_may_be_asked_for_settles_a_load_that_the_model_misses() -> None:
     """With 10 % less gain and lags 10 % longer a pole of 0.98 took V_c from limit to limit."""
     usual = MotorParameters()

@@ -149,8 +149,7 @@ def test_a_waveform_is_never_moved() -> None:
 @pytest.mark.proof
 def test_at_rest_it_is_off_unless_it_is_asked_for() -> None:
     off = course({"load": {"probe_share": 0.0, "probe_s": 10.0}}, None)
-    assert off == course({}, None)
-    assert off != course(PROBED, None)
+    assert off == course({}, None) != course(PROBED, None)
 
 
 @pytest.mark.parametrize(

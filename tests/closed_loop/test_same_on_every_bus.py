@@ -10,7 +10,7 @@ import math
 import socket
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import pytest
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.signals import Mode
+from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint
 from adaptdrive_sim.device_main import build_world
@@ -27,9 +27,9 @@ from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
+from tests.closed_loop.life import SMALL_BATH, change
 from tests.closed_loop.wire import WAIT_s, wired
 from tests.support import free_port, sample
-from tests.virtual_time import virtual_time
 
 TACHOMETER = "-modbus-rtu+tachometer"
 TICK_s = 1.0 / 120.0
@@ -75,17 +75,18 @@ class Course:
             world.load.fill(0.12)
 
 
-SMALL_BATH = {
-    "load": {"period_s": 4.0, "samples": 120},
-    "model": {"tau_s": 40.0},
-    "estimator": {"tau_lambda_s": 20.0, "settle_s": 40.0},
-    "supervisor": {"warm_up_s": 80.0, "saturated_s": 480.0, "response_s": 120.0},
-}
 LEARNT = {"motor": ("gain", "tau_sum_s"), "bath": ("resistance_K_per_W", "tau_s")}
+QUICK_MOTOR = {
+    "load": {"period_s": 0.5, "samples": 15},
+    "load.model": {"tau_motor_s": 5.85, "tau_filter_s": 5.0},
+    "supervisor": {"warm_up_s": 22.5},
+}
+"""The motor with half its inertia, controlled twice as fast."""
+
 COURSES = {
     "motor": Course(
         settings=DeviceSettings(noise_V=0.002, initial_voltage_V=273.0, seed=3),
-        changes={"supervisor": {"warm_up_s": 45.0}},
+        changes=QUICK_MOTOR,
         setpoints=(3.0, 3.6, 3.0, 3.6),
         hold=25,
         rms=0.01,
@@ -106,10 +107,17 @@ COURSES = {
 class Run:
     """What came of a run: reference, output and estimates of each slow period."""
 
-    references: list[float]
-    outputs: list[float]
-    estimates: dict[str, float]
-    adaptive: int
+    references: list[float] = field(default_factory=list)
+    outputs: list[float] = field(default_factory=list)
+    estimates: dict[str, float] = field(default_factory=dict)
+    adaptive: int = 0
+
+    def note(self, snapshot: Snapshot, decision: Decision) -> None:
+        """Add a slow period."""
+        self.references.append(snapshot.order.reference)
+        self.outputs.append(snapshot.output)
+        self.adaptive += decision.controller is Mode.ADAPTIVE
+        self.estimates = {name: one.value for name, one in decision.estimates.items()}
 
 
 def with_tachometer_on_can(tables: dict[str, Any]) -> None:
@@ -143,9 +151,7 @@ def configured(name: str, folder: Path) -> tuple[Configuration, Path]:
             bus["port"] = free_port(socket.SOCK_STREAM)
     if more:
         with_tachometer_on_can(tables)
-    for section, changes in COURSES[tables["load"]["type"]].changes.items():
-        place = tables["load"] if section == "model" else tables
-        place.setdefault(section, {}).update(changes)
+    change(tables, COURSES[tables["load"]["type"]].changes)
     tables["realtime"] = {"timer_standin": False, "freeze_gc": False}
     path = folder / f"{name}.toml"
     return validate_configuration(tables, path), path
@@ -162,7 +168,7 @@ def without_bus(configuration: Configuration, course: Course) -> Run:
     while drive.machine.state is not State.RUNNING:
         drive.tick()
     drive.tick()
-    run = Run([], [], {}, 0)
+    run = Run()
     for number, setpoint in enumerate(course.setpoints):
         drive.carry_out(SetSetpoint(setpoint))
         drive.carry_out(SetMode(course.mode(number)))
@@ -171,39 +177,24 @@ def without_bus(configuration: Configuration, course: Course) -> Run:
                 pass
             assert drive.snapshot is not None
             assert drive.decision is not None
-            _note(run, drive.snapshot.order.reference, drive.snapshot.output)
-            run.adaptive += drive.decision.controller is Mode.ADAPTIVE
-            run.estimates = {name: one.value for name, one in drive.decision.estimates.items()}
+            run.note(drive.snapshot, drive.decision)
     return run
 
 
-def on_the_wire(name: str, folder: Path, course: Course) -> Run:
+async def on_the_wire(name: str, folder: Path, course: Course) -> Run:
     """The daemon on the bus of an example, and the simulated hardware at its other end."""
     configuration, path = configured(name, folder)
-    run = Run([], [], {}, 0)
-
-    async def follow() -> None:
-        async with wired(configuration, course.settings, path) as wire:
-            course.prepare(wire.world)
-            await wire.until_running()
-            for number, setpoint in enumerate(course.setpoints):
-                await wire.daemon.execute(SetSetpoint(setpoint))
-                await wire.daemon.execute(SetMode(course.mode(number)))
-                for _ in range(course.hold):
-                    report = await wire.period()
-                    _note(run, report.snapshot.order.reference, report.snapshot.output)
-                    decision = report.decision
-                    run.adaptive += decision.controller is Mode.ADAPTIVE
-                    run.estimates = {name: one.value for name, one in decision.estimates.items()}
-
-    with virtual_time() as runner:
-        runner.run(follow())
+    run = Run()
+    async with wired(configuration, course.settings, path) as wire:
+        course.prepare(wire.world)
+        await wire.until_running()
+        for number, setpoint in enumerate(course.setpoints):
+            await wire.daemon.execute(SetSetpoint(setpoint))
+            await wire.daemon.execute(SetMode(course.mode(number)))
+            for _ in range(course.hold):
+                report = await wire.period()
+                run.note(report.snapshot, report.decision)
     return run
-
-
-def _note(run: Run, reference: float, output: float) -> None:
-    run.references.append(reference)
-    run.outputs.append(output)
 
 
 @cache
@@ -225,9 +216,11 @@ def expected_of(load: str) -> Run:
         5,
     ),
 )
-def test_the_control_result_does_not_depend_on_the_bus(load: str, bus: str, tmp_path: Path) -> None:
+async def test_the_control_result_does_not_depend_on_the_bus(
+    load: str, bus: str, tmp_path: Path
+) -> None:
     course, expected = COURSES[load], expected_of(load)
-    found = on_the_wire(f"{load}{bus}", tmp_path, course)
+    found = await on_the_wire(f"{load}{bus}", tmp_path, course)
     assert found.references == expected.references
     assert found.adaptive > course.hold
     assert rms(found.outputs, expected.outputs) < course.rms * course.step

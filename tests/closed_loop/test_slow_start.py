@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import contextlib
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from adaptdrive.config import Configuration
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, SetSetpoint
-from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.world import Sample, World
 from tests.closed_loop.test_same_on_every_bus import COURSES, configured
 from tests.closed_loop.wire import WAIT_s, Wire, wired
-from tests.virtual_time import virtual_time
 
 pytestmark = pytest.mark.usefixtures("outside")
 
@@ -33,12 +30,6 @@ def switch_on_slowly(world: World) -> None:
         return step(current_scale_S, asked[0] >= START_TICKS)
 
     world.step = late  # type: ignore[method-assign]
-
-
-def slow_drive(name: str, folder: Path, start_s: float | None) -> tuple[Configuration, Path]:
-    configuration, path = configured(name, folder)
-    interlocks = configuration.interlocks.model_copy(update={"start_s": start_s})
-    return configuration.model_copy(update={"interlocks": interlocks}), path
 
 
 async def run_drive(wire: Wire) -> str | None:
@@ -74,24 +65,22 @@ async def until(done: Callable[[], bool], longest_s: float) -> None:
     raise AssertionError(f"not within {longest_s:g} s")
 
 
-def driven(name: str, folder: Path, start_s: float | None, course: Callable[[Wire], Any]) -> None:
-    configuration, path = slow_drive(name, folder, start_s)
-
-    async def follow() -> None:
-        settings: DeviceSettings = COURSES["motor"].settings
-        async with wired(configuration, settings, path) as wire:
-            switch_on_slowly(wire.world)
-            await course(wire)
-
-    with virtual_time() as runner:
-        runner.run(follow())
+@contextlib.asynccontextmanager
+async def driven(name: str, folder: Path, start_s: float | None) -> AsyncIterator[Wire]:
+    """A daemon with a time to start, and its drive that switches on slowly."""
+    configuration, path = configured(name, folder)
+    interlocks = configuration.interlocks.model_copy(update={"start_s": start_s})
+    configuration = configuration.model_copy(update={"interlocks": interlocks})
+    async with wired(configuration, COURSES["motor"].settings, path) as wire:
+        switch_on_slowly(wire.world)
+        yield wire
 
 
 @pytest.mark.parametrize("name", BUSES)
-def test_a_drive_of_sixty_half_cycles_is_controlled_and_stopped_early_with_its_time_to_start(
+async def test_a_drive_of_sixty_half_cycles_is_controlled_and_stopped_early_with_its_time_to_start(
     name: str, tmp_path: Path
 ) -> None:
-    async def course(wire: Wire) -> None:
+    async with driven(name, tmp_path, 0.6) as wire:
         await stop_before_it_is_on(wire)
         assert await run_drive(wire) is None
         assert wire.state is State.RUNNING
@@ -100,18 +89,13 @@ def test_a_drive_of_sixty_half_cycles_is_controlled_and_stopped_early_with_its_t
         await until(lambda: wire.state is State.STANDBY, 1.0)
         assert not wire.world.bridge
 
-    driven(name, tmp_path, 0.6, course)
-
 
 @pytest.mark.parametrize(("name", "limit_ms"), [(BUSES[0], 250), (BUSES[1], 300), (BUSES[2], 300)])
-def test_a_drive_of_sixty_half_cycles_trips_without_it(
+async def test_a_drive_of_sixty_half_cycles_trips_without_it(
     name: str, limit_ms: int, tmp_path: Path
 ) -> None:
     """Thirty half cycles, or three polls of 0.1 s."""
-
-    async def course(wire: Wire) -> None:
+    async with driven(name, tmp_path, None) as wire:
         trip = await run_drive(wire) or ""
         assert f"it has not come on within {limit_ms} ms" in trip
         assert not wire.world.bridge
-
-    driven(name, tmp_path, None, course)

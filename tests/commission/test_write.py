@@ -17,7 +17,7 @@ from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
 from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
 from adaptdrive.commission.report import Commissioned
-from adaptdrive.commission.run import CommissionRequest, alone, announcement, write
+from adaptdrive.commission.run import alone, write
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError, ConfigurationError
 
@@ -119,13 +119,6 @@ def test_a_comment_on_a_value_that_changes_goes_and_every_other_one_stays() -> N
     assert "period_s = 1.0                      # slow period: 120 ticks" in old
     (changed,) = set(new.splitlines()) - set(old.splitlines())
     assert changed == "period_s = 0.2 # by adaptdrive commission"
-
-
-def test_the_configuration_of_another_drive_is_refused() -> None:
-    wanted = CommissionRequest(EXAMPLES / "motor.toml", 0.05, None, 5.0)
-    assert "motor is enabled in mode manual" in announcement(wanted, "motor")
-    with pytest.raises(ConfigurationError, match=r"drive\.name: is motor, and bath was named"):
-        announcement(wanted, "bath")
 
 
 def test_the_file_keeps_its_owner_its_rights_and_the_link_to_it(tmp_path: Path) -> None:

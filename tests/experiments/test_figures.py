@@ -43,13 +43,6 @@ def line(axes: Axes, label: str) -> list[float]:
     return [float(value) for value in np.asarray(found.get_ydata())]
 
 
-def test_the_head_names_design_noise_and_seed(figure: Figure) -> None:
-    head = figure.get_suptitle()
-    assert head == (
-        "paper design, noise 0.2 % of the step, seed 81200, disks at rest when they land"
-    )
-
-
 def test_each_controller_has_its_speed_and_its_voltage(
     outcome: ExperimentOutcome, figure: Figure
 ) -> None:
@@ -80,11 +73,6 @@ def test_the_model_errors_are_those_of_the_cycles(
     errors = line(figure.axes[7], "adaptive")
     expected = [100.0 * one.model_error_rms for one in outcome.cycles["adaptive"]]
     assert errors[:-1] == pytest.approx(expected)
-
-
-def test_warm_up_and_the_time_in_force_are_marked(figure: Figure) -> None:
-    names = [text.get_text() for text in figure.axes[3].get_legend().get_texts()]  # type: ignore[union-attr]
-    assert {"warm-up", "adaptive in force"} <= set(names)
 
 
 def test_no_legend_covers_a_title(figure: Figure) -> None:

@@ -27,11 +27,6 @@ def square_record() -> Run:
     return Run(table, ("time_s", "reference", "output"))
 
 
-def test_an_output_on_the_reference_neither_overshoots_nor_takes_time() -> None:
-    for cycle in cycles(MOTOR, "paper", square_record()):
-        assert (cycle.overshoot, cycle.settling_s) == (0.0, 0.0)
-
-
 @pytest.mark.parametrize(("tick", "excess"), [(130, 0.03), (190, -0.03)])
 def test_overshoot_is_the_larger_one_of_both_halves(tick: int, excess: float) -> None:
     record = square_record()
@@ -50,10 +45,6 @@ def test_settling_ends_after_the_last_sample_outside_five_percent(
     record["output"][125] += 0.0099
     record["output"][tick] += 0.0101
     assert cycles(MOTOR, "paper", record)[1].settling_s == settling_s
-
-
-def test_a_half_cycle_at_the_end_is_judged_by_itself() -> None:
-    assert BATH.cycle_starts() == [0.0, 2400.0, 4800.0, 7200.0, 9600.0]
 
 
 @pytest.mark.parametrize(("experiment", "poles"), [(MOTOR, [0.7] * 4), (BATH, [0.8] * 2)])

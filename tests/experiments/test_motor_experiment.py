@@ -43,10 +43,6 @@ def test_the_estimates_follow_each_disk_within_two_cycles(short: ExperimentOutco
     assert all(found is not None and found <= 2.0 for found in short.converged)
 
 
-def test_the_load_of_a_cycle_is_the_number_of_disks(short: ExperimentOutcome) -> None:
-    assert [one.load for one in short.cycles["fixed"]] == [1.0] * 3 + [2.0] * 2 + [3.0] * 2
-
-
 def test_the_fixed_controller_is_in_force_until_the_warm_up_is_over(
     short: ExperimentOutcome,
 ) -> None:

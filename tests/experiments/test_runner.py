@@ -45,7 +45,3 @@ def test_a_decision_takes_effect_after_the_latency(latency: int) -> None:
     rest_V = record.fast_voltage_V[0]
     moved = [abs(voltage - rest_V) > 0.1 for voltage in record.fast_voltage_V[:20]]
     assert moved.index(True) == latency + 3
-
-
-def test_ticks_are_only_kept_where_asked_for() -> None:
-    assert len(run_case(make_case(SHORT, "fixed")).fast_output) == 0

@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 
 from adaptdrive_sim.parameters import ParameterError
 from adaptdrive_sim.plants.bath import Bath, BathParameters, GALLON_kg, HEAT_J_per_kgK
-from adaptdrive_sim.world import World
 
 DROOP_Ohm = 1.0
 INFLOW_kg_s = 0.681 / 60.0
@@ -65,13 +64,6 @@ def test_the_reference_bath_has_its_published_model(volume_gal: float, tau_s: fl
     assert model["tau_s"] == pytest.approx(tau_s, rel=2e-3)
 
 
-@pytest.mark.parametrize(("boost_V", "power_W"), [(200.0, 250.0), (400.0, 1000.0)])
-def test_the_heater_gives_its_published_power(boost_V: float, power_W: float) -> None:
-    bath = Bath(BathParameters())
-    bath.drive(0.25 * boost_V, DROOP_Ohm, 1.0)
-    assert bath.heater_W == pytest.approx(power_W, rel=1e-3)
-
-
 def test_without_heat_the_bath_cools_towards_the_inflow() -> None:
     bath = Bath(BathParameters())
     bath.output = 8.0
@@ -89,24 +81,6 @@ def test_source_for_an_output_settles_on_that_output(output: float) -> None:
     for _ in range(10):
         bath.drive(bath.source_for(output, DROOP_Ohm), DROOP_Ohm, 60.0)
     assert bath.output == pytest.approx(output, rel=1e-12)
-
-
-def test_behind_the_drive_heater_and_droop_share_the_power_of_the_boost_stage() -> None:
-    world = World(bath := Bath(BathParameters()))
-    world.settle(world.boost_voltage_for(13.0))
-    sample = world.step(world.current_scale_S, bridge=True)
-    assert sample.output == pytest.approx(13.0, rel=1e-9)
-    assert sample.load_power_W * 7.87 / 8.87 == pytest.approx(bath.heater_W, rel=1e-9)
-
-
-def test_a_level_changed_at_once_keeps_the_temperature() -> None:
-    bath = Bath(BathParameters())
-    bath.output = 7.0
-    bath.fill(1.5)
-    assert bath.output == 7.0
-    assert bath.volume_gal == pytest.approx(1.5)
-    bath.coast(1.0)
-    assert bath.state()["volume_gal"] == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize(("volume_gal", "over_s"), [(0.0, 1.0), (math.nan, 1.0), (1.0, -1.0)])

@@ -1,7 +1,5 @@
 """The battery plant against an independent integrator and closed forms; both kinds of drive."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -48,25 +46,6 @@ def test_charging_agrees_with_an_independent_integrator(
     mean_A = sum(battery.drive(source_V, DROOP_Ohm, 1.0 / 120.0) for _ in range(3600)) / 3600.0
     found = (battery.charge, *battery.relaxed_V, mean_A)
     assert found == pytest.approx(integrate(own, source_V, 30.0), rel=1e-6)
-
-
-def test_resting_elements_discharge_themselves_and_the_charge_stays() -> None:
-    battery = Battery(TWO_ELEMENTS)
-    battery.relaxed_V = [2.0, 1.0]
-    for _ in range(600):
-        battery.coast(1.0 / 120.0)
-    assert battery.relaxed_V == pytest.approx([2.0 * math.exp(-5.0 / 30.0), math.exp(-1.0)])
-    assert battery.charge == TWO_ELEMENTS.charge
-    assert battery.output == 0.0
-
-
-@given(charge=st.floats(0.0, 1.0))
-def test_the_open_circuit_voltage_rises_with_the_charge_and_follows_its_curve(
-    charge: float,
-) -> None:
-    battery = Battery(BatteryParameters(charge=charge))
-    curve = 20.0 * np.interp(charge, np.linspace(0.0, 1.0, 11), CELL_V)
-    assert battery.open_circuit_V == pytest.approx(float(curve), rel=1e-12)
 
 
 def test_the_model_is_the_admittance_of_the_control_side() -> None:
@@ -135,13 +114,3 @@ def test_a_one_way_drive_cannot_discharge_the_battery() -> None:
         assert world.boost.mean_line_W >= 0.0
     assert min(currents) >= 0.0
     assert world.load.state()["charge"] >= 0.8
-
-
-def test_the_sampled_output_is_the_mean_current_of_the_half_cycle() -> None:
-    world = World(Battery(BatteryParameters()))
-    world.settle(world.boost_voltage_for(5.0))
-    for n in range(60):
-        sample = world.step(0.08 + 0.05 * math.sin(n), bridge=True)
-        assert sample.output == sample.load_current_A
-    world.step(0.0, bridge=False)
-    assert world.step(0.0, bridge=False).output == 0.0

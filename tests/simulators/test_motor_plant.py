@@ -61,15 +61,6 @@ def test_dry_friction_and_drag_brake_as_their_equation_says() -> None:
     assert (motor.speed_rad_s, motor.output) == pytest.approx((speed, output), rel=5e-5)
 
 
-def test_friction_leaves_a_motor_at_rest_where_it_was_settled() -> None:
-    motor = Motor(MotorParameters(coulomb_Nm=0.3, drag_Nms2=2e-5))
-    source_V = motor.source_for(3.0, DROOP_Ohm)
-    motor.settle(source_V, DROOP_Ohm)
-    assert motor.output == pytest.approx(3.0, rel=1e-12)
-    motor.drive(source_V, DROOP_Ohm, 30.0)
-    assert motor.output == pytest.approx(3.0, rel=1e-9)
-
-
 def test_the_gain_under_drag_is_that_of_small_movements() -> None:
     motor = Motor(MotorParameters(coulomb_Nm=0.3, drag_Nms2=2e-5))
     motor.settle(70.0, DROOP_Ohm)
@@ -89,29 +80,12 @@ def test_reference_motor_has_the_published_model(disks: int) -> None:
     assert model["tau_filter_s"] == 10.0
 
 
-def test_a_settled_motor_stays_where_it_is() -> None:
-    motor = Motor(MotorParameters(), 3)
-    motor.torque_Nm = 0.7
-    motor.settle(70.0, DROOP_Ohm)
-    before = motor.speed_rad_s, motor.output
-    for _ in range(100):
-        motor.drive(70.0, DROOP_Ohm, 1.0)
-    assert (motor.speed_rad_s, motor.output) == pytest.approx(before, rel=1e-12)
-
-
 @given(output=st.floats(0.5, 4.0), torque_Nm=st.floats(0.0, 2.0))
 def test_source_for_an_output_settles_on_that_output(output: float, torque_Nm: float) -> None:
     motor = Motor(MotorParameters())
     motor.torque_Nm = torque_Nm
     motor.settle(motor.source_for(output, DROOP_Ohm), DROOP_Ohm)
     assert motor.output == pytest.approx(output, rel=1e-12)
-
-
-def test_load_torque_costs_speed_in_proportion_to_the_damping() -> None:
-    motor = Motor(MotorParameters())
-    motor.torque_Nm = 0.5
-    motor.settle(70.0, DROOP_Ohm)
-    assert 150.0 - motor.speed_rad_s == pytest.approx(0.5 / (0.0125 + 0.3**2 / 4.0), rel=1e-9)
 
 
 def test_coasting_leaves_friction_alone() -> None:

@@ -46,16 +46,6 @@ def test_a_command_acts_one_half_cycle_after_its_frame() -> None:
     assert third.load_current_A == 0.0
 
 
-def test_shutting_acts_at_once() -> None:
-    plant = world()
-    plant.settle(300.0)
-    plant.shut()
-    sample = plant.step(0.0, bridge=False)
-    assert sample.load_current_A == 0.0
-    assert sample.load_power_W == 0.0
-    assert sample.boost_voltage_V == 300.0
-
-
 def test_settled_at_280_V_the_plant_has_its_published_operating_point_and_keeps_it() -> None:
     plant = world()
     plant.settle(280.0)
@@ -65,12 +55,6 @@ def test_settled_at_280_V_the_plant_has_its_published_operating_point_and_keeps_
     assert sample.boost_voltage_V == pytest.approx(280.0, rel=1e-9)
     assert sample.load_power_W == pytest.approx(437.5, rel=1e-9)
     assert plant.load.state()["speed_rad_s"] == pytest.approx(150.0, rel=1e-9)
-
-
-def test_boost_voltage_for_an_output_rests_there() -> None:
-    plant = world(disks=2)
-    plant.settle(plant.boost_voltage_for(3.2))
-    assert plant.true_output == pytest.approx(3.2, rel=1e-12)
 
 
 def test_rest_below_the_peak_of_the_line_is_refused() -> None:
@@ -114,17 +98,6 @@ def test_energy_from_the_line_ends_in_the_capacitor_or_the_load() -> None:
     assert line_J == pytest.approx(load_J + stored_J, rel=1e-9)
 
 
-def test_from_290_to_200_V_the_current_of_the_reference_plant_stays_positive() -> None:
-    plant = world()
-    plant.settle(290.0)
-    ticks, current_A = 0, math.inf
-    while plant.boost.voltage_V > 200.0:
-        current_A = plant.step(0.0, bridge=True).load_current_A
-        ticks += 1
-    assert ticks / 120.0 == pytest.approx(0.17, abs=0.09)
-    assert current_A == pytest.approx(0.9, abs=0.1)
-
-
 def test_the_noise_has_the_asked_deviation_and_leaves_the_truth_alone() -> None:
     plant = world(WorldParameters(noise=NoiseParameters(sigma=0.004)))
     plant.settle(280.0)
@@ -133,12 +106,6 @@ def test_the_noise_has_the_asked_deviation_and_leaves_the_truth_alone() -> None:
     assert statistics.fmean(errors) == pytest.approx(0.0, abs=2e-4)
     assert statistics.stdev(errors) == pytest.approx(0.004, rel=0.05)
     assert plant.true_output == pytest.approx(280.0 * plant.true_model["gain"], rel=1e-9)
-
-
-def test_spikes_strike_the_asked_share_of_samples() -> None:
-    plant = world(WorldParameters(noise=NoiseParameters(spike_share=0.02, spike_sigma=0.5)))
-    struck = [plant.step(0.0, bridge=False).output != plant.true_output for _ in range(10_000)]
-    assert statistics.fmean(struck) == pytest.approx(0.02, abs=0.006)
 
 
 def test_the_line_drifts_and_wanders_within_its_bounds_and_reaches_them() -> None:

@@ -109,20 +109,6 @@ async def test_a_key_that_is_held_down_ends_an_experiment_once(
     assert drive.mode == "fixed"
 
 
-async def test_a_terminal_of_ascii_shows_a_picture(
-    mosquitto: Broker, motor: Path, screen: Screen
-) -> None:
-    async with answering_drive(mosquitto, motor.stem) as drive:
-        drive.answers_stop.set()
-        around = {"PYTHONIOENCODING": "ascii:surrogateescape"}
-        with commissioning(mosquitto, motor, screen.inner, around) as process:
-            await until(lambda: "waiting for rest" in screen.read())
-            screen.press("q")
-            await until(lambda: has_ended(process, screen))
-    assert "no picture" not in screen.read()
-    assert "ended by a key: the drive is off" in screen.read()
-
-
 async def test_a_stopped_terminal_holds_up_no_experiment(
     mosquitto: Broker, motor: Path, screen: Screen
 ) -> None:
@@ -158,21 +144,3 @@ async def test_signals_that_are_repeated_end_an_experiment_once(
     assert process.returncode == 130
     assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]
     assert drive.mode == "fixed"
-
-
-async def test_a_signal_ends_an_experiment_that_was_started_without_ctrl_c(
-    mosquitto: Broker, motor: Path
-) -> None:
-    """A shell starts what runs in the background so that it ignores SIGINT."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        async with answering_drive(mosquitto, motor.stem) as drive:
-            drive.answers_stop.set()
-            with acting(signal.SIGTERM), commissioning(mosquitto, motor) as process:
-                await until(lambda: "voltage" in drive.verbs)
-                process.send_signal(signal.SIGTERM)
-                await until(lambda: process.poll() is not None)
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert process.returncode == 130
-    assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]
