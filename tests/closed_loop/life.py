@@ -32,15 +32,12 @@ Event = Callable[[Motor, float], None]
 
 
 class Sensed(World):
-    """A plant behind a sensor with a resolution, such as a 10-bit converter, that may stick."""
+    """A plant behind a sensor with a resolution, such as a 10-bit converter."""
 
     quantum = 0.0
-    stuck_at: float | None = None
 
     def step(self, current_scale_S: float, bridge: bool) -> Sample:
         sample = super().step(current_scale_S, bridge)
-        if self.stuck_at is not None:
-            return sample._replace(output=self.stuck_at)
         if not self.quantum:
             return sample
         return sample._replace(output=round(sample.output / self.quantum) * self.quantum)

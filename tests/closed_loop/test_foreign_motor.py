@@ -6,7 +6,7 @@ import pytest
 
 from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.world import World, WorldParameters
-from tests.closed_loop.foreign_motor import ForeignMotor, draw, run, truth
+from tools.benchmarks.foreign_motor import ForeignMotor, draw, run, truth
 
 
 @pytest.mark.proof

@@ -13,7 +13,7 @@ from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.virtual import OperatedDrive
-from tests.closed_loop.life import Sensed, load_world, settling_s, started, wait
+from tests.closed_loop.life import load_world, settling_s, started, wait
 from tests.support import sample
 
 
@@ -154,15 +154,3 @@ def test_the_reach_follows_what_is_learnt_of_the_load() -> None:
     with pytest.raises(RefusedError, match="which V_c can hold"):
         drive.carry_out(SetSetpoint(4.3))
     drive.carry_out(SetSetpoint(2.1))
-
-
-def test_a_tachometer_that_sticks_trips() -> None:
-    world = Sensed(Motor(MotorParameters()))
-    world.settle(world.boost_voltage_for(3.0))
-    drive = started("motor", world)
-    drive.carry_out(SetSetpoint(3.0))
-    wait(drive, 60.0)
-    world.stuck_at = 3.0
-    drive.carry_out(SetSetpoint(3.5))
-    wait(drive, 400.0)
-    assert (drive.machine.trip or "").startswith("no response")

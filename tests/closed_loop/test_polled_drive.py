@@ -91,18 +91,6 @@ def test_a_load_that_its_power_limits_winds_nothing_up_and_trips_nothing(stride:
     assert not any(decision.fault for decision in bench.decisions)
 
 
-@pytest.mark.parametrize(("stride", "held", "ticks"), [(1, 24, 24), (12, 2, 24), (12, 1, 12)])
-def test_ticks_without_a_fresh_reading_are_counted_however_seldom_a_drive_is_read(
-    stride: int, held: int, ticks: int
-) -> None:
-    bench = PolledBench(stride)
-    bench.run(3, LOW)
-    bench.poll(LOW)
-    for number in range(TICKS // stride):
-        bench.poll(LOW, fresh=number >= held)
-    assert bench.snapshots[-1].held_ticks == ticks
-
-
 def test_half_a_period_without_a_reading_of_a_polled_drive_ends_adaptive_control() -> None:
     bench = PolledBench(12)
     bench.run(100, LOW, Mode.ADAPTIVE)

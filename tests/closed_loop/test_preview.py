@@ -14,7 +14,6 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.signals import Order
 from adaptdrive.control.waveform import Shape, Waveform, heard
 from adaptdrive.recording.replay import replay
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
@@ -58,18 +57,6 @@ def test_a_waveform_at_the_edge_of_the_voltage_is_followed_better_by_half() -> N
     assert with_it < 0.6 * without
 
 
-def test_the_voltage_never_leaves_its_limits() -> None:
-    limits = configuration().drive.limits
-    low_V, high_V = limits.boost_reference_min_V, limits.boost_reference_max_V
-    decided = [one.decision.boost_reference_V for one in run(Shape.SQUARE, True).kept.slow]
-    assert min(decided) >= low_V
-    assert max(decided) <= high_V
-
-
-def orders(drive: RecordedDrive) -> list[Order]:
-    return [one.order for one in drive.kept.ticks if one.order.waveform]
-
-
 def test_what_the_controller_is_told_is_what_comes() -> None:
     drive = run(Shape.SQUARE, True)
     last = [one for one in drive.kept.ticks if one.order.waveform][-1]
@@ -79,10 +66,6 @@ def test_what_the_controller_is_told_is_what_comes() -> None:
         waveform, begin = heard(last.order.waveform)
         elapsed_s = (told.measurement.tick - begin) * tick_s
         assert waveform.value(elapsed_s) == told.order.reference
-
-
-def test_without_preview_the_controller_is_told_nothing() -> None:
-    assert orders(run(Shape.SQUARE, False)) == []
 
 
 def test_a_set_point_ends_what_the_controller_is_told() -> None:

@@ -57,16 +57,6 @@ def test_a_second_experiment_on_a_drive_is_refused() -> None:
         pass
 
 
-def test_a_file_that_became_invalid_is_left_as_it_is(tmp_path: Path) -> None:
-    file = tmp_path / "bench.toml"
-    file.write_text("drive = {", encoding="utf-8")
-    proposal = SimpleNamespace(values={"load.pole": 0.8})
-    proposed = cast("Commissioned", SimpleNamespace(proposal=proposal))
-    with pytest.raises(ConfigurationError, match="TOML"):
-        write(file, proposed)
-    assert [one.read_text(encoding="utf-8") for one in tmp_path.iterdir()] == ["drive = {"]
-
-
 def test_a_file_that_the_settings_no_longer_suit_is_left_as_it_is(tmp_path: Path) -> None:
     file = tmp_path / "motor.toml"
     shutil.copy(EXAMPLES / "adaptdrive.dbc", tmp_path)
