@@ -8,11 +8,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.battery_bench import (
     BatteryCampaign,
     BatteryScenario,
-    BatteryTrial,
     draw_battery,
 )
 from adaptdrive_sim.campaign.main import repeat_run, run_campaign
@@ -50,22 +48,6 @@ def test_every_charger_has_the_power_and_the_reach_of_the_example() -> None:
         needed_V = 4.1 * one.cells + one.largest_A * coupling.droop_Ohm
         assert 0.9 * 400.0 * coupling.ratio < needed_V < 400.0 * coupling.ratio
         assert configuration.load.reference_max == one.largest_A
-
-
-@compiled
-def test_the_resistance_grows_in_the_plant() -> None:
-    scenario = next(one for one in scenarios() if one.growth > 1.5 and one.charge < 0.4)
-    assert scenario.series_at(0.0) == 1.0
-    assert scenario.series_at(scenario.duration_s) == pytest.approx(scenario.growth)
-    run = BatteryTrial(scenario).run(Mode.FIXED)
-    assert not run.trip
-    times_s, volts = run["time_s"], run["terminal_voltage_V"]
-    before, after = (
-        float(np.mean(volts[np.abs(times_s - share * scenario.duration_s) < 5.0]))
-        for share in (0.39, 0.61)
-    )
-    series_Ohm = scenario.battery().series_Ohm
-    assert after - before > 0.9 * scenario.current_A * series_Ohm * (scenario.growth - 1.0)
 
 
 @compiled

@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptdrive.control.signals import Mode, Stage
+from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bench import Scenario, Stand, draw
-from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.campaign.life import Life, volt_Nm
 from adaptdrive_sim.campaign.settings import LifeRanges, read_campaign
-from adaptdrive_sim.course import Run
 from adaptdrive_sim.plants.motor import Motor
 from tests.support import compiled
 
@@ -58,54 +56,6 @@ def test_no_set_point_needs_more_than_v_c_has(drawn: list[Scenario]) -> None:
         assert isinstance(motor, Motor)
         motor.disturb(volt_Nm() * scenario.life.largest_torque_V)
         assert world.boost_voltage_for(scenario.reference.high - scenario.life.offset) < 400.0
-
-
-def eventful(seed: int = 3, **life: object) -> Stand:
-    """A short run of a motor like the model, without noise, whose reference stands still."""
-    standard = read_campaign(Path("standard.toml"))
-    load = standard.load.model_copy(update={"gain": (1.0, 1.0), "inertia": (1.0, 1.0)})
-    noise = standard.noise.model_copy(update={"sigma": (0.0, 0.0), "spike_share": (0.0, 0.0)})
-    ranges = LifeRanges.model_validate({"constant": 1.0, **life})
-    changes = {"load": load, "noise": noise, "life": ranges, "duration_s": 240.0}
-    return Stand(draw(standard.model_copy(update=changes), seed))
-
-
-def held_V(outcome: Run) -> float:
-    return float(np.mean(outcome["applied_V"][-20:]))
-
-
-@compiled
-def test_torque_and_friction_take_the_volts_that_were_drawn() -> None:
-    def held(**life: object) -> float:
-        return held_V(eventful(seed, **life).run(Mode.FIXED))
-
-    step = {"torque_changes": (1, 1), "torque_V": (15.0, 15.0)}
-    early = (eventful(seed, **step).scenario for seed in range(20))
-    seed = next(one.seed for one in early if one.life.torque_times_s[0] < 120.0)
-    plain = held()
-    assert held(**step) - plain == pytest.approx(15.0, abs=0.3)
-    assert held(coulomb_V=(8.0, 8.0)) - plain == pytest.approx(8.0, abs=0.3)
-    speed = eventful(seed).references[0] / 3.3
-    assert held(drag_V=(8.0, 8.0)) - plain == pytest.approx(8.0 * speed**2, abs=0.3)
-
-
-@compiled
-def test_a_motor_coasts_while_the_drive_is_off_and_is_caught_again() -> None:
-    stand = eventful(restarted=1.0, off_s=(10.0, 10.0))
-    course = stand.course(Mode.ADAPTIVE)
-    (stop,) = course.stops
-    assert [course.stage(k) for k in (stop[0] - 1, stop[0], stop[-1], stop[-1] + 1)] == [
-        *(Stage.RUN, Stage.OFF),
-        *(Stage.PRECHARGE, Stage.RUN),
-    ]
-    outcome = stand.run_deployed(Mode.ADAPTIVE)
-    assert outcome.interlock == 0
-    assert len(outcome.decisions) == np.count_nonzero(stand.running())
-    outputs = outcome["output"]
-    assert np.all(np.isnan(outputs[stop[0] : stop[-1] + 1]))
-    assert outputs[stop[-1] + 2] < 0.9 * stand.references[0]
-    assert outputs[-1] == pytest.approx(stand.references[0], abs=0.01)
-    assert np.isfinite(judge(stand, outcome, outcome)["cost_adaptive"])
 
 
 @compiled
