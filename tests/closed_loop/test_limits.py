@@ -46,16 +46,7 @@ def idle_then_step(name: str, idle_s: float, target: float) -> tuple[float, floa
 
 @pytest.mark.parametrize(
     ("name", "idle_s", "target"),
-    sample(
-        [
-            ("motor", 120.0, 3.0),
-            ("bath", 600.0, 12.0),
-            ("motor", 10.0, 3.0),
-            ("motor", 900.0, 3.0),
-            ("bath", 7200.0, 12.0),
-        ],
-        2,
-    ),
+    sample([("motor", 120.0, 3.0), ("bath", 600.0, 12.0), ("bath", 7200.0, 12.0)], 2),
 )
 def test_a_step_after_idling_is_as_fast_as_any_and_idling_moves_nothing(
     name: str, idle_s: float, target: float
@@ -69,23 +60,11 @@ LINEAR_S = 22.0
 """Settling of four poles at 0.7 with T_k = 1 s to 5 %."""
 
 
-@pytest.mark.parametrize(
-    ("gain", "edge", "mode"),
-    sample(
-        [
-            (1.05, 2.2, Mode.FIXED),
-            (0.95, 4.4, Mode.ADAPTIVE),
-            (1.05, 2.2, Mode.ADAPTIVE),
-            (0.95, 4.4, Mode.FIXED),
-        ],
-        2,
-    ),
-)
-def test_a_step_after_a_saturated_phase_is_as_fast_as_any(
-    gain: float, edge: float, mode: Mode
-) -> None:
+@pytest.mark.parametrize("gain", [1.05, 0.95])
+@pytest.mark.parametrize("mode", sample([Mode.ADAPTIVE, Mode.FIXED], 1))
+def test_a_step_after_a_saturated_phase_is_as_fast_as_any(gain: float, mode: Mode) -> None:
     drive = scaled(gain, mode)
-    drive.carry_out(SetSetpoint(edge))
+    drive.carry_out(SetSetpoint(2.2 if gain > 1.0 else 4.4))
     wait(drive, 200.0)
     assert drive.decision is not None
     assert drive.decision.boost_reference_V in (200.0, 400.0)
@@ -93,17 +72,10 @@ def test_a_step_after_a_saturated_phase_is_as_fast_as_any(
 
 
 @pytest.mark.parametrize(
-    ("gain", "value", "within", "mode"),
-    sample(
-        [
-            (0.95, 4.3, "2.*…4.1.*|2.*…4.2.*", Mode.ADAPTIVE),
-            (1.05, 2.2, "2.3.*…4.*", Mode.FIXED),
-            (0.95, 4.3, "2.*…4.1.*|2.*…4.2.*", Mode.FIXED),
-            (1.05, 2.25, "2.3.*…4.*", Mode.ADAPTIVE),
-        ],
-        2,
-    ),
+    ("gain", "value", "within"),
+    [(0.95, 4.3, "2.*…4.1.*|2.*…4.2.*"), (1.05, 2.2, "2.3.*…4.*")],
 )
+@pytest.mark.parametrize("mode", sample([Mode.ADAPTIVE, Mode.FIXED], 1))
 def test_a_set_point_that_only_the_model_reaches_neither_trips_nor_latches(
     gain: float, value: float, within: str, mode: Mode
 ) -> None:

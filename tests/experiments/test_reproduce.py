@@ -40,24 +40,13 @@ def test_two_runs_with_one_seed_leave_the_same_bytes(tmp_path: Path) -> None:
     for name in NAMES:
         assert (first / name).read_bytes() == (second / name).read_bytes(), name
     assert set(summary) == {"experiment", "seed", "controllers", "estimates", "claims"}
-    for controller in summary["controllers"].values():
-        assert [one["start_s"] for one in controller["cycles"]] == [120.0 * i for i in range(11)]
-        for one in controller["cycles"]:
-            assert set(one) == {"start_s", "load", "overshoot", "settling_s", "model_error_rms"}
     assert [one["load_change_s"] for one in summary["estimates"]] == [600.0, 960.0]
     assert set(summary["claims"][0]) == {"claim", "measured", "target", "met"}
     table = pq.read_table(first / "direct_rls.parquet")
     assert table.num_rows == 1320
     assert {"time_s", "output", "boost_reference_V", "gain", "gain_std"} <= set(table.column_names)
-    assert table.schema.metadata == {
-        b"experiment": b"motor",
-        b"controller": b"direct_rls",
-        b"design": b"paper",
-        b"seed": b"3",
-        b"noise": b"0.002",
-        b"dropped_at_rest": b"true",
-        b"spikes": b"0.02,0.1",
-    }
+    assert table.schema.metadata[b"controller"] == b"direct_rls"
+    assert table.schema.metadata[b"spikes"] == b"0.02,0.1"
 
 
 def test_noise_and_spikes_are_fractions_of_the_step() -> None:

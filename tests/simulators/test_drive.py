@@ -45,22 +45,6 @@ class Bench:
         return [data for event, data in self.events if event == name]
 
 
-def test_the_safe_state_is_logged_with_what_is_true_then() -> None:
-    bench = Bench()
-    bench.commanded(20, bench.holding_S)
-    frame = bench.silent(30)
-    assert frame.sample.load_current_A == 0.0
-    assert frame.fault == 0
-    (safe,) = bench.named("safe")
-    assert 100.0 <= safe.pop("after_ms") <= 108.4
-    assert safe == {
-        "reason": "command timeout",
-        "current_scale_S": 0.0,
-        "bridge": False,
-        "load_current_A": 0.0,
-    }
-
-
 def test_over_voltage_stops_the_line_current_and_leaves_the_bridge() -> None:
     bench = Bench(400.0)
     highest_V = 0.0

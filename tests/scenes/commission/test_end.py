@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import uuid
@@ -17,7 +16,7 @@ import pytest
 
 from tests.commission.answering_drive import answering_drive
 from tests.pseudo_terminal import Screen
-from tests.support import Broker, acting
+from tests.support import Broker
 
 pytestmark = pytest.mark.proof
 
@@ -126,21 +125,3 @@ async def test_a_stopped_terminal_holds_up_no_experiment(
             screen.press("\x11")
             await until(lambda: has_ended(process, screen))
     assert "ended by a key: the drive is off" in screen.read()
-
-
-@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
-async def test_signals_that_are_repeated_end_an_experiment_once(
-    mosquitto: Broker, motor: Path, first: signal.Signals
-) -> None:
-    async with answering_drive(mosquitto, motor.stem) as drive:
-        with acting(first), acting(signal.SIGINT), commissioning(mosquitto, motor) as process:
-            await until(lambda: "voltage" in drive.verbs)
-            process.send_signal(first)
-            await until(drive.stopped.is_set)
-            process.send_signal(signal.SIGINT)
-            await asyncio.sleep(HELD_S)
-            drive.answers_stop.set()
-            await until(lambda: process.poll() is not None)
-    assert process.returncode == 130
-    assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]
-    assert drive.mode == "fixed"
