@@ -40,7 +40,9 @@ def sample(values: Sequence[Any], count: int) -> list[Any]:
 
 def compiled(test: Test) -> Test:
     """Mark a test that runs compiled simulators, which may have to be compiled first."""
-    return pytest.mark.proof(pytest.mark.timeout(3600)(test))
+    timed: Test = pytest.mark.timeout(3600)(test)
+    marked: Test = pytest.mark.proof(timed)
+    return marked
 
 
 def _own_ports() -> Iterator[int]:

@@ -26,7 +26,7 @@ TWO = BatteryParameters(relaxation_2_Ohm=0.2, relaxation_2_s=300.0)
 def overshoots(mode: Mode) -> list[float]:
     """Overshoot of each half wave of 10 and 13 K, with the drain raised in the third."""
     bath = Bath(BathParameters(volume_gal=0.12))
-    plant = load_world(bath, 0.05)
+    plant = load_world(bath, 0.02)  # in a fifth of the samples of a slow period
     plant.settle(plant.boost_voltage_for(10.0))
     drive = started("bath", plant, mode, SMALL_BATH)
     drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 10.0, 13.0, 2 * HALF_s)))
@@ -115,7 +115,7 @@ def test_a_battery_is_charged_while_it_is_learnt_without_filters(mode: Mode) -> 
 @pytest.mark.parametrize(
     ("charge", "current_A"),
     sample(
-        [(0.2, 0.5), (0.65, 5.0), *itertools.product([0.2, 0.35, 0.5, 0.65], [0.5, 2.0, 5.0])], 2
+        [(0.2, 0.5), (0.65, 5.0), *itertools.product([0.35, 0.5], [0.5, 2.0, 5.0]), (0.2, 5.0)], 2
     ),
 )
 def test_the_first_current_into_a_battery_overshoots_little(

@@ -18,8 +18,8 @@ NAMES = ("direct_rls.parquet", "figure.png", "fixed.parquet", "sweep.png", "adap
 
 def reproduced(folder: Path) -> tuple[list[str], dict[str, Any]]:
     """What it prints, and its summary."""
-    command = [sys.executable, "-m", "adaptdrive_sim", "reproduce", "motor", "--output", folder]
-    options = ["--seed", "3", "--spikes", "0.02,0.1"]
+    command = [sys.executable, "-m", "adaptdrive_sim", "reproduce", "motor"]
+    options = ["--output", str(folder), "--seed", "3", "--spikes", "0.02,0.1"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))

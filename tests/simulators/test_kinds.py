@@ -11,6 +11,7 @@ import pytest
 from adaptdrive.app.loads import build_load
 from adaptdrive.cli import carry_out
 from adaptdrive.cli.commands import understood
+from adaptdrive.cli.standard_files import FAILED
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import RefusedError
@@ -82,7 +83,7 @@ def test_an_unknown_parameter_is_refused_with_the_nearest_one() -> None:
 
 def status_of(words: str) -> int:
     """Carry out a command of the simulators; return its status."""
-    return carry_out("adaptdrive-sim", understood(cli.app, words.split()), (), cli.FAILED)
+    return carry_out("adaptdrive-sim", understood(cli.app, words.split()), (), FAILED)
 
 
 MOTOR = EXAMPLES / "motor.toml"
