@@ -74,11 +74,11 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_session_of_any_name_is_read_exported_and_drawn(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     for command in ("show", "verify"):
         assert main(["sessions", command, str(recorded), "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)
+        assert json.loads(capfd.readouterr().out)
     folder = tmp_path / NAME
     for form in FORMS:
         assert main(["export", str(recorded), "--to", form, "--into", str(folder / form)]) == 0
