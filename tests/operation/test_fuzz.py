@@ -30,7 +30,7 @@ from tests.operation.contract import validators
 from tests.runtime.test_machine import LIMITS
 
 SEED = 20260
-PAYLOADS = int(os.environ.get("PAYLOADS", "10000"))
+PAYLOADS = int(os.environ.get("PAYLOADS", "2000"))
 """On each topic; the long form sets 100,000 in the environment."""
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 LATER = (NOW + timedelta(seconds=9)).isoformat()

@@ -96,33 +96,23 @@ async def test_the_device_is_announced_only_where_it_is_wanted(
     assert len(set(ids)) == len(ids)
 
 
-@pytest.mark.parametrize(("name", "value", "request_"), COMMANDS)
-async def test_what_home_assistant_sends_is_accepted(
-    broker: MemoryBroker, tmp_path: Path, name: str, value: str, request_: Request
-) -> None:
-    component = discovery(profile("commanded"), "homeassistant")[1]["components"][name]
-    verb = component["command_topic"].rpartition("/")[2]
-    payload = rendered(component["command_template"], value=value)
-    validators()[f"command/{verb}"].validate(json.loads(payload))
-    async with serving(broker, "commanded", tmp_path) as bench:
-        assert (await ask(bench, verb, payload))["accepted"]
-    assert bench.host.asked == [request_]
-
-
-@pytest.mark.parametrize(("name", "value", "request_"), COMMANDS)
+@pytest.mark.parametrize("age_s", [0, 5])
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
 async def test_only_a_stop_of_home_assistant_acts_late(
-    broker: MemoryBroker, tmp_path: Path, name: str, value: str, request_: Request
+    broker: MemoryBroker, tmp_path: Path, command: tuple[str, str, Request], age_s: float
 ) -> None:
     """Its client sends again, after any time, what a loss of the broker has left unacknowledged."""
+    name, value, request_ = command
     component = discovery(profile("late"), "homeassistant")[1]["components"][name]
     verb = component["command_topic"].rpartition("/")[2]
-    given = datetime.now(UTC) - timedelta(seconds=5)
+    given = datetime.now(UTC) - timedelta(seconds=age_s)
     payload = rendered(component["command_template"], at=given, value=value)
+    validators()[f"command/{verb}"].validate(json.loads(payload))
     async with serving(broker, "late", tmp_path) as bench:
         reply = await ask(bench, verb, payload)
-    late = [request_] if name == "stop" else []
-    assert (reply["accepted"], bench.host.asked) == (name == "stop", late)
-    assert reply["reason"].startswith("" if late else "expired at ")
+    acts = name == "stop" or not age_s
+    assert (reply["accepted"], bench.host.asked) == (acts, [request_] if acts else [])
+    assert reply["reason"].startswith("" if acts else "expired at ")
 
 
 def test_commands_of_home_assistant_expire_alike_when_summer_time_ends() -> None:

@@ -17,7 +17,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.operation.clock import Synchronisation
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
-from adaptdrive.runtime.reports import CommandReport, Event, Severity, State
+from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import (
     Disable,
     Enable,
@@ -75,21 +75,6 @@ async def test_a_command_acts_and_is_answered(
     assert bench.host.asked == [request_]
 
 
-async def test_each_answered_command_is_reported_once_with_its_sender(bench: Bench) -> None:
-    reports = bench.hub.subscribe(CommandReport, size=10)
-    for value in (3.1, 3.1, 9.0):
-        payload = {"id": f"op-{value}", "value": value, "user": "ann@bench"}
-        await ask(bench, "setpoint", json.dumps(payload))
-    first, second = (one for one in reports.drain() if isinstance(one, CommandReport))
-    assert first == CommandReport("op-3.1", "setpoint", "3.1", "ann@bench", True, "")
-    assert (second.id, second.accepted) == ("op-9.0", False)
-    assert "outside 0…4.0" in second.reason
-
-
-async def test_a_verb_without_a_value_needs_none(bench: Bench) -> None:
-    assert (await ask(bench, "enable", '{"id": "a"}'))["accepted"]
-
-
 @pytest.mark.parametrize(
     ("verb", "payload", "reason"),
     [
@@ -140,15 +125,6 @@ async def test_a_command_that_breaks_a_rule_is_refused_and_changes_nothing(
     assert bench.host.asked == []
 
 
-@pytest.mark.parametrize("identity", [7, "", "i" * 129])
-async def test_an_unusable_id_is_told_so_under_that_id(bench: Bench, identity: str | int) -> None:
-    reply = await ask(bench, "setpoint", json.dumps({"id": identity, "value": 3}))
-    assert reply["id"] == identity
-    assert not reply["accepted"]
-    assert "`id`" in reply["reason"]
-    assert bench.host.asked == []
-
-
 @pytest.mark.parametrize(
     "payload", ["", "3", "[]", '{"value": 3}', '{"id": null, "value": 3}', '{"id": true}', "\0"]
 )
@@ -162,77 +138,10 @@ async def test_without_a_readable_id_a_command_is_refused_and_answered(
     assert bench.host.asked == []
 
 
-async def test_an_id_that_cannot_be_sent_back_is_refused(bench: Bench) -> None:
-    reply = await ask(bench, "enable", '{"id": "\\ud800"}')
-    assert (reply["id"], reply["accepted"]) == (None, False)
-    assert "id" in reply["reason"]
-    assert bench.host.asked == []
-
-
-@pytest.mark.parametrize("payload", ['{"id": "p"}', '{"id": "p", "value": 3}'])
-async def test_a_ping_is_accepted_and_changes_nothing(
-    broker: MemoryBroker, tmp_path: Path, payload: str
-) -> None:
-    async with serving(broker, "pinged", tmp_path) as bench:
-        reports = bench.hub.subscribe(CommandReport, size=9)
-        reply = await ask(bench, "ping", payload)
-        assert reply == {
-            "id": "p",
-            "verb": "ping",
-            "accepted": True,
-            "reason": "",
-            "state": "standby",
-        }
-        assert (await ask(bench, "setpoint", '{"id": "p", "value": 1}'))["accepted"]
-        assert bench.host.asked == [SetSetpoint(1.0)]
-        answered = (one for one in reports.drain() if isinstance(one, CommandReport))
-        assert [one.verb for one in answered] == ["setpoint"]
-
-
-async def test_a_retained_ping_is_refused(bench: Bench) -> None:
-    assert "retain" in (await ask(bench, "ping", '{"id": "p"}', "-r"))["reason"]
-
-
-async def test_expires_is_held_against_the_clock_of_the_daemon(
-    broker: MemoryBroker, tmp_path: Path
-) -> None:
-    now = datetime(1999, 12, 31, 23, 0, tzinfo=UTC)
-    async with serving(broker, "expiry", tmp_path, wall=lambda: now) as bench:
-        east = timedelta(hours=2)
-        ahead = (now + timedelta(seconds=1) + east).replace(tzinfo=None).isoformat() + "+02:00"
-        command = {"id": "a", "value": 1, "expires": ahead}
-        assert (await ask(bench, "setpoint", json.dumps(command)))["accepted"]
-        command = {"id": "b", "value": 2, "expires": now.isoformat()}
-        assert "expired" in (await ask(bench, "setpoint", json.dumps(command)))["reason"]
-    assert bench.host.asked == [SetSetpoint(1.0)]
-
-
 async def test_a_live_retained_command_is_refused(bench: Bench) -> None:
     reply = await ask(bench, "setpoint", '{"id": "a", "value": 1}', "-r")
     assert "retain" in reply["reason"]
     assert bench.host.asked == []
-
-
-async def test_a_command_that_the_broker_kept_is_refused(
-    broker: MemoryBroker, tmp_path: Path
-) -> None:
-    kept = "adaptdrive/kept/command/setpoint"
-    await publish(broker, kept, '{"id": "a", "value": 1}', "-r")
-    async with listening(broker, "adaptdrive/kept/reply") as ear:
-        async with serving(broker, "kept", tmp_path) as bench:
-            assert "retain" in (await ear.on("adaptdrive/kept/reply")).content["reason"]
-        assert bench.host.asked == []
-
-
-async def test_a_command_from_before_the_connection_is_never_carried_out(
-    broker: MemoryBroker, tmp_path: Path
-) -> None:
-    async with serving(broker, "early", tmp_path):
-        pass
-    await publish(broker, "adaptdrive/early/command/setpoint", '{"id": "a", "value": 1}')
-    async with serving(broker, "early", tmp_path) as bench:
-        assert (await ask(bench, "setpoint", '{"id": "b", "value": 2}'))["id"] == "b"
-    assert bench.host.asked == [SetSetpoint(2.0)]
 
 
 async def test_a_repeat_acts_once_and_hears_the_first_reply(bench: Bench) -> None:
@@ -261,13 +170,10 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
         wave = Waveform(Shape.SQUARE, 3.0, 3.2, 120.0)
         bench.host.show(replace(STANDBY, trip="stale", waveform=wave, setpoint=float("nan")))
         second = (await ear.on(bench.topic("state"))).content
-    assert list(second) == [
-        *("state", "mode", "controller", "reason", "enabled", "setpoint"),
-        *("waveform", "pole", "trip", "shutting_down", "stop", "voltage_V"),
-        *("reach", "coasting"),
-        *("since", "last_trip", "clock", "time"),
-        *("drive", "output", "limits", "modes", "version", "manipulated"),
-    ]
+    assert second["output"] == {"name": "speed", "unit": "V"}
+    assert second["limits"] == {"setpoint": [0.0, 4.0], "power_W": [None, 900.0]}
+    assert second["modes"] == [mode.value for mode in Mode]
+    assert (second["drive"], second["version"]) == (bench.drive, "9")
     assert second["waveform"] == SQUARE
     assert second["setpoint"] is None
     assert second["trip"] == "stale"
@@ -294,17 +200,6 @@ async def test_telemetry_is_json_with_name_and_unit_of_the_output(bench: Bench) 
         drive = await ear.on(bench.topic("telemetry/drive"))
     assert not drive.retained
     assert (load.qos, drive.qos) == (0, 0)
-    assert list(load.content) == [
-        *("time", "k", "tick", "period_s", "stage", "reference", "mode", "pole", "manual_V"),
-        "steady",
-        "waveform",
-        "output",
-        *("output_filtered", "input_filtered", "applied_V", "followed", "held_ticks"),
-        *("held_V", "resolution", "rounding"),
-        *("boost_reference_V", "controller", "accepted", "reason", "estimates", "gains"),
-        *("innovation", "excitation", "handover_step_V", "pole_in_force", "fault", "complete"),
-        *("reach_low", "reach_high", "probe", "monotonic_s", "output_name", "output_unit"),
-    ]
     assert (load.content["output_name"], load.content["output_unit"]) == ("speed", "V")
     assert drive.content["sensors"] == {
         "thermocouples": {
@@ -316,11 +211,6 @@ async def test_telemetry_is_json_with_name_and_unit_of_the_output(bench: Bench) 
         }
     }
     assert load.content["estimates"] == {"gain": {"value": 0.0111, "std": None}}
-    assert set(drive.content) == {
-        *("time", "boost_voltage_V", "line_voltage_V", "load_power_W", "output", "age_s"),
-        *("command", "ticks", "missed", "held", "limited", "lateness_us", "turnaround_us"),
-        *("tick_us", "bus", "sensors", "output_name", "output_unit"),
-    }
     assert drive.content["lateness_us"] == {"p50": 10.0, "p99": 20.0, "max": 30.0}
     assert drive.content["turnaround_us"] == {"p50": None, "p99": None, "max": None}
     assert drive.content["command"] == {
@@ -343,16 +233,6 @@ async def test_a_late_listener_receives_the_last_slow_step_and_the_histograms(be
     assert (load.retained, load.content["k"]) == (True, 7)
     assert histograms.retained
     assert histograms.content["tick_us"] == [0, 2, 1]
-
-
-async def test_the_state_tells_drive_output_limits_modes_and_version(bench: Bench) -> None:
-    async with listening(bench.broker, bench.topic("state")) as ear:
-        state = (await ear.on(bench.topic("state"))).content
-    assert state["drive"] == bench.drive
-    assert state["output"] == {"name": "speed", "unit": "V"}
-    assert state["limits"] == {"setpoint": [0.0, 4.0], "power_W": [None, 900.0]}
-    assert state["modes"] == [mode.value for mode in Mode]
-    assert state["version"] == "9"
 
 
 async def test_since_is_the_time_of_the_state_not_of_any_change(
@@ -425,14 +305,6 @@ async def test_the_event_of_a_trip_carries_its_remedy(bench: Bench) -> None:
     assert state["remedy"] == ""
 
 
-async def test_a_drive_that_was_never_measured_sends_null(bench: Bench) -> None:
-    async with listening(bench.broker, bench.topic("telemetry/drive")) as ear:
-        bench.hub.publish(replace(drive_report(0), measurement=None, age_s=float("inf")))
-        content = (await ear.on(bench.topic("telemetry/drive"))).content
-    assert content["output"] is None
-    assert content["age_s"] is None
-
-
 async def test_the_fast_loop_is_heard_at_most_ten_times_a_second(bench: Bench) -> None:
     loop = asyncio.get_running_loop()
     async with listening(bench.broker, bench.topic("telemetry/drive")) as ear:
@@ -451,17 +323,6 @@ async def test_every_slow_period_is_heard(bench: Bench) -> None:
             bench.hub.publish(load_report(k))
         await ear.until(lambda message: message.content["k"] == 9)
     assert [message.content["k"] for message in ear.heard] == list(range(10))
-
-
-async def test_events_are_sent_in_order(bench: Bench) -> None:
-    async with listening(bench.broker, bench.topic("event")) as ear:
-        for tick in range(20):
-            bench.hub.publish(Event("trip", Severity.ALARM, "over-speed", tick))
-        last = await ear.until(lambda message: message.content["tick"] == 19)
-    assert [message.content["tick"] for message in ear.heard] == list(range(20))
-    assert list(last.content) == ["time", "kind", "severity", "detail", "tick", "remedy"]
-    assert last.qos == 1
-    assert not last.retained
 
 
 async def test_an_orderly_stop_sends_what_is_left_and_says_offline(

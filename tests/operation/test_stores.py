@@ -205,54 +205,6 @@ async def test_a_damaged_file_is_reported_and_costs_only_itself(path: Path) -> N
     assert recall(path, Time.wall).flaws == ()
 
 
-async def test_a_failing_disk_is_reported_once_and_then_caught_up(path: Path) -> None:
-    _folder(path)
-    time, told = Time(), list[str]()
-    log = Log(
-        path,
-        _header(),
-        recall(path, time.wall),
-        time.both,
-        hear=lambda outcome: told.extend(outcome.problems.values()),
-    )
-    log.start()
-    memory = memory_of(log, recall(path, time.wall), time)
-    for number in range(50):
-        memory.note(f"id-{number}", _reply(f"id-{number}"))
-        await asyncio.sleep(0.01)
-    while not told:  # noqa: ASYNC110 - of a thread
-        await asyncio.sleep(0.01)
-    assert (len(told), log.failing) == (1, True)
-    await asyncio.to_thread(path.unlink)
-    assert await log.close(PATIENCE_S)
-    assert told[1:] == [""]
-    async with remembering(path, time) as memory:
-        assert memory.recall("id-0") is not None
-        assert memory.recall("id-49") is not None
-
-
-async def test_a_state_folder_deleted_during_the_run_is_named_and_made_anew(path: Path) -> None:
-    time, told = Time(), list[str]()
-    log = Log(
-        path,
-        _header(),
-        recall(path, time.wall),
-        time.both,
-        hear=lambda outcome: told.extend(outcome.problems.values()),
-    )
-    log.start()
-    memory = memory_of(log, recall(path, time.wall), time)
-    memory.note("a", _reply("a"))
-    await log.kept(PATIENCE_S)
-    shutil.rmtree(path.parent)
-    memory.note("b", _reply("b"))
-    assert await log.close(PATIENCE_S)
-    assert "was removed" in told[0]
-    async with remembering(path, time) as memory:
-        assert memory.recall("a") == _reply("a")
-        assert memory.recall("b") == _reply("b")
-
-
 async def test_a_reply_that_cannot_be_read_refuses_its_id_and_costs_only_itself(
     path: Path,
 ) -> None:
@@ -306,20 +258,15 @@ async def test_a_command_cut_short_by_a_crash_does_not_act_a_second_time(path: P
     assert reply.reason == INTERRUPTED
 
 
-async def test_the_last_trip_is_recalled_however_many_restarts_ago(path: Path) -> None:
+async def test_the_last_trip_and_estimates_are_recalled_however_many_restarts_ago(
+    path: Path,
+) -> None:
     async with open_log(path) as (log, _):
+        for learnt in (b"first", b"last"):
+            log.append(Kind.LEARNT, learnt)
         for number in range(3):
             _note(log, _event(number, "trip"))
         _note(log, _event(3))
     for _ in range(3):
         async with open_log(path) as (_, recalled):
-            assert recalled.trip == _event(2, "trip")
-
-
-async def test_estimates_are_recalled_however_many_restarts_ago(path: Path) -> None:
-    async with open_log(path) as (log, _):
-        for learnt in (b"first", b"last"):
-            log.append(Kind.LEARNT, learnt)
-    for _ in range(3):
-        async with open_log(path) as (_, recalled):
-            assert recalled.learnt == b"last"
+            assert (recalled.trip, recalled.learnt) == (_event(2, "trip"), b"last")

@@ -71,12 +71,6 @@ def test_each_column_has_its_unit_meaning_and_source(files: Path, table: str) ->
         assert found["unit"] in SI, field.name
 
 
-def test_the_output_is_in_the_unit_of_the_load(files: Path) -> None:
-    schema = pq.read_schema(files / "ticks-0001.parquet")
-    assert about(schema.field("output"))["unit"] == "K"
-    assert about(schema.field("boost_voltage_V"))["unit"] == "V"
-
-
 def test_each_value_of_a_sensor_bus_is_recorded_with_its_age(files: Path) -> None:
     table = pq.read_table(files / "sensors-0001.parquet")
     row, sample = table.to_pylist()

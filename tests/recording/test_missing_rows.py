@@ -72,13 +72,6 @@ def test_what_the_recorder_counted_as_lost_is_named_by_its_kind(
     assert (found.missing_ticks, found.problems) == (dropped.ticks, problems)
 
 
-def test_what_of_the_log_could_not_be_read_leaves_no_session_whole(tmp_path: Path) -> None:
-    record_in_two_parts(tmp_path)
-    loss = "00000001.log: bytes 7 to 19 cannot be read"
-    write_info(tmp_path, msgspec.structs.replace(read_info(tmp_path), losses=(loss,)))
-    assert verdict(tmp_path).problems == (loss,)
-
-
 @pytest.mark.parametrize("table", ["ticks", "slow", "sensors"])
 def test_a_copy_in_the_place_of_another_segment_hides_nothing(tmp_path: Path, table: str) -> None:
     header = Header(msgspec.structs.replace(INFO, sensors=SENSORS), "")
@@ -89,15 +82,6 @@ def test_a_copy_in_the_place_of_another_segment_hides_nothing(tmp_path: Path, ta
     assert f"{table}-0002.parquet: its rows are not later than those before them" in (
         verdict(tmp_path).problems
     )
-
-
-def test_segments_in_each_others_place_are_a_problem(tmp_path: Path) -> None:
-    record_in_two_parts(tmp_path)
-    first, second = tmp_path / "ticks-0001.parquet", tmp_path / "ticks-0002.parquet"
-    kept = first.read_bytes()
-    first.write_bytes(second.read_bytes())
-    second.write_bytes(kept)
-    assert not verdict(tmp_path).whole
 
 
 def test_a_table_in_the_place_of_another_is_a_problem(tmp_path: Path) -> None:

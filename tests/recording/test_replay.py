@@ -204,12 +204,6 @@ def test_ticks_missing_from_the_record_are_told_apart_from_missed_half_cycles(
     assert f"the record lacks ticks: 20 before tick {gap.before_tick}" in str(report)
 
 
-def test_a_record_that_starts_late_cannot_be_exact(directory: Path, daemon: Daemon) -> None:
-    report = replay(recorded(directory, daemon.ticks[1:], daemon.slow), StandIn())
-    assert [gap.missing for gap in report.gaps] == [1]
-    assert not report.exact
-
-
 def test_slow_steps_missing_from_the_record_do_not_spoil_the_commands(
     directory: Path, daemon: Daemon
 ) -> None:

@@ -71,12 +71,6 @@ def test_drives_of_two_containers_that_begin_at_once_make_a_session_each(
                 assert (directory / "config.toml").read_text() == info.drive
 
 
-def test_a_file_in_the_way_is_an_error_that_names_it(sessions: Path) -> None:
-    sessions.write_text("")
-    with pytest.raises(OSError, match=str(sessions)):
-        create_session(sessions, INFO, "")
-
-
 def test_a_session_is_found_by_path_and_by_name(directory: Path) -> None:
     sessions = directory.parent
     assert find_session(str(directory), sessions) == directory
@@ -141,11 +135,6 @@ def test_facts_that_give_no_clock_are_damage(directory: Path, fact: str, value: 
     (directory / "session.json").write_text(json.dumps(facts))
     with pytest.raises(RecordingError, match=fact):
         read_info(directory)
-
-
-def test_a_directory_without_a_session_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="No such file"):
-        read_info(tmp_path)
 
 
 def test_a_folder_in_the_making_is_no_session(sessions: Path, directory: Path) -> None:

@@ -1,28 +1,23 @@
-"""The daemon's side of MQTT with mosquitto, its clients, and a broker of the older protocol."""
+"""The daemon's side of MQTT with mosquitto and its clients."""
 
 from __future__ import annotations
 
 import asyncio
 import gc
-import importlib.util
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
-import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from aiomqtt import MqttError, ProtocolVersion
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.conversation import NoAnswerError, conversation
-from adaptdrive.operation.link import connection
+from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.messages import Profile
 from adaptdrive.operation.sender import send_command
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
@@ -86,6 +81,7 @@ async def test_the_contract_holds_with_mosquitto(mosquitto: Broker, tmp_path: Pa
         assert bench.host.asked == [SetSetpoint(2.0), Disable(), Disable()]
     await expect_retained(bench, "availability", "offline")
     await publish(mosquitto, kept, "", "-r")
+    await publish(mosquitto, kept, '{"id": "before the connection", "value": 1}')
     async with serving(mosquitto, "real", tmp_path) as bench:
         assert (await ask(bench, "setpoint", '{"id": "b", "value": 3}'))["accepted"]
         assert bench.host.asked == [SetSetpoint(3.0)]
@@ -248,79 +244,6 @@ async def test_a_message_above_the_size_limit_of_the_broker_does_not_end_the_con
         assert "Packet too large" in {line.get("code") for line in lines}
     finally:
         stop_process(process)
-
-
-@pytest.mark.proof
-async def test_an_answer_that_comes_after_the_wait_for_it_is_not_logged(
-    mortal: MortalBroker, caplog: pytest.LogCaptureFixture
-) -> None:
-    place = Mqtt(host=mortal.address.host, port=mortal.address.port)
-    async with connection(place, ProtocolVersion.V311, None, None) as client:
-        mortal.process.send_signal(signal.SIGSTOP)
-        with pytest.raises(MqttError):
-            await client.subscribe("late", timeout=0.1)
-        mortal.process.send_signal(signal.SIGCONT)
-        await client.subscribe("next", timeout=PATIENCE_S)
-    assert caplog.records == []
-
-
-@pytest.mark.proof
-async def test_a_broker_that_hangs_up_on_a_publication_leaves_no_line_in_the_log(
-    mosquitto_launcher: MosquittoLauncher, free_tcp_port: int, caplog: pytest.LogCaptureFixture
-) -> None:
-    launcher = replace(mosquitto_launcher, more="max_qos 0\n")
-    process = await asyncio.to_thread(launcher.start, free_tcp_port)
-    place = Mqtt(host="127.0.0.1", port=free_tcp_port)
-    try:
-        async with connection(place, ProtocolVersion.V311, None, None) as client:
-            with pytest.raises(MqttError):
-                await client.publish("topic", b"", qos=1, timeout=1.0)
-        del client
-        gc.collect()
-    finally:
-        stop_process(process)
-    assert caplog.records == []
-
-
-@pytest.mark.proof
-async def test_a_silent_name_server_keeps_no_client_waiting(
-    outside: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    answered = threading.Event()
-    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: answered.wait() and [])
-    end_s = asyncio.get_running_loop().time() + 0.2
-    try:
-        with pytest.raises(NoAnswerError):
-            async with asyncio.timeout(PATIENCE_S), conversation(Mqtt(host="b"), "motor", end_s):
-                pytest.fail("there is no broker")
-    finally:
-        answered.set()
-
-
-async def listens(port: int) -> bool:
-    try:
-        _, writer = await asyncio.open_connection("127.0.0.1", port)
-    except OSError:
-        return False
-    writer.close()
-    await writer.wait_closed()
-    return True
-
-
-@pytest.mark.proof
-async def test_a_broker_of_mqtt_3_1_1_only_is_spoken_to(
-    free_tcp_port: int, spawn: Spawn, tmp_path: Path
-) -> None:
-    if importlib.util.find_spec("amqtt") is None:
-        pytest.skip("amqtt is not installed")
-    spawn(sys.executable, FOLDER / "amqtt_broker.py", str(free_tcp_port))
-    async with asyncio.timeout(PATIENCE_S):
-        while not await listens(free_tcp_port):  # noqa: ASYNC110
-            await asyncio.sleep(0.05)
-    async with serving(Broker("127.0.0.1", free_tcp_port), "older", tmp_path) as bench:
-        assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
-        assert not (await ask(bench, "setpoint", '{"id": "b", "value": 9}'))["accepted"]
-    assert bench.host.asked == [SetSetpoint(1.0)]
 
 
 # -- TLS and a password --------------------------------------------------------------------------
