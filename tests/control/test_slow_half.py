@@ -46,6 +46,7 @@ def test_at_rest_it_holds_still(settings: ControllerSettings) -> None:
     state = at_rest(settings)
     for _ in range(50):
         assert slow_step(settings, MOTOR, state, sample()) == pytest.approx(REST_V, abs=1e-6)
+    assert math.isnan(state.handover_step)  # no other law is known
 
 
 @BOTH
