@@ -157,7 +157,9 @@ async def test_a_time_out_bounds_the_connection_too(broker: MemoryBroker) -> Non
         read_status(place, "mute", 0.2),
         read_site(place, 0.2),
     ):
-        with pytest.raises(NoAnswerError, match="no answer from"):
+        with pytest.raises(
+            NoAnswerError, match=r"1883 within 0\.2 s$|1883: no answer from the broker$"
+        ):
             await wait
     assert asyncio.get_running_loop().time() - began_s == pytest.approx(0.6)
 
