@@ -151,6 +151,9 @@ def test_a_sender_that_starts_anew_loses_a_few_frames_alone(
 def test_a_sender_that_has_been_ahead_is_followed_back_again() -> None:
     """After frames in turn, and after each of several restarts."""
     counter = AliveCounter(16, max_jump=3)
+    judge(counter, range(10), 16)
+    assert counter.check(8) == (FrameVerdict.COUNTER_LOST, 14)
+    counter.reset()
     for _ in range(3):
         judge(counter, range(10), 16)
         assert set(judge(counter, [*range(3, 10)] * 3, 16)[7:]) == {FrameVerdict.COUNTER_LOST}
@@ -172,7 +175,7 @@ def test_one_frame_from_elsewhere_costs_a_few_at_the_most(modulus: int) -> None:
         assert set(verdicts[min(8, modulus // 4 + 1) :]) == {FrameVerdict.GOOD}
 
 
-@given(st.sampled_from([8, 15, 16, 256]), st.lists(st.integers(1, 3), max_size=600))
+@given(st.sampled_from([4, 8, 15, 16, 256]), st.lists(st.integers(1, 3), max_size=600))
 def test_lost_frames_within_the_bound_are_no_repeated_ones(modulus: int, jumps: list[int]) -> None:
     counter = AliveCounter(modulus, max_jump=3)
     verdicts = judge(counter, accumulate(jumps, initial=0), modulus)

@@ -151,7 +151,7 @@ class CanOpenRig(_CanRig):
 
     def __init__(self, folder: Path, stop_s: float) -> None:
         self._eds = other_eds(folder, (_LIMITED, f"{_LIMITED}HighLimit=450000\n"))
-        times = {"heartbeat_timeout_s": 2.0, "sdo_timeout_s": 2.0}
+        times = {"heartbeat_timeout_s": 2.0, "sdo_timeout_s": 10.0}
         self._config = MEMORY.model_copy(update={"eds": self._eds, **times})
         changed = parse({"interlocks/stop_s": stop_s}).model_copy(update={"bus": self._config})
         clock = asyncio.get_running_loop().time

@@ -77,7 +77,7 @@ class Bench:
 @contextlib.asynccontextmanager
 async def running(peer: Peer, stop_s: float = 0.5, **bus: object) -> AsyncIterator[Bench]:
     """A bench whose port runs until the block ends."""
-    bench = Bench(peer, stop_s, **{"heartbeat_timeout_s": 2.0, "sdo_timeout_s": 2.0, **bus})
+    bench = Bench(peer, stop_s, **{"heartbeat_timeout_s": 2.0, "sdo_timeout_s": 10.0, **bus})
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(bench.port.run(bench.ear, lambda: None))
         yield bench
