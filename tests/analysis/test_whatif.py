@@ -107,6 +107,7 @@ def recorded(folder: Path, ticks: list[TickReport], slow: list[LoadReport]) -> P
     return directory
 
 
+@pytest.mark.proof
 def test_a_longer_part_set_by_hand_is_not_the_loop(tmp_path: Path) -> None:
     ticks, slow = lived(PRIOR, 260)
     found = what_if(
@@ -117,6 +118,6 @@ def test_a_longer_part_set_by_hand_is_not_the_loop(tmp_path: Path) -> None:
 
 
 def test_a_session_that_a_hand_alone_has_set_has_no_loop_to_compare(tmp_path: Path) -> None:
-    ticks, slow = lived(PRIOR, 260)
+    ticks, slow = lived(PRIOR, 60)
     with pytest.raises(IdentificationError, match="no controller was in force"):
         what_if(recorded(tmp_path, by_hand(ticks), slow), ["load.pole=0.8"])

@@ -206,7 +206,7 @@ def expected_of(load: str) -> Run:
             ("motor", "-modbus-rtu"),
             *(("bath", bus) for bus in ("", "-modbus-tcp", "-modbus-rtu")),
         ],
-        5,
+        4,
     ),
 )
 async def test_the_control_result_does_not_depend_on_the_bus(
