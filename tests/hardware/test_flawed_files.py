@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -249,6 +250,25 @@ def test_numbers_of_an_eds_in_any_spelling(
     assert entry is not None
     assert entry.coding.name == "0x2001"
     assert (entry.coding.low, entry.coding.high) == expected
+
+
+@pytest.mark.parametrize("case", [str.lower, str.upper, str.swapcase])
+def test_sections_and_keys_of_an_eds_in_any_case(
+    tmp_path: Path, case: Callable[[str], str]
+) -> None:
+    text = (EXAMPLES / "cia402.eds").read_text()
+    path = tmp_path / "any.eds"
+    lines = text.splitlines()
+    heads = [case(one) if one[:1] == "[" else one.partition("=") for one in lines]
+    path.write_text(
+        "\n".join(one if isinstance(one, str) else case(one[0]) + "".join(one[1:]) for one in heads)
+    )
+    plain, other = (ObjectCatalogue(*read_eds(one, 5)) for one in (EXAMPLES / "cia402.eds", path))
+    assert [one.index for one in other.variables()] == [one.index for one in plain.variables()]
+    assert [one.data_type for one in other.variables()] == [
+        one.data_type for one in plain.variables()
+    ]
+    assert (other.identity, other.cautions) == (plain.identity, plain.cautions)
 
 
 def test_a_file_without_objects_is_no_eds(tmp_path: Path) -> None:

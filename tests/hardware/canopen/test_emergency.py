@@ -40,6 +40,12 @@ def test_it_is_told_in_words(code: int, words: str) -> None:
     assert text == f"emergency 0x{code:04X}, {words} (error register 0x21)"
 
 
-@pytest.mark.parametrize("length", [0, 2, 7, 9])
-def test_a_frame_of_another_length_is_none(length: int) -> None:
+@pytest.mark.parametrize(("length", "register"), [(2, ""), (3, " (error register 0x01)")])
+def test_a_short_frame_has_what_it_carries(length: int, register: str) -> None:
+    text = str(parse_emergency(frame(0x2310)[:length]))
+    assert text == f"emergency 0x2310, continuous over-current at the output{register}"
+
+
+@pytest.mark.parametrize("length", [0, 1])
+def test_a_frame_without_a_whole_code_is_none(length: int) -> None:
     assert parse_emergency(bytes(length)) is None

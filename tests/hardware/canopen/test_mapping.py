@@ -63,6 +63,19 @@ def test_a_drive_without_a_reaction_to_a_missing_daemon_is_warned_of(tmp_path: P
     assert plan().cautions == ()
 
 
+@pytest.mark.parametrize(
+    ("index", "words"),
+    [
+        ("1005", "has no 0x1005: its SYNC is taken to be 0x080"),
+        ("1016", "has no 0x1016.1: the drive is asked for it, and not used without"),
+    ],
+)
+def test_what_an_eds_may_leave_out_is_warned_of(tmp_path: Path, index: str, words: str) -> None:
+    eds = other_eds(tmp_path, without(index))
+    (caution,) = plan({"bus/eds": str(eds)}).cautions
+    assert (caution.place, words in caution.message) == ("bus.eds", True)
+
+
 def test_an_error_code_that_travels_in_no_pdo_is_left_to_the_emergencies(tmp_path: Path) -> None:
     entry = "ParameterName=Error code\nObjectType=0x7\nDataType=0x0006\nAccessType=ro\n"
     mapped = f"{entry}DefaultValue=0\nPDOMapping="
@@ -124,9 +137,7 @@ def test_all_flaws_are_told_at_once() -> None:
 @pytest.mark.parametrize(
     ("index", "consequence"),
     [
-        ("1016", "0x1016.1: it could not monitor the daemon's heartbeat"),
         ("1017", "0x1017: its heartbeat could not be monitored"),
-        ("1005", "0x1005: its measurements could not be synchronised"),
         ("6040", "0x6040: it is no CiA 402 drive"),
         ("6041", "0x6041: it is no CiA 402 drive"),
     ],

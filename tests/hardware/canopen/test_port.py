@@ -20,7 +20,7 @@ from adaptdrive.hardware.canopen.watch import CanOpenWatch
 from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import RUN, Ear, driven, ready, running
-from tests.hardware.canopen.documents import MEMORY, other_eds, parse, without
+from tests.hardware.canopen.documents import EDS, MEMORY, other_eds, parse, without
 from tests.hardware.canopen.peer import FAULT, MEASURED, NODE, REST, Peer
 
 
@@ -396,6 +396,44 @@ async def test_what_the_drive_has_not_though_the_eds_says_so_is_named(
     with contextlib.closing(Peer(eds=eds)) as peer:
         async with running(peer) as bench:
             assert "object does not exist" in await bench.complains(f"cannot {verb}")
+
+
+@pytest.mark.parametrize("node_has", [True, False])
+async def test_the_node_is_asked_for_what_its_eds_does_not_list(
+    tmp_path: Path, *, node_has: bool
+) -> None:
+    """SYNC has its id of CiA 301; a node that does not monitor the daemon is not used."""
+    eds = other_eds(tmp_path, without("1005"), without("1016"))
+    with contextlib.closing(Peer(eds=EDS if node_has else eds)) as peer:
+        async with running(peer, eds=eds) as bench:
+            if not node_has:
+                assert "object does not exist" in await bench.complains("cannot read 0x1016.1")
+                return
+            await bench.ready()
+        assert (peer.number(0x1005), peer.number(0x1016, 1)) == (0x80, 127 << 16 | 2000)
+
+
+async def test_a_node_without_an_id_of_its_sync_is_synchronised(tmp_path: Path) -> None:
+    eds = other_eds(tmp_path, without("1005"))
+    with contextlib.closing(Peer(eds=eds)) as peer:
+        async with running(peer, eds=eds) as bench:
+            await bench.ready()
+
+
+async def test_heartbeats_and_emergencies_of_two_bytes_are_read(peer: Peer) -> None:
+    send = peer.network.send_message
+
+    def longer(can_id: int, data: bytes, remote: bool = False) -> None:
+        send(can_id, bytes(data) + b"\0" * (can_id == 0x700 + NODE), remote)
+
+    peer.network.send_message = longer  # type: ignore[method-assign]
+    async with driven(peer) as bench:
+        send_foreign(peer, (0x080 + NODE, b"\x10\x43"))
+        text = await bench.complains("emergency")
+        assert text == "node 5: emergency 0x4310, excess temperature of the drive"
+        bench.ear.command = SAFE_COMMAND
+        send_foreign(peer, (0x080 + NODE, b"\0\0"))
+        await until(lambda: bench.port.complaint is None)
 
 
 QUICK_STOP = """[605A]

@@ -10,7 +10,8 @@ from canopen.emcy import EmcyError
 from adaptdrive.hardware.canopen.master import Master
 from adaptdrive.hardware.canopen.profile import DriveControl, DriveState
 
-LENGTH = 8
+_CODE_BYTES = 2
+"""Least bytes of an emergency: some drives send the code alone, without register and detail."""
 
 _SINGLE = {
     0x2310: "continuous over-current at the output",
@@ -39,7 +40,8 @@ class Emergency(EmcyError):  # noqa: N818 - never raised
 
     def __str__(self) -> str:
         words = _SINGLE.get(self.code) or self.get_desc().lower() or "unknown"
-        return f"emergency 0x{self.code:04X}, {words} (error register 0x{self.register:02X})"
+        more = "" if self.register < 0 else f" (error register 0x{self.register:02X})"
+        return f"emergency 0x{self.code:04X}, {words}{more}"
 
 
 def parse_emergency(data: bytes) -> Emergency | None:
@@ -49,11 +51,13 @@ def parse_emergency(data: bytes) -> Emergency | None:
         data: Its bytes.
 
     Returns:
-        The emergency, None when the frame has not its eight bytes.
+        The emergency, whose register is -1 where the frame ends before it; None for a frame
+        without a whole code.
     """
-    if len(data) != LENGTH:
+    if len(data) < _CODE_BYTES:
         return None
-    return Emergency(int.from_bytes(data[:2], "little"), data[2], data[3:], 0.0)
+    code, register = int.from_bytes(data[:_CODE_BYTES], "little"), (*data[2:3], -1)[0]
+    return Emergency(code, register, data[3:], 0.0)
 
 
 def problem_of(emergency: Emergency | None, control: DriveControl, master: Master) -> str | None:

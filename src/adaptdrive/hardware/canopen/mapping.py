@@ -33,16 +33,20 @@ HEARTBEAT_SENT = (0x1017, 0)
 ABORT_OPTION = (0x6007, 0)
 QUICK_STOP_OPTION = (0x605A, 0)
 
-_OPTIONAL = (SYNC_PERIOD, ABORT_OPTION, QUICK_STOP_OPTION)
+_OPTIONAL = (SYNC_ID, SYNC_PERIOD, ABORT_OPTION, QUICK_STOP_OPTION)
+_ASKED = {
+    SYNC_ID: "its SYNC is taken to be 0x080, as CiA 301 has it",
+    HEARTBEATS_HEARD: "the drive is asked for it, and not used without: it monitors the daemon",
+}
+"""Objects that the drive may have although its EDS does not list them, and what is done then."""
+
 _NEEDED = {
-    SYNC_ID: "its measurements could not be synchronised",
-    HEARTBEATS_HEARD: "it could not monitor the daemon's heartbeat",
     HEARTBEAT_SENT: "its heartbeat could not be monitored",
     CONTROLWORD: "it is no CiA 402 drive",
     STATUSWORD: "it is no CiA 402 drive",
 }
 _WORD_BITS = 16
-_OURS = frozenset(index for index, _ in (*_NEEDED, *_OPTIONAL))
+_OURS = frozenset(index for index, _ in (*_NEEDED, *_ASKED, *_OPTIONAL))
 _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
 _FIRST_OF_DEVICE = 0x2000
 """Objects below are communication parameters (CiA 301)."""
@@ -169,7 +173,7 @@ def _carried(pdo: Pdo, bound: Iterable[Bound]) -> tuple[Bound, ...]:
 
 
 def _check_needed(catalogue: ObjectCatalogue) -> None:
-    """Refuse a drive without one of the objects that the daemon uses of each.
+    """Refuse a drive without one of the objects that the daemon uses of each, or caution.
 
     The type of a controlword, or its limits in the EDS, may keep a command from being sent.
     """
@@ -177,6 +181,10 @@ def _check_needed(catalogue: ObjectCatalogue) -> None:
         if catalogue.at(address) is None:
             missing = f"the EDS has no object {label(address)}: {consequence}"
             catalogue.note("bus.eds", missing + catalogue.remark(label(address)))
+    for address, remedy in _ASKED.items():
+        if catalogue.at(address) is None:
+            lacks = f"has no {label(address)}: {remedy}{catalogue.remark(label(address))}"
+            catalogue.cautions.append(Flaw("bus.eds", lacks))
     entry = catalogue.at(CONTROLWORD)
     if entry is None:
         return

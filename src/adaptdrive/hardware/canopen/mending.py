@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass, field
 
 _SECTION = re.compile(r"\s*\[([^\]]*)\]")
-_OBJECT = re.compile(r"([0-9A-Fa-f]{4})(?:([Ss]ub)([0-9A-Fa-f]+)|(Name))?")
+_OBJECT = re.compile(r"([0-9A-F]{4})(?:(sub)([0-9A-F]+)|(name))?", re.IGNORECASE)
 _OCTAL = re.compile(r"^\+?0+(?=[0-7]+$)")
 _PADDED = re.compile(r"^\+?0*(?=\d+$)")
 _NUMBERS = ("ObjectType", "DataType", "PDOMapping", "NrOfEntries")
@@ -17,9 +17,18 @@ _GROUPS = (8, 9)
 """Types of objects that have members: arrays and records (CiA 306)."""
 
 _NAME = "ParameterName"
-_UNUSED = ("Comments", "DummyUsage", "DeviceComissioning")
+_UNUSED = ("comments", "dummyusage", "devicecomissioning")
 _IDENTITY = ("VendorNumber", "ProductNumber")
 """All that is used of a device."""
+
+_KEYS = {
+    one.lower(): one
+    for one in (
+        *(*_NUMBERS, *_IDENTITY, _NAME, "AccessType", "CompactSubObj"),
+        *("LowLimit", "HighLimit", "DefaultValue", "ParameterValue"),
+    )
+}
+"""Names of entries as the parser knows them."""
 
 
 @dataclass(slots=True)
@@ -43,7 +52,7 @@ def mended(text: str) -> tuple[str, list[str]]:
         problem = "is there twice" if part.name.lower() in kept else _flaw_of(part, kept)
         if problem:
             remarks.append(f"line {part.line}: [{part.name}] is left out: it {problem}")
-        elif part.name not in _UNUSED:
+        elif part.name.lower() not in _UNUSED:
             kept[part.name.lower()] = part
     kept.setdefault("deviceinfo", _Part("DeviceInfo", 0))
     sections = (f"[{one.name}]\n{_written(one)}" for one in kept.values())
@@ -58,14 +67,23 @@ def _parts(text: str, remarks: list[str]) -> list[_Part]:
         key, sign, value = (one.strip() for one in line.partition("="))
         value = value.partition(" ;")[0].strip()
         if head:
-            parts.append(_Part(head[1].strip(), number))
+            parts.append(_Part(_section(head[1].strip()), number))
         elif not line.strip() or line.lstrip()[0] in ";#":
             continue
         elif not (key and sign and parts):
             remarks.append(f"line {number}: {line.strip()[:60]!r} is no entry")
         elif value:
+            key = _KEYS.get(key.lower(), key)
             parts[-1].entries.setdefault(key, value if key == _NAME else _spelt(value))
     return parts
+
+
+def _section(name: str) -> str:
+    """Return the name of a section as the parser knows it, from any case."""
+    found = _OBJECT.fullmatch(name)
+    if found is None:
+        return "DeviceInfo" if name.lower() == "deviceinfo" else name
+    return f"{found[1]}sub{found[3]}" if found[2] else f"{found[1]}{'Name' if found[4] else ''}"
 
 
 def _spelt(value: str) -> str:

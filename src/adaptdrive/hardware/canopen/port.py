@@ -192,7 +192,7 @@ class CanOpenPort(NodePort):
         self._reports.begin(self._clock() - self._arrivals.waited_s(frame))
 
     def _take_heartbeat(self, frame: can.Message) -> None:
-        if len(frame.data) != 1:
+        if not frame.data:
             self._counts["wrong_length"] += 1
             return
         state = frame.data[0] & 0x7F

@@ -63,7 +63,8 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
             server.write_surely(address, data)
     _end_quick_stops(server, mapping)
     for address, data in sync_writes(bus, mapping, half_cycle_s):
-        server.settle(address, data)
+        known = address in mapping.present or bus.sync == "drive"
+        (server.settle if known else server.offer)(address, data)
     for channel in mapping.unused:
         _switch_off(server, channel)
     for status in mapping.statuses:
