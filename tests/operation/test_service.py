@@ -126,7 +126,14 @@ async def test_a_command_that_breaks_a_rule_is_refused_and_changes_nothing(
 
 
 @pytest.mark.parametrize(
-    "payload", ["", "3", "[]", '{"value": 3}', '{"id": null, "value": 3}', '{"id": true}', "\0"]
+    "payload",
+    [
+        *("", "3", "[]", '{"id": "\\ud800", "value": 3}'),
+        '{"value": 3}',
+        '{"id": null, "value": 3}',
+        '{"id": true}',
+        "\0",
+    ],
 )
 async def test_without_a_readable_id_a_command_is_refused_and_answered(
     bench: Bench, payload: str
