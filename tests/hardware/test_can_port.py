@@ -330,6 +330,7 @@ async def test_a_command_may_be_spread_over_messages_and_is_zero_where_nothing_i
     bench: Bench,
 ) -> None:
     spread_over_messages(bench)
+    assert not bench.port.send(COMMAND)  # there is no bus yet, and it keeps no later one back
     async with bench.running():
         assert bench.port.send(COMMAND)
         frames = await bench.commanded(2)
