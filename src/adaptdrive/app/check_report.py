@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from adaptdrive.app.advice import advice
-from adaptdrive.app.interlocks import response_limits
+from adaptdrive.app.interlocks import capacitor_limits, response_limits
 from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import daemon_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.errors import ConfigurationError, escaped
 from adaptdrive.hardware.bus_kind import Row
+from adaptdrive.runtime.capacitor import highest_voltages
 from adaptdrive.runtime.refused_share import WINDOW_S
 from adaptdrive.runtime.response import ResponseLimits
 
@@ -29,8 +30,9 @@ def tables(configuration: Configuration, source: Path) -> str:
     """
     limits = limits_table(time_limits(configuration, source), tick_s(configuration))
     response = response_table(response_limits(configuration))
-    watched = _watched(configuration)
-    return "\n".join((limits, *watched, *_reach(configuration), pole_line(configuration), response))
+    watched, capacitor = _watched(configuration), _capacitor(configuration)
+    reach = _reach(configuration)
+    return "\n".join((limits, *watched, *capacitor, *reach, pole_line(configuration), response))
 
 
 def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
@@ -89,6 +91,22 @@ def _watched(configuration: Configuration) -> Iterator[str]:
         bits = "all bits" if one.mask is None else f"bits {one.mask:#x}"
         but = ", ".join(str(value) for value in one.healthy)
         yield _fact(f"{verb} {one.signal}", f"all but {but}" if but else bits, f"signals.{key}")
+
+
+def _capacitor(configuration: Configuration) -> Iterator[str]:
+    """Yield the highest v_bst that a failing report can lead to."""
+    limits, drive = capacitor_limits(configuration), configuration.drive
+    if limits is None:
+        return
+    found = highest_voltages(
+        limits,
+        drive.limits.boost_reference_max_V,
+        drive.limits.load_power_max_W,
+        drive.half_cycle_s,
+    )
+    for report, voltage_V in zip(("silent", "frozen"), found, strict=True):
+        key = "drive.limits, drive.boost_capacitance_F, interlocks.boost_voltage_max_V"
+        yield _fact(f"highest v_bst, its report {report}", f"{voltage_V:.0f} V", key)
 
 
 _FACTOR = "interlocks.response_factor"

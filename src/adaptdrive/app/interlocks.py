@@ -12,6 +12,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection
 from adaptdrive.config.supply import absent_names, moved_inputs
 from adaptdrive.control.load import Load, to_input
+from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.runtime.interlocks import Limits, Watch
 from adaptdrive.runtime.response import Response, ResponseLimits
 from adaptdrive.runtime.stillness import StillnessLimits, StillnessWatch
@@ -27,6 +28,18 @@ def trip_limits(configuration: Configuration) -> Limits:
         **alike(Limits, *sections, but=("output_min",)),
         output_min=_output_min(configuration),
         absent=absent_names(configuration),
+    )
+
+
+def capacitor_limits(configuration: Configuration) -> CapacitorLimits | None:
+    """Return the boost capacitor that the daemon charges, None where the drive does by itself."""
+    drive = configuration.drive
+    if configuration.voltage_loop.where == "drive":
+        return None
+    return CapacitorLimits(
+        capacitance_F=drive.boost_capacitance_F,
+        highest_V=configuration.interlocks.boost_voltage_max_V,
+        largest_W=drive.limits.current_scale_max_S * drive.line_voltage_V**2,
     )
 
 

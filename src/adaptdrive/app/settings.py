@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.app.interlocks import trip_limits, watches
+from adaptdrive.app.interlocks import capacitor_limits, trip_limits, watches
 from adaptdrive.app.loads import alike, build_load, pole_range, short_lag_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
@@ -226,6 +226,7 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         watches=watches(configuration),
         command=CommandLimits(**alike(CommandLimits, drive, drive.limits)),
         timing=configuration.timing,
+        capacitor=capacitor_limits(configuration),
     )
 
 

@@ -107,6 +107,7 @@ class NewestValues:
             None if bridge_s == oldest_s == set_s else bridge_s,
             not self.refused,
             self.faults.warning,
+            taken_s.get("boost_voltage_V"),
         )
 
     def oldest(self) -> tuple[str, float, float]:

@@ -49,6 +49,7 @@ class Reading:
         whole: False while the drive sends a value that must not be used, so that an older one of
             its quantity is held.
         warning: The drive's warnings by signal, bit and name, an empty string for none.
+        voltage_s: Time of the boost voltage, None where that is `oldest_s`.
     """
 
     arrival_s: float
@@ -66,6 +67,7 @@ class Reading:
     bridge_s: float | None = None
     whole: bool = True
     warning: str = ""
+    voltage_s: float | None = None
 
     @property
     def bridge_reported_s(self) -> float:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from adaptdrive.config.bus import MEASURED
-from adaptdrive.config.supply import Derived, Rule
+from adaptdrive.config.supply import Derived, Rule, needed_names
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import (
     FAREWELL_GAP_S,
@@ -158,6 +158,7 @@ class SensoredPort:
         self.reset_fault = drive.reset_fault
         self.buses = tuple(buses)
         self._derived = derived
+        self._voltage_parts = needed_names(derived, ("boost_voltage_V",))
         self._clock = clock
         self._listener: Listener | None = None
         self._ends = False
@@ -250,4 +251,13 @@ class SensoredPort:
         for name, one in self._derived.items():
             values[name] = derived_value(one, values)
         found = {name: values.get(name, math.nan) for name in MEASURED}
-        return replace(reading, other=values, **found)
+        return replace(reading, other=values, voltage_s=self._voltage_s(reading), **found)
+
+    def _voltage_s(self, reading: Reading) -> float | None:
+        """Return when the oldest sensor value of which v_bst is made was taken."""
+        times = [
+            bus.taken_s[name]
+            for bus in self.buses
+            for name in self._voltage_parts.intersection(bus.taken_s)
+        ]
+        return min(times, default=reading.voltage_s)

@@ -24,6 +24,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.hardware.port import Port, Reading, assuming
+from adaptdrive.runtime.capacitor import CapacitorBalance
 from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlock_board import InterlockBoard
@@ -78,6 +79,8 @@ class FastLoop:
         tick_s, stride = timing.half_cycle_s, timing.ticks_per_reading
         self._half_cycles = HalfCycles(port.counter_modulus, tick_s, stride, timing.stale_s)
         self.guard = Guard(settings.command)
+        capacitor = settings.capacitor
+        self._capacitor = None if capacitor is None else CapacitorBalance(capacitor)
         self._settings = settings
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
@@ -205,9 +208,14 @@ class FastLoop:
 
     def _send(self, command: Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
+        capacitor = self._capacitor
+        if capacitor is not None:
+            command = capacitor.bound(command)
         try:
             self.command = self.guard.check(command)
             self._port.send(self.command)
+            if capacitor is not None:
+                capacitor.sent(self.command.current_scale_S)
         except ValueError as problem:
             self._machine.latch(f"command cannot be sent: {problem}")
             self.send_safe()
@@ -221,6 +229,7 @@ class FastLoop:
         passed = tick - self.tick if self.tick >= 0 else 0
         self.tick = tick
         self._watch_interlocks(began_s)
+        self._watch_capacitor(max(passed, 1))
         if self.reading is None:
             self.send_safe()
         else:
@@ -230,6 +239,19 @@ class FastLoop:
         self._judge(min(due_s, self._deadline_s), ended_s)
         self._count(passed)
         self._keep_time(due_s, began_s, ended_s, fresh=fresh)
+
+    def _watch_capacitor(self, ticks: int) -> None:
+        """Trip for a boost voltage that the commanded energy contradicts, or leads too high."""
+        capacitor, reading = self._capacitor, self.reading
+        if capacitor is None:
+            return
+        if reading is None or not self._machine.energised or self._machine.stage is _OFF:
+            capacitor.forget()
+            return
+        tick_s, running = self._half_cycles.tick_period_s, self._machine.stage is _RUN
+        cause = capacitor.find_cause(reading, ticks, tick_s, running=running)
+        if cause is not None:
+            self._machine.latch(cause)
 
     def _hand_over_snapshot(self) -> None:
         """Give the slow loop its snapshot; the safe command replaces this tick's if that trips."""

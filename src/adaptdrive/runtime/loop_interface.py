@@ -9,6 +9,7 @@ from typing import Protocol
 from adaptdrive.config.services import Realtime
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
+from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.interlocks import Limits, Watch
 from adaptdrive.runtime.machine_limits import MachineLimits
@@ -45,6 +46,7 @@ class FastLoopSettings:
         timer_standin: Whether the timer stands in at all.
         watches: Factories of the watches over the output, in the order of their causes.
         drive_clocks: Whether the drive decides when a reading comes.
+        capacitor: The boost capacitor that this process charges, None where the drive does.
     """
 
     limits: Limits
@@ -55,6 +57,7 @@ class FastLoopSettings:
     timer_standin: bool
     watches: tuple[Callable[[], Watch], ...] = ()
     drive_clocks: bool = True
+    capacitor: CapacitorLimits | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,231 @@
+"""The energy balance of the boost capacitor, for a voltage loop in the daemon.
+
+With x = v_bst² each half line cycle of length T adds the energy that the line gives and takes what
+the load takes:
+
+    x[n+1] = x[n] + (2 T / C) (k V_rms² - p)
+
+A command that was computed from frame n acts from frame n+1 to n+2. Three rules follow:
+
+- **No fresh report, no charge.** While v_bst is older than its usual cycle, k feeds no more than
+  the load takes, and not so much that a load which takes nothing any more would let the capacitor
+  pass its limit.
+- **The prediction trips.** Without a fresh report the predicted v_bst stands for the measured one.
+- **Energy must show.** The energy that was commanded and is seen neither in the load nor in v_bst
+  is summed (a CUSUM test: E. S. Page, Biometrika 41, 1954, doi:10.1093/biomet/41.1-2.100). A drive
+  loses a share of it; more than that is a report that stands still, or a wrong capacitance. It
+  trips a drive that runs; one that starts gets no more charge, until its time to start is over.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.port import Reading
+
+_LOST_SHARE: Final = 0.05
+"""Share of the commanded power that a drive may lose without being asked."""
+
+_LOST_OF_MAXIMUM: Final = 0.02
+"""The same as a share of the largest power: at rest, and for errors of the power's sensor."""
+
+_UNSEEN_SHARE: Final = 0.1
+"""Unseen rise of v_bst that trips, as a share of its limit."""
+
+_CYCLE_TICKS: Final = 3
+"""Longest cycle of a report of v_bst; a slower one cannot close the voltage loop."""
+
+
+_FOLLOWED_TICKS: Final = 100
+"""Half cycles after which every report that fails has tripped."""
+
+
+@dataclass(frozen=True, slots=True)
+class CapacitorLimits:
+    """The boost capacitor and the limit of its voltage.
+
+    Attributes:
+        capacitance_F: C.
+        highest_V: Voltage that trips.
+        largest_W: Largest power that the line is commanded to give.
+    """
+
+    capacitance_F: float
+    highest_V: float
+    largest_W: float
+
+
+class CapacitorBalance:
+    """Predicts v_bst from the commanded energy, and holds k to what a fresh report allows."""
+
+    def __init__(self, limits: CapacitorLimits) -> None:
+        """Begin without a report.
+
+        Args:
+            limits: The capacitor.
+        """
+        self._limits = limits
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: the drive is commanded off, and nothing charges the capacitor."""
+        self._predicted_V2 = math.nan
+        self._worst_V2 = self._reported_V2 = self._unseen_V2 = 0.0
+        self._taken_s = -math.inf
+        self._silent_ticks, self._cycle_ticks = 0, 1
+        self._next_S = self._last_S = 0.0
+        self._per_W = self._line_V2 = self._load_W = 0.0
+
+    def sent(self, current_scale_S: float) -> None:
+        """Note the command of this tick.
+
+        Args:
+            current_scale_S: k, as it was sent.
+        """
+        self._last_S = current_scale_S
+
+    def find_cause(
+        self, reading: Reading, ticks: int, tick_s: float, *, running: bool
+    ) -> str | None:
+        """Advance the prediction to this tick; return why it trips, None for no reason.
+
+        Args:
+            reading: The newest.
+            ticks: Half line cycles since the last call.
+            tick_s: Length of one.
+            running: Whether the drive runs; while it starts, it may not charge yet.
+        """
+        self._per_W = 2.0 * tick_s / self._limits.capacitance_F
+        self._line_V2 = reading.line_voltage_V * reading.line_voltage_V
+        self._load_W = reading.load_power_W
+        acting_W, self._next_S = self._next_S * self._line_V2, self._last_S
+        if math.isnan(self._predicted_V2):
+            self._confirm(reading)
+            return None
+        self._predicted_V2 += ticks * self._per_W * (acting_W - self._load_W)
+        self._worst_V2 += ticks * self._per_W * (acting_W - min(self._load_W, 0.0))
+        self._unseen_V2 += ticks * self._per_W * self._unexplained_W(acting_W)
+        if _voltage_s(reading) > self._taken_s:
+            self._compare(reading)
+            return self._unseen_cause() if running else None
+        self._silent_ticks += ticks
+        return self._exceeded()
+
+    def bound(self, command: Command) -> Command:
+        """Return the command with no more current than the newest report of v_bst allows.
+
+        No command leads beyond the limit while the load takes what it took last; without a fresh
+        report, not even when it takes nothing.
+        """
+        if not self._line_V2 > 0.0:
+            return command
+        is_confirmed = self._silent_ticks < self._cycle_ticks and not self._is_unseen
+        base_V2 = self._predicted_V2 if is_confirmed else self._worst_V2
+        room_W = (self._limits.highest_V**2 - base_V2) / self._per_W - self._next_S * self._line_V2
+        highest_W = room_W + 2.0 * self._load_W if is_confirmed else min(self._load_W, room_W)
+        highest_S = max(0.0, highest_W) / self._line_V2
+        if command.current_scale_S <= highest_S:
+            return command
+        return replace(command, current_scale_S=highest_S)
+
+    def _confirm(self, reading: Reading) -> None:
+        """Take a report: what was predicted so far is known now."""
+        self._predicted_V2 = self._worst_V2 = self._reported_V2 = reading.boost_voltage_V**2
+        self._taken_s = _voltage_s(reading)
+        self._cycle_ticks = min(max(self._silent_ticks + 1, 1), _CYCLE_TICKS)
+        self._silent_ticks = 0
+
+    def _unexplained_W(self, acting_W: float) -> float:
+        """Return the power that must raise v_bst, losses of the drive left out."""
+        lost_W = _LOST_SHARE * abs(acting_W) + _LOST_OF_MAXIMUM * self._limits.largest_W
+        return acting_W - self._load_W - lost_W
+
+    def _compare(self, reading: Reading) -> None:
+        """Compare a report with the energy since the last one."""
+        before_V2 = self._reported_V2
+        self._confirm(reading)
+        self._unseen_V2 = max(0.0, self._unseen_V2 - (self._reported_V2 - before_V2))
+
+    @property
+    def _unseen_V(self) -> float:
+        """Rise of v_bst by the commanded energy that its report does not show."""
+        return math.sqrt(self._reported_V2 + self._unseen_V2) - math.sqrt(self._reported_V2)
+
+    @property
+    def _is_unseen(self) -> bool:
+        return self._unseen_V > _UNSEEN_SHARE * self._limits.highest_V
+
+    def _unseen_cause(self) -> str | None:
+        if not self._is_unseen:
+            return None
+        return (
+            f"v_bst: the report stands at {math.sqrt(self._reported_V2):.1f} V, and the commanded "
+            f"energy has raised it by {self._unseen_V:.0f} V, limit "
+            f"{_UNSEEN_SHARE * self._limits.highest_V:.0f} V: the report is frozen, its scale is "
+            "wrong, or drive.boost_capacitance_F is"
+        )
+
+    def _exceeded(self) -> str | None:
+        """Return the cause of a trip where the command on its way leads beyond the limit."""
+        coming_W = self._next_S * self._line_V2 - self._load_W
+        coming_V = math.sqrt(max(0.0, self._predicted_V2 + self._per_W * coming_W))
+        if coming_V <= self._limits.highest_V:
+            return None
+        return (
+            f"over-voltage: v_bst is predicted to reach {coming_V:.1f} V, limit "
+            f"{self._limits.highest_V:g} V: it was not reported for {self._silent_ticks} half "
+            "cycles while the capacitor was charged"
+        )
+
+
+def _voltage_s(reading: Reading) -> float:
+    """Return when v_bst was taken."""
+    return reading.oldest_s if reading.voltage_s is None else reading.voltage_s
+
+
+def highest_voltages(
+    limits: CapacitorLimits, reference_V: float, load_W: float, tick_s: float
+) -> tuple[float, float]:
+    """Return the highest v_bst, in V, that a silent and a frozen report can lead to.
+
+    Either begins at the highest V_c with the largest k on its way that is allowed there, and the
+    largest k is asked for from then on. The load stops as the report does.
+
+    Args:
+        limits: The capacitor.
+        reference_V: Highest V_c.
+        load_W: Power of the load, which a silent drive seems to take further on.
+        tick_s: Half a line cycle.
+    """
+    silent_V = _highest_V(limits, reference_V, (load_W, load_W), (0.0, tick_s))
+    return silent_V, _highest_V(limits, reference_V, (load_W, 0.0), (tick_s, tick_s))
+
+
+def _highest_V(
+    limits: CapacitorLimits,
+    reference_V: float,
+    load_W: tuple[float, float],
+    steps_s: tuple[float, float],
+) -> float:
+    """Return the highest true v_bst of a drive on a line of 1 V, for which k is a power in W.
+
+    Args:
+        limits: The capacitor.
+        reference_V: v_bst in all its reports.
+        load_W: Reported power of the load before and after it stops.
+        steps_s: Time from a report of v_bst to the next after that, and length of a tick.
+    """
+    balance, (step_s, tick_s) = CapacitorBalance(limits), steps_s
+    asked = Command(limits.largest_W, reference_V, bridge=True)
+    coming_W, squared_V2, cause = 0.0, reference_V**2, None
+    for tick in range(-1, _FOLLOWED_TICKS):
+        time_s, power_W = tick * step_s, load_W[tick >= 0]
+        reading = Reading(time_s, time_s, None, reference_V, 1.0, power_W, 0.0, 0, bridge=True)
+        cause = cause or balance.find_cause(reading, 1, tick_s, running=True)
+        squared_V2 += 2.0 * tick_s / limits.capacitance_F * coming_W
+        coming_W = 0.0 if cause else balance.bound(asked).current_scale_S
+        balance.sent(coming_W)
+    return math.sqrt(squared_V2)
