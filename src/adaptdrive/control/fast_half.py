@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import voltage_loop
+from adaptdrive.control.evidence import NOISE_FLOOR
 from adaptdrive.control.lambda_filter import advance, chain_decay, ramp_gains, step_gains
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.rounding import Grid, close_share, note_sample, rounding_error, step_found
@@ -24,6 +25,9 @@ _CEILING_RISE = 1.002
 
 _LOWEST_CEILING = 0.01
 """Lowest ceiling of V_c, as a share of the largest V_c: from 0 it would not rise again."""
+
+_LEAST_DEVIATION = math.sqrt(NOISE_FLOOR)
+"""Least deviation of the output in the screen, as a share of its scale."""
 
 _LIMITED_SHARE = 0.25
 """Share of a slow period with k or V_c at a limit above which V_c counts as not followed."""
@@ -164,7 +168,9 @@ def take_in(
         output = measurement.output
         note_sample(bank.grid, output, settings.learning.output_scale, counted)
         if rates.clip > 0.0:
-            output = pass_sample(bank.screen, output, rates.clip, elapsed)
+            learning = settings.learning
+            least = max(_LEAST_DEVIATION * learning.output_scale, learning.resolution)
+            output = pass_sample(bank.screen, output, rates.clip, elapsed, least)
         filter_sample(bank, output, load_input, counted)
     count_tick(state, measurement.boost_voltage_V, measurement.fresh, counted)
     if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:

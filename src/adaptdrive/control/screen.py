@@ -7,8 +7,9 @@ absolute deviation s of the samples from their prediction:
     ŷ <- ŷ + v + α e_c       v <- v + β e_c       s <- s + γ n (min(|e|, 2 c s) - s)
 
 The sample passed on is ŷ + v + e_c; n is the number of ticks since the last one. A spike counts
-as c deviations and no more; a lasting change widens s with every sample, so that the screen opens
-within a fraction of a second, however seldom a drive is polled. For Gaussian noise s is 0.8 σ.
+as c deviations and no more. A change lasts: the fifth sample in a row beyond the same limit opens
+the screen to its own deviation, however narrow the screen had become at a standstill. For Gaussian
+noise s is 0.8 σ.
 (Huber, Ann. Math. Statist. 35, 1964, doi:10.1214/aoms/1177703732.)
 """
 
@@ -34,8 +35,8 @@ _GAMMA_MAX = 1.0 / PRIOR_SAMPLES
 WIDE = 0.01
 """Deviation to start with, as a share of the output: wide enough for an honest first second."""
 
-_NARROWEST = 1e-9
-"""Least deviation: a noiseless output must not close the screen."""
+LASTING = 5
+"""Samples in a row beyond one limit that are a change, not spikes."""
 
 
 @dataclass(slots=True)
@@ -46,14 +47,18 @@ class Screen:
         level: ŷ.
         slope: v, per tick.
         deviation: s.
+        beyond: Samples in a row beyond the upper limit, negative for the lower one.
     """
 
     level: float
     slope: float
     deviation: float
+    beyond: int = 0
 
 
-def pass_sample(screen: Screen, sample: float, clip: float, ticks: int) -> float:
+def pass_sample(
+    screen: Screen, sample: float, clip: float, ticks: int, least: float = 0.0
+) -> float:
     """One fast sample, clipped.
 
     Args:
@@ -61,14 +66,32 @@ def pass_sample(screen: Screen, sample: float, clip: float, ticks: int) -> float
         sample: y.
         clip: c.
         ticks: n: a drive that is polled has one sample in several ticks.
+        least: Least deviation: a noiseless output must not close the screen.
     """
     predicted = screen.level + screen.slope
     error = sample - predicted
-    limit = clip * screen.deviation
+    limit = _limit(screen, error, clip)
     kept = min(max(error, -limit), limit)
     screen.level = predicted + ALPHA * kept
     screen.slope += BETA * kept
     seen = min(abs(error), 2.0 * limit)
     share = min(GAMMA * ticks, _GAMMA_MAX)
-    screen.deviation = max(_NARROWEST, screen.deviation + share * (seen - screen.deviation))
+    screen.deviation = max(least, screen.deviation + share * (seen - screen.deviation))
     return predicted + kept
+
+
+def _limit(screen: Screen, error: float, clip: float) -> float:
+    """Return the largest deviation that passes, opened for a change that lasts."""
+    limit = clip * screen.deviation
+    if abs(error) <= limit:
+        screen.beyond = 0
+        return limit
+    if error > 0.0:
+        screen.beyond = max(screen.beyond, 0) + 1
+    else:
+        screen.beyond = min(screen.beyond, 0) - 1
+    if abs(screen.beyond) < LASTING:
+        return limit
+    screen.beyond = 0
+    screen.deviation = abs(error) / clip
+    return abs(error)
