@@ -156,14 +156,15 @@ class SerialFrames:
 
     The request for one register from 0x300 to 0x3FF is, byte for byte, also a reply of three bytes.
     The reply to a single write (functions 5 and 6) repeats its request: what came for another
-    request shows whether the line repeats it, too.
+    request shows whether the line repeats it, too. Until then one copy of a single write is its
+    echo, and acknowledges nothing.
     """
 
     foreign = 0
 
     def __init__(self) -> None:
         self._sent = b""
-        self._echoes = False
+        self._echoes: bool | None = None
 
     def framed(self, message: bytes, device: int) -> bytes:
         """Return the frame of a request."""
@@ -174,7 +175,7 @@ class SerialFrames:
     def reply(self, heard: bytes) -> bytes | None:
         """Return the reply among what came since the request, None while there is none."""
         single = self._sent[1] in {_WRITE_COIL, _WRITE_REGISTER}
-        echoed = heard.startswith(self._sent) and (self._echoes or not single)
+        echoed = heard.startswith(self._sent) and not (single and self._echoes is False)
         reply = self._unframed(heard[len(self._sent) :] if echoed else heard)
         if reply is not None and not single:
             self._echoes = echoed

@@ -149,9 +149,13 @@ class PolledPort(Polling[PolledLink, Listener]):
 
     async def _set_up(self, link: PolledLink) -> None:
         """Write what the drive needs before it is commanded; a link without that is lost."""
+        answered = False
         for block, sink, reads in self._poll.setup:
             words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
             try:
+                if not (reads or answered):  # what is heard of a read shows whether the line echoes
+                    await self._ask(link, Exchange(read=self._poll.reads[0][0]), [])
+                answered = True
                 if reads and await self._ask(link, Exchange(read=block), []) == words:
                     continue
                 await self._ask(link, Exchange(write=block), words)
