@@ -202,7 +202,7 @@ def _complaint(course: Course) -> None:
 NO_RESPONSE = ("no response", "stuck", "output", "load", "error")
 STALE = ("stale", "overslept", "drive stopped")
 
-WRONG_BOOST = (*NO_RESPONSE, "drive fault", "over-voltage")
+WRONG_BOOST = (*NO_RESPONSE, "drive fault", "over-voltage", "v_bst: ")
 WRONG_SUPPLY = (*WRONG_BOOST, "output above its limit")
 
 ROWS: tuple[Row, ...] = (
@@ -241,7 +241,7 @@ ROWS: tuple[Row, ...] = (
     Row("plant", "shorted cell", _shorted_cell, BATTERY, mends=False),
     Row("actuator", "deaf, stops by its own time-out", _actuator(lambda _: None), EVERY,
         dict.fromkeys(("motor", "bath", "battery"), 2.5), STALE),
-    Row("actuator", "half as strong", _actuator(weaker(0.5))),
+    Row("actuator", "half as strong", _actuator(weaker(0.5)), EVERY, None, WRONG_BOOST),
     Row("actuator", "bridge stuck on, at a disable", _stuck_on, EVERY,
         dict.fromkeys(("motor", "bath", "battery"), 1.5), ("the drive does not stop",),
         step=False, sticks_on=True),

@@ -127,7 +127,7 @@ class CapacitorBalance:
         room_W = (self._limits.highest_V**2 - base_V2) / self._per_W - self._next_S * self._line_V2
         highest_W = room_W + 2.0 * self._load_W if is_confirmed else min(self._load_W, room_W)
         highest_S = max(0.0, highest_W) / self._line_V2
-        if command.current_scale_S <= highest_S:
+        if not command.current_scale_S > highest_S:  # the guard refuses one that is NaN
             return command
         return replace(command, current_scale_S=highest_S)
 
@@ -164,8 +164,8 @@ class CapacitorBalance:
         return (
             f"v_bst: the report stands at {math.sqrt(self._reported_V2):.1f} V, and the commanded "
             f"energy has raised it by {self._unseen_V:.0f} V, limit "
-            f"{_UNSEEN_SHARE * self._limits.highest_V:.0f} V: the report is frozen, its scale is "
-            "wrong, or drive.boost_capacitance_F is"
+            f"{_UNSEEN_SHARE * self._limits.highest_V:.0f} V: the report is frozen, or its scale, "
+            "that of the load power, that of k or drive.boost_capacitance_F is wrong"
         )
 
     def _exceeded(self) -> str | None:
