@@ -227,14 +227,15 @@ class MosquittoLauncher:
         process = start_process([self.program, "-c", settings], log)
         try:
             for one in (port, *re.findall(r"^listener (\d+) ", self.more, re.MULTILINE)):
-                _await_listener(process, int(one), log)
+                await_listener(process, int(one), log)
         except BaseException:
             stop_process(process)
             raise
         return process
 
 
-def _await_listener(process: Process, port: int, log: Path) -> None:
+def await_listener(process: Process, port: int, log: Path) -> None:
+    """Wait until a broker listens on a port of the loopback interface."""
     deadline = time.monotonic() + 20.0
     while time.monotonic() < deadline and process.poll() is None:
         try:

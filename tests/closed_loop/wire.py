@@ -71,6 +71,7 @@ class Wire:
     daemon: Daemon
     world: World
     reports: Reports
+    hub: Hub
 
     @property
     def state(self) -> State:
@@ -97,9 +98,19 @@ class Wire:
 
 @contextlib.asynccontextmanager
 async def wired(
-    configuration: Configuration, settings: DeviceSettings, path: Path
+    configuration: Configuration,
+    settings: DeviceSettings,
+    path: Path,
+    described: Configuration | None = None,
 ) -> AsyncIterator[Wire]:
-    """Run a plant and the daemon on the buses that a configuration names."""
+    """Run a plant and the daemon on the buses that a configuration names.
+
+    Args:
+        configuration: That of the daemon.
+        settings: Those of the plant.
+        path: The file, beside which relative paths are.
+        described: The drive's own description, where it is another.
+    """
     clock = asyncio.get_running_loop().time
     hub, stop = Hub(), asyncio.Event()
     reports = hub.subscribe(LoadReport, size=1000)
@@ -116,14 +127,14 @@ async def wired(
         sensors=sensor_reports(port, clock),
     )
     async with contextlib.AsyncExitStack() as stack:
-        hardware = [await _begin(stack, configuration, drive, path, clock)]
+        hardware = [await _begin(stack, described or configuration, drive, path, clock)]
         tasks = await stack.enter_async_context(asyncio.TaskGroup())
         sensors = build_sensors(configuration, drive, path)
         hardware += [modules.run(lambda _: None) for modules in sensors]
         ends = [tasks.create_task(one) for one in hardware]
         await asyncio.sleep(0.1)
         running = tasks.create_task(daemon.run(stop))
-        yield Wire(daemon, drive.world, Reports(reports))
+        yield Wire(daemon, drive.world, Reports(reports), hub)
         stop.set()
         await running
         for end in ends:

@@ -8,7 +8,10 @@ import sys
 from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 
+import pytest
 from packaging.requirements import Requirement
+
+pytestmark = pytest.mark.usefixtures("outside")
 
 ROOT = Path(__file__).parents[2]
 OLD = """#!/bin/sh

@@ -16,6 +16,8 @@ from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import read_story
 
+pytestmark = pytest.mark.usefixtures("outside")
+
 
 @contextmanager
 def stage(directory: Path | None = None) -> Iterator[RealStage]:

@@ -9,20 +9,23 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.broker import SHIPPED
+from tests.scenes.access.broker import SHIPPED
 
-pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+pytestmark = [
+    pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed"),
+    pytest.mark.usefixtures("outside"),
+]
 
 
 def make(folder: Path, *names: str) -> None:
     command: list[str | Path] = [SHIPPED / "make-certificates", folder, *names]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    subprocess.run(command, check=True, capture_output=True)
 
 
 def verified(folder: Path, *words: str) -> bool:
     authority, certificate = str(folder / "ca.crt"), str(folder / "broker.crt")
     command = ["openssl", "verify", "-x509_strict", "-CAfile", authority, *words, certificate]
-    answer = subprocess.run(command, check=False, capture_output=True, timeout=60)
+    answer = subprocess.run(command, check=False, capture_output=True)
     return answer.returncode == 0
 
 
@@ -53,7 +56,7 @@ def test_a_renewal_keeps_the_authority(tmp_path: Path) -> None:
 
 def test_without_a_directory_it_says_what_it_wants() -> None:
     answer = subprocess.run(
-        [SHIPPED / "make-certificates"], check=False, capture_output=True, text=True, timeout=60
+        [SHIPPED / "make-certificates"], check=False, capture_output=True, text=True
     )
     assert answer.returncode == 2
     assert "make-certificates DIRECTORY" in answer.stderr

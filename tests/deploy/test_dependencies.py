@@ -17,11 +17,12 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROJECT = PYPROJECT["project"]
-OURS = {"adaptdrive", "adaptdrive_sim", "tests"}
+OURS = {"adaptdrive", "adaptdrive_sim", "tests", "tools"}
 EXTRAS = {
     "src": ("analysis", "canopen", "desk", "export"),
     "simulators": ("sim", "cluster"),
     "tests": tuple(PROJECT["optional-dependencies"]),
+    "tools": tuple(PROJECT["optional-dependencies"]),
 }
 NOT_IMPORTED = {
     "build": "makes the wheel",

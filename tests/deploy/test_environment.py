@@ -10,6 +10,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 
+pytestmark = pytest.mark.usefixtures("outside")
+
 
 @pytest.mark.parametrize("folder", ["src/adaptdrive", "simulators/adaptdrive_sim"])
 def test_a_process_started_elsewhere_imports_the_source(folder: str, tmp_path: Path) -> None:

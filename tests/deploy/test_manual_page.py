@@ -22,9 +22,10 @@ def test_it_names_every_command() -> None:
     assert named == {*_COMMANDS, *REQUESTS, "list", "sessions"}
 
 
+@pytest.mark.usefixtures("outside")
 def test_its_formatter_finds_no_fault() -> None:
     if shutil.which("groff") is None:
         pytest.skip("groff is not installed")
     command = ["groff", "-man", "-Tascii", "-ww", "-z", str(PAGE)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert done.stderr == ""

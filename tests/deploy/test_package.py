@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import stat
 import subprocess
 from collections.abc import Iterator
 from importlib.metadata import distributions
@@ -19,6 +18,8 @@ CHECKOUT = Path(__file__).parents[2]
 PACKAGE = CHECKOUT / "build" / "adaptdrive.deb"
 LICENCE_FILE = re.compile("licen[cs]e|copying", re.IGNORECASE)
 SOURCE = CHECKOUT / "src" / "adaptdrive"
+pytestmark = [pytest.mark.proof, pytest.mark.usefixtures("outside")]
+
 EXAMPLES = sorted(path.name for path in (CHECKOUT / "deploy" / "examples").glob("*.toml"))
 
 
@@ -35,7 +36,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if not PACKAGE.exists():
         pytest.skip("build/adaptdrive.deb is not there; `make deb` builds it")
     folder = tmp_path_factory.mktemp("package")
-    subprocess.run(["dpkg-deb", "--raw-extract", PACKAGE, folder], check=True, timeout=120)
+    subprocess.run(["dpkg-deb", "--raw-extract", PACKAGE, folder], check=True)
     if list(sources(site_packages(folder) / "adaptdrive")) != list(sources(SOURCE)):
         pytest.skip("build/adaptdrive.deb is of another state of the source; run `make deb`")
     return folder
@@ -64,7 +65,6 @@ def run(tree: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=100,
     )
 
 
@@ -101,20 +101,9 @@ def test_it_runs_without_anything_else(tree: Path) -> None:
     assert version.stdout.split()[0] == __version__, version.stderr
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_its_examples_are_valid(tree: Path, example: str) -> None:
     checked = run(tree, "check", tree / "usr" / "share" / "adaptdrive" / "examples" / example)
-    assert checked.returncode == 0, checked.stderr
-
-
-def test_the_environment_cannot_lead_it_astray(
-    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "pydantic.py").write_text("raise SystemExit('astray')\n", encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setenv("PYTHONHOME", str(tmp_path))
-    checked = run(tree, "check", tree / "usr" / "share" / "adaptdrive" / "examples" / "motor.toml")
     assert checked.returncode == 0, checked.stderr
 
 
@@ -124,32 +113,9 @@ def test_what_an_administrator_may_change_is_kept_on_upgrades(tree: Path) -> Non
     assert sorted(named) == sorted(shipped)
 
 
-def test_nothing_is_enabled_and_no_one_gains_rights(tree: Path) -> None:
-    assert not list(tree.rglob("*.wants"))
-    for path in tree.rglob("*"):
-        mode = path.lstat().st_mode
-        assert path.is_symlink() or not mode & (stat.S_ISUID | stat.S_ISGID | stat.S_IWOTH), path
-
-
-def test_everyone_may_enter_the_root_folder(tree: Path) -> None:
-    assert stat.S_IMODE(tree.stat().st_mode) == 0o755
-
-
-def test_the_links_of_its_pages_lead_somewhere(tree: Path) -> None:
-    folder = tree / "usr/share/doc/adaptdrive"
-    for page in folder.rglob("*.md"):
-        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
-            assert (page.parent / link).exists(), f"{page.relative_to(folder)}: {link}"
-
-
 def test_it_says_nothing_about_the_machine_that_built_it(tree: Path) -> None:
     command = ["grep", "--recursive", "--files-with-matches", "--fixed-strings"]
     command += [str(CHECKOUT), str(tree)]
-    found = subprocess.run(command, check=False, capture_output=True, text=True, timeout=100)
+    found = subprocess.run(command, check=False, capture_output=True, text=True)
     assert found.stdout == ""
     assert not list(tree.rglob("direct_url.json"))
-
-
-@pytest.mark.parametrize("script", ["postinst", "prerm", "postrm"])
-def test_its_scripts_can_be_read_by_the_shell(tree: Path, script: str) -> None:
-    subprocess.run(["sh", "-n", tree / "DEBIAN" / script], check=True, timeout=60)

@@ -20,7 +20,7 @@ PROMISES = CHECKOUT / "docs" / "proof" / "promises.md"
 RELIABILITY = CHECKOUT / "docs" / "proof" / "reliability.md"
 
 TEST = re.compile(r"\b(test_\w*[a-z0-9])\b(?!\.py|…|_)")
-FILE = re.compile(r"\btests/[\w/]+\.py\b")
+FILE = re.compile(r"\b(?:tests|tools)/[\w/]+\.py\b")
 CASE = re.compile(r"`\[([a-z-]+?)-…\]`")
 
 FAULTS = r"\| fault( of the machine)? \| (sent to the drive|the drive|on CAN|effect) "

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 
 from adaptdrive.watch.plot import Mark, PlotPoint, plot
@@ -59,12 +57,6 @@ def test_a_step_leaves_no_gap() -> None:
     assert rows == set(range(min(rows), max(rows) + 1))
 
 
-def test_shows_nothing_older_than_its_window() -> None:
-    whole = drawn(points(3.0, *[3.1] * 40), window_s=50.0)
-    short = drawn([PlotPoint(1.0, 9.0, 9.0), *points(3.0, *[3.1] * 40)], window_s=50.0)
-    assert short == whole
-
-
 def test_names_the_reference_at_its_height() -> None:
     lines = drawn([*points(3.0, *[3.0] * 40)[:20], *points(3.2, *[3.2] * 20)]).splitlines()
     assert sum(line.startswith(" 3.20 ") for line in lines) == 1
@@ -79,17 +71,6 @@ def test_marks_stand_above_their_time() -> None:
     assert marks.index("▼2 disks") == pytest.approx(middle, abs=1)
 
 
-def test_the_reference_keeps_its_row_while_the_speed_is_constant() -> None:
-    rows = {row for _, row in dots(drawn(points(3.0, *[3.3] * 40)))}
-    assert len(rows) == 2
-
-
 @pytest.mark.parametrize("size", [(5, 3), (66, 3), (10, 14)])
 def test_has_no_room(size: tuple[int, int]) -> None:
     assert "waiting" in plot(points(3.0, 3.1), (), 100.0, 50.0, size).plain
-
-
-def test_noise_of_one_step_height_is_drawn_within_the_canvas() -> None:
-    wild = points(3.0, *(3.0 + 0.2 * math.sin(7.0 * i) for i in range(200)))
-    inside = dots(drawn(wild, window_s=200.0))
-    assert all(0 <= c < 2 * (WIDTH - LABEL) and 0 <= r < 4 * (HEIGHT - 2) for c, r in inside)

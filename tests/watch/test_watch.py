@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import os
 import pty
 import sys
 import termios
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 from rich.console import Console
 
-from adaptdrive.control.signals import Mode
 from adaptdrive.operation.intake import KEYS
 from adaptdrive.operation.listener import LIVE_S
 from adaptdrive.operation.messages import Output, drive_message, encode, load_message
-from adaptdrive.runtime.requests import Disable, Enable, SetMode
 from adaptdrive.watch import view
 from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.plot import PlotPoint, plot
-from adaptdrive.watch.record import POINTS, WatchRecord
+from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.view import screen
-from tests.operation.peers import PATIENCE_S, Bench, commands, drive_report, load_report, serving
-from tests.support import Broker
+from tests.operation.peers import drive_report, load_report
 
-AROUND = {"TERM": "xterm", "LINES": "40", "COLUMNS": "120"}
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 SPEED = Output("speed", "V")
 STATE = {
@@ -75,16 +69,6 @@ def shown(record: WatchRecord, size: tuple[int, int] = (120, 40)) -> list[str]:
     return capture.get().splitlines()
 
 
-def test_a_name_that_no_drive_has_leads_to_the_list() -> None:
-    record = WatchRecord("moter", Clock())
-    header = shown(record)[0]
-    assert "nothing heard of this drive; see adaptdrive list" in header
-    assert "None" not in header
-    assert "OLD DATA" not in header
-    record.problem = "connection refused"
-    assert "OLD DATA connection refused" in shown(record)[0]
-
-
 @pytest.mark.parametrize("size", [(80, 24), (120, 40)])
 def test_the_view_fills_the_terminal_and_shows_units(size: tuple[int, int]) -> None:
     lines = shown(live_record(Clock()), size)
@@ -118,16 +102,6 @@ def test_80_columns_cut_no_label_no_value_and_no_key() -> None:
     for key in view.KEYS:
         assert key in text
     assert "now" in text
-
-
-def test_without_colours_each_curve_has_a_form_of_its_own() -> None:
-    drawn = set()
-    for controller in ("fixed", "adaptive", "manual", "off"):
-        points = [PlotPoint(0.1 * k, math.nan, 3.0, controller) for k in range(500)]
-        drawn.add(plot(points, (), 50.0, 50.0, (80, 12)).plain)
-    reference = [PlotPoint(0.1 * k, 3.0, math.nan, "fixed") for k in range(500)]
-    drawn.add(plot(reference, (), 50.0, 50.0, (80, 12)).plain)
-    assert len(drawn) == 5
 
 
 def test_the_plot_goes_on_while_the_drive_is_off_and_while_nothing_is_heard() -> None:
@@ -168,16 +142,6 @@ def test_a_trip_is_shown_with_its_remedy() -> None:
 )
 def test_a_drive_that_has_not_confirmed_its_stop_is_not_shown_as_off(stop: str, words: str) -> None:
     assert words in "\n".join(shown(live_record(Clock(), state="standby", stop=stop)))
-
-
-def test_one_count_of_late_ticks_is_shown_and_pushes_no_trip_away() -> None:
-    record = live_record(Clock())
-    record.take("event", {"kind": "trip", "detail": "over-voltage", "severity": "alarm"})
-    for number in range(100):
-        record.take("event", {"kind": "latency", "detail": f"late {number}"})
-    kept = [event["kind"] for event in record.events]
-    assert kept[-2:] == ["trip", "latency"]
-    assert kept.count("latency") == 1
 
 
 def test_old_data_are_unmistakable() -> None:
@@ -254,23 +218,6 @@ def test_the_history_comes_before_what_is_known() -> None:
     record.take("history", {"rows": [{"time": "never"}, 7, {"output": 1.0}]})
     times = [point.time_s - NOW.timestamp() for point in record.points]
     assert times == [-30.0, -20.0, -10.0, 0.0]
-
-
-@pytest.mark.parametrize("room", [0, 1, 2])
-def test_the_history_leaves_what_is_newer_in_place(room: int) -> None:
-    record = live_record(Clock())
-    for k in range(1, POINTS - room):
-        moment = (NOW + timedelta(seconds=0.1 * k)).isoformat()
-        record.take("telemetry/drive", record.fast | {"time": moment})
-    known = list(record.points)
-    rows = []
-    for k in range(2):
-        message = load_message(load_report(k), NOW - timedelta(seconds=20 - 10 * k), SPEED)
-        rows.append({key: message[key] for key in KEYS})
-    record.take("history", received({"rows": rows}))
-    assert list(record.points)[room:] == known
-    times = [point.time_s - NOW.timestamp() for point in list(record.points)[:room]]
-    assert times == [-20.0, -10.0][2 - room :]
 
 
 def test_keys_send_commands_and_enable_needs_two() -> None:
@@ -371,155 +318,3 @@ def test_a_step_of_the_set_point_stays_in_its_range() -> None:
     assert KeyReader(record).press("+") == KeyCommand("setpoint", 4.0)
     record.state["limits"] = {}
     assert KeyReader(record).press("-") is None
-
-
-class Terminal:
-    """`adaptdrive watch` in a pseudo-terminal."""
-
-    def __init__(self, file: int, process: asyncio.subprocess.Process) -> None:
-        self.process = process
-        self._file = file
-        self._seen = ""
-        self._more = asyncio.Event()
-        asyncio.get_running_loop().add_reader(file, self._read)
-
-    def _read(self) -> None:
-        try:
-            self._seen += os.read(self._file, 65536).decode(errors="replace")
-        except OSError:  # the other end is closed
-            asyncio.get_running_loop().remove_reader(self._file)
-        self._more.set()
-
-    async def shows(self, text: str) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            while text not in self._seen:
-                self._more.clear()
-                await self._more.wait()
-
-    def press(self, keys: str) -> None:
-        os.write(self._file, keys.encode())
-
-    def hang_up(self) -> None:
-        asyncio.get_running_loop().remove_reader(self._file)
-        os.close(self._file)
-
-    async def close(self) -> None:
-        if self.process.returncode is None:
-            self.process.kill()
-            await self.process.wait()
-        self.hang_up()
-
-
-async def terminal(broker: Broker, drive: str, *more: str) -> Terminal:
-    own, other = pty.openpty()
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "adaptdrive.cli", "watch", drive),
-        *("--broker", f"{broker.host}:{broker.port}", *more),
-        stdin=other,
-        stdout=other,
-        stderr=other,
-        env=os.environ | AROUND | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    os.close(other)
-    return Terminal(own, process)
-
-
-async def until_asked(bench: Bench, *wanted: object) -> None:
-    async with asyncio.timeout(PATIENCE_S):
-        while bench.host.asked != list(wanted):  # noqa: ASYNC110 - the host has no event
-            await asyncio.sleep(0.02)
-
-
-async def test_a_drive_is_watched_and_commanded_from_a_terminal(
-    mosquitto: Broker, tmp_path: Path
-) -> None:
-    async with serving(mosquitto, "watched", tmp_path) as bench:
-        seen = await terminal(mosquitto, "watched")
-        try:
-            await seen.shows("standby")
-            seen.press("s")
-            await until_asked(bench, Disable())
-            await seen.shows("disable: accepted")
-            seen.press("e")
-            await seen.shows("press e again")
-            seen.press("eee")
-            await asyncio.sleep(1.5 * DELIBERATE_S)
-            seen.press("e")
-            await until_asked(bench, Disable(), Enable())
-            seen.press("a")
-            await until_asked(bench, Disable(), Enable(), SetMode(Mode.ADAPTIVE))
-            await seen.shows("mode adaptive: accepted")
-            seen.press("q")
-            async with asyncio.timeout(PATIENCE_S):
-                assert await seen.process.wait() == 0
-        finally:
-            await seen.close()
-
-
-@pytest.mark.parametrize("encoding", ["latin-1", "ascii:surrogateescape"])
-async def test_a_terminal_that_is_not_utf_8_shows_what_it_can(
-    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str
-) -> None:
-    monkeypatch.setenv("PYTHONIOENCODING", encoding)
-    async with serving(mosquitto, "latin", tmp_path) as bench:
-        seen = await terminal(mosquitto, "latin")
-        try:
-            await seen.shows("standby")
-            seen.press("s")
-            await until_asked(bench, Disable())
-            await seen.shows("disable: accepted")
-        finally:
-            await seen.close()
-
-
-async def test_a_terminal_without_a_cursor_gets_no_view_and_arms_no_key(
-    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(AROUND, "TERM", "dumb")
-    async with serving(mosquitto, "dumb", tmp_path) as bench:
-        seen = await terminal(mosquitto, "dumb")
-        try:
-            seen.press("s")
-            await seen.shows("adaptdrive: TERM: dumb: a terminal of this kind shows no picture")
-            async with asyncio.timeout(PATIENCE_S):
-                assert await seen.process.wait() == 2
-        finally:
-            await seen.close()
-    assert bench.host.asked == []
-
-
-async def test_a_view_that_is_left_still_stops_the_drive(mosquitto: Broker, tmp_path: Path) -> None:
-    async with serving(mosquitto, "stopped", tmp_path) as bench:
-        seen = await terminal(mosquitto, "stopped", "--timeout", f"{PATIENCE_S}")
-        try:
-            await seen.shows("standby")
-            seen.press("sq")
-            async with asyncio.timeout(PATIENCE_S):
-                assert await seen.process.wait() == 0
-        finally:
-            await seen.close()
-    assert bench.host.asked == [Disable()]
-
-
-async def test_a_stop_that_nobody_answers_is_told_at_the_end(mosquitto: Broker) -> None:
-    async with commands(mosquitto, "deaf") as heard:
-        seen = await terminal(mosquitto, "deaf", "--timeout", "2")
-        try:
-            await seen.shows("waiting for the drive")
-            seen.press("sq")
-            await seen.shows("adaptdrive: deaf: disable: no answer")
-            async with asyncio.timeout(PATIENCE_S):
-                assert await seen.process.wait() == 3
-                assert (await heard.get())[1]["value"] is None
-        finally:
-            await seen.close()
-
-
-async def test_a_view_whose_terminal_is_gone_ends(mosquitto: Broker, tmp_path: Path) -> None:
-    """It has no controlling terminal, whose end would be a signal."""
-    async with serving(mosquitto, "left", tmp_path):
-        seen = await terminal(mosquitto, "left")
-        await seen.shows("standby")
-        seen.hang_up()
-        async with asyncio.timeout(PATIENCE_S):
-            await seen.process.wait()

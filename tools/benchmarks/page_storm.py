@@ -9,7 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tests.scenes.panel.browser import Panel, browser_of, open_panel, web_listener
-from tests.scenes.panel.storm import (
+from tests.support import MosquittoLauncher, free_port, stop_process
+from tools.benchmarks.rows import Extent, Row
+from tools.benchmarks.storm import (
     EVIL,
     Storm,
     log_in,
@@ -18,8 +20,6 @@ from tests.scenes.panel.storm import (
     show,
     storm,
 )
-from tests.support import MosquittoLauncher, free_port, stop_process
-from tools.benchmarks.rows import Extent, Row
 
 SEEDS = range(40, 60)
 EACH = 5000

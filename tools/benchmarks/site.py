@@ -82,7 +82,7 @@ def prompt_site(folder: Path, environment: dict[str, str] | None = None) -> Iter
     """A broker and a simulated drive with real-time priority, for a daemon that has it, too."""
     launcher = MosquittoLauncher("/usr/sbin/mosquitto", folder)
     ports = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
-    with closing(Site(folder, launcher, *ports, REALTIME, environment or {})) as site:
+    with closing(Site(folder, launcher, *ports, REALTIME, environment=environment or {})) as site:
         site.start_broker()
         site.start_device("--initial-voltage", "280")
         for one in (site.broker, site.device):

@@ -19,8 +19,7 @@ from tempfile import TemporaryDirectory
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tests.scenes.system.bus_ear import BusEar, Commanded
-from tests.scenes.system.site import until
+from tests.scenes.system.site import BusEar, Commanded, until
 from tests.support import slow_disk
 from tools.benchmarks.rows import Extent, Row, quantile
 from tools.benchmarks.site import prompt_site

@@ -19,10 +19,10 @@ from typing import Any
 
 from adaptdrive.operation.commands import FORMS, PING, STOP
 from tests.operation.contract import validators
-from tests.scenes.panel.hostile import Hostile
-from tests.scenes.system.site import PATIENT_DRIVE, Site
+from tests.scenes.system.site import Site
 from tests.support import MosquittoLauncher, free_port, resident_MiB
 from tools.benchmarks.fence import Fence
+from tools.benchmarks.hostile import Hostile
 from tools.benchmarks.rows import Extent, Row
 from tools.benchmarks.tools import cpu_s
 from tools.fuzz.mutate import mutated
@@ -148,5 +148,5 @@ def _site() -> Iterator[Site]:
         launcher = MosquittoLauncher("/usr/sbin/mosquitto", folder)
         ports = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
         with closing(Site(folder, launcher, *ports, SETTINGS)) as site:
-            site.start("--initial-voltage", "280", *PATIENT_DRIVE)
+            site.start("--initial-voltage", "280", "--command-timeout", "1.0")
             yield site

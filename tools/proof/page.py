@@ -20,7 +20,7 @@ INTRODUCTION = """# Proof
 Results of the long tests, for readers who check a claim. `make proof` runs the *forms* that have no
 result of the present commit; `python -m tools.proof docs/proof/proof.md FORM` repeats one.
 `tools/proof/results` holds machine, processor time and the whole output of each run,
-[tests/README.md](../../tests/README.md#faults-and-proof) describes the forms and their lengths. The
+[tests/README.md](../../tests/README.md#a-proof) describes the forms and their lengths. The
 faults in virtual time are in [reliability](reliability.md#faults-in-virtual-time).
 """
 MUTANTS_TEXT = """## Small changes of the code

@@ -17,6 +17,8 @@ from adaptdrive.household.ports import Ports
 from adaptdrive.household.processes import Household, ProcessDiedError
 from tests.support import Spawn, free_port
 
+pytestmark = pytest.mark.usefixtures("outside")
+
 PATIENCE_S = 120.0
 SLEEPER = """
 import pathlib, signal, sys, time

@@ -15,14 +15,14 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from tests.deploy.broker import PEOPLE, SHIPPED, password
-from tests.scenes.system.site import PATIENT_DRIVE, Site
+from tests.scenes.access.broker import PEOPLE, SHIPPED, password
+from tests.scenes.system.site import PATIENT, Site
 from tests.support import MosquittoLauncher, free_port
 
 PANEL = Path(__file__).parents[3] / "src" / "adaptdrive" / "panel"
 PATIENCE_MS = 120_000
 SETTINGS = {
-    "interlocks.stale_s": "1.0",
+    **PATIENT,
     "supervisor.warm_up_s": "4.0",
     "supervisor.dwell_periods": "1",
 }
@@ -119,7 +119,7 @@ def panel_site_in(
     launcher = MosquittoLauncher(mosquitto, folder, web_listener(folder, port))
     ports = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
     with closing(Site(folder, launcher, *ports, {**SETTINGS, **settings})) as site:
-        site.start("--initial-voltage", "280", *PATIENT_DRIVE)
+        site.start("--initial-voltage", "280")
         yield PanelSite(site, f"http://127.0.0.1:{port}/index.html")
 
 

@@ -50,8 +50,14 @@ def make_panel(browser: Browser) -> Iterator[MakePanel]:
 
 
 @pytest.fixture(scope="module")
-def panel_site(
-    tmp_path_factory: pytest.TempPathFactory, mosquitto_launcher: MosquittoLauncher
+def _panel_site(
+    tmp_path_factory: pytest.TempPathFactory, _mosquitto_program: MosquittoLauncher
 ) -> Iterator[PanelSite]:
-    with panel_site_in(tmp_path_factory.mktemp("panel"), mosquitto_launcher.program) as found:
+    with panel_site_in(tmp_path_factory.mktemp("panel"), _mosquitto_program.program) as found:
         yield found
+
+
+@pytest.fixture
+def panel_site(outside: None, _panel_site: PanelSite) -> PanelSite:
+    """One drive for all tests of a file."""
+    return _panel_site

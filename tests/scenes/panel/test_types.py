@@ -10,6 +10,8 @@ import pytest
 
 HERE = Path(__file__).parent
 
+pytestmark = pytest.mark.usefixtures("outside")
+
 
 def test_the_scripts_keep_their_types() -> None:
     compiler = shutil.which("tsc")

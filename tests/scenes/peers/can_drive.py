@@ -51,7 +51,7 @@ class Node:
         """Speak each half cycle, by a clock that drifts from the daemon's, and hear in between."""
         due_s = time.monotonic()
         while True:
-            due_s = max(due_s + HALF_CYCLE_s, time.monotonic() - HALF_CYCLE_s)
+            due_s = max(due_s + HALF_CYCLE_s, time.monotonic() - 1.0)
             while (left_s := due_s - time.monotonic()) > 0.0:
                 self._hear(self._bus.recv(left_s))
             while (frame := self._bus.recv(0.0)) is not None:

@@ -10,23 +10,32 @@ import contextlib
 import itertools
 import json
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from types import TracebackType
+from typing import Any, Self, TypeVar
 
+import can
+import cantools
+from cantools.database.can.database import Database
+
+from adaptdrive.config import load_configuration
+from adaptdrive.config.bus import CanBus
+from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.recording.reader import Session, read_session
 from tests.support import (
     MosquittoLauncher,
     Process,
     complete_lines,
     logged_events,
-    prefer,
-    serve_promptly,
     start_process,
     stop_process,
 )
@@ -35,12 +44,15 @@ T = TypeVar("T")
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 PATIENCE_S = 120.0
-START_PATIENCE_S = 240.0
-"""Interpreter and numeric libraries of a process, where five others start at the same time."""
-
-PATIENT_DRIVE = ("--command-timeout", "1.0")
-"""Options of a simulated drive that must not stop by itself while the machine runs others."""
 POLL_S = 0.02
+PATIENT = {
+    "interlocks.stale_s": "2.0",
+    "interlocks.start_s": "5.0",
+    "interlocks.stop_s": "5.0",
+    "interlocks.precharge_timeout_s": "60.0",
+    "bus.command_timeout_s": "5.0",
+}
+"""The longest limits that a file may state: a machine that is busy with others trips no drive."""
 
 QUICK_MOTOR = {
     "load.period_s": "0.25",
@@ -62,22 +74,28 @@ def until(find: Callable[[], T | None], what: str, patience_s: float = PATIENCE_
     raise AssertionError(f"not within {patience_s:g} s: {what}")
 
 
-def motor_configuration(broker_port: int, bus_port: int, changes: Mapping[str, str]) -> str:
-    """The example configuration on other ports.
+def motor_configuration(
+    broker_port: int, bus_port: int, changes: Mapping[str, str], example: str = "motor"
+) -> str:
+    """An example configuration on other ports, with a drive that is called motor.
 
     Args:
         broker_port: Where the broker listens.
         bus_port: Port of the bus.
-        changes: Values in TOML by `section.key`.
+        changes: Values in TOML by `section.key`, empty for a key that keeps its value.
+        example: Name of the file, without its suffix.
     """
-    settings = {
-        "bus.udp_port": str(bus_port),
-        "bus.database": f'"{EXAMPLES / "adaptdrive.dbc"}"',
-        "mqtt.port": str(broker_port),
-        **changes,
-    }
-    lines = (EXAMPLES / "motor.toml").read_text(encoding="utf-8").splitlines()
+    text = (EXAMPLES / f"{example}.toml").read_text(encoding="utf-8")
+    settings = {"drive.name": '"motor"', "mqtt.port": str(broker_port), **changes}
+    for key in ("database", "eds"):
+        if found := re.search(rf'^{key} = "(.*)"', text, re.MULTILINE):
+            settings.setdefault(f"bus.{key}", f'"{EXAMPLES / found[1]}"')
+    if port := re.search(r"^(udp_port|port) = ", text.partition("[mqtt]")[0], re.MULTILINE):
+        settings.setdefault(f"bus.{port[1]}", str(bus_port))
+    lines = text.splitlines()
     for place, value in settings.items():
+        if not value:
+            continue
         section, _, key = place.rpartition(".")
         lines = _with_setting(lines, f"[{section}]", key, value)
     return "\n".join(lines) + "\n"
@@ -123,13 +141,14 @@ class Ear:
 
     def on(self, name: str) -> list[Heard]:
         """All that was heard on a topic of the drive."""
-        return [heard for heard in self._messages() if heard.topic == f"adaptdrive/motor/{name}"]
+        return [heard for heard in self.messages() if heard.topic == f"adaptdrive/motor/{name}"]
 
     def next_on(self, name: str, after: int) -> Heard:
         """Wait for a message after so many others."""
         return until(lambda: self.on(name)[after:], f"a message on {name}")[0]
 
-    def _messages(self) -> Iterator[Heard]:
+    def messages(self) -> Iterator[Heard]:
+        """All that was heard."""
         for line in complete_lines(self._log):
             parts = line.split("\t", 2)
             if len(parts) == 3:
@@ -154,6 +173,7 @@ class Site:
     broker_port: int
     bus_port: int
     changes: dict[str, str] = field(default_factory=dict)
+    example: str = "motor"
     environment: dict[str, str] = field(default_factory=dict)
     broker: Process | None = None
     device: Process | None = None
@@ -163,7 +183,12 @@ class Site:
         self._stack = contextlib.ExitStack()
         self._numbers = itertools.count(1)
         self.config = self.folder / "motor.toml"
-        text = motor_configuration(self.broker_port, self.bus_port, self.changes)
+        self.write()
+
+    def write(self, changes: Mapping[str, str] | None = None) -> None:
+        """Write the configuration, with other changes where they are given."""
+        given = self.changes if changes is None else changes
+        text = motor_configuration(self.broker_port, self.bus_port, given, self.example)
         self.config.write_text(text, encoding="utf-8")
 
     # -- processes ---------------------------------------------------------------------------
@@ -178,17 +203,16 @@ class Site:
     def start_device(self, *options: str) -> None:
         """Start the simulated drive; it looks for the broker that takes disturbances."""
         broker = ("--broker", f"127.0.0.1:{self.broker_port}")
-        self.device = self._start(
+        self.device = self.start_process(
             "device.log", "-m", "adaptdrive_sim", "device", self.config, *broker, *options
         )
         device = self.device
 
         def serves() -> bool:
-            assert device.poll() is None, self._read("device.log")
-            return "simulated drive" in self._read("device.log")
+            assert device.poll() is None, self.read("device.log")
+            return "simulated drive" in self.read("device.log")
 
-        until(serves, "the drive is on the bus", START_PATIENCE_S)
-        prefer(device)
+        until(serves, "the drive is on the bus", PATIENCE_S)
 
     def start_daemon(self, *launcher: str) -> None:
         """Start the daemon and wait until it is on the broker.
@@ -198,10 +222,8 @@ class Site:
         """
         known = len(self.ear.on("availability"))
         words = ("-m", "adaptdrive.cli", "run", self.config)
-        self.daemon = self._start("daemon.log", *words, launcher=launcher)
+        self.daemon = self.start_process("daemon.log", *words, launcher=launcher)
         self.await_availability("online", after=known)
-        prefer(self.daemon)
-        self._prefer_recorders()
 
     def start(self, *device_options: str) -> None:
         """Start everything."""
@@ -210,7 +232,7 @@ class Site:
         self.start_daemon()
         self.await_measurement()
 
-    def _start(self, log: str, *words: str | Path, launcher: Sequence[str] = ()) -> Process:
+    def start_process(self, log: str, *words: str | Path, launcher: Sequence[str] = ()) -> Process:
         environment = os.environ | {"STATE_DIRECTORY": str(self.folder)} | self.environment
         with (self.folder / log).open("ab") as output:
             process = subprocess.Popen(
@@ -235,7 +257,6 @@ class Site:
     def stop_daemon(self) -> int:
         """Ask the daemon to end; its exit status."""
         assert self.daemon is not None
-        self._prefer_recorders()  # again: they step aside when they have started
         self.daemon.terminate()
         return self.daemon.wait(timeout=PATIENCE_S)
 
@@ -266,9 +287,10 @@ class Site:
         identity = f"{verb}-{next(self._numbers)}"
         payload = json.dumps({"id": identity, "value": value, **fields})
         publish(self.broker_port, f"adaptdrive/motor/command/{verb}", payload)
-        return until(lambda: self._reply(identity), f"a reply to {payload}")
+        return until(lambda: self.reply_to(identity), f"a reply to {payload}")
 
-    def _reply(self, identity: str) -> dict[str, Any] | None:
+    def reply_to(self, identity: str) -> dict[str, Any] | None:
+        """The reply to a command, None until it comes."""
         replies = [heard.content for heard in self.ear.on("reply")]
         return next((reply for reply in replies if reply["id"] == identity), None)
 
@@ -290,9 +312,9 @@ class Site:
         broker = ("--broker", f"127.0.0.1:{self.broker_port}")
         command = [sys.executable, "-m", "adaptdrive_sim", "disturb", "motor", *words, *broker]
         until(
-            lambda: subprocess.run(command, check=False, timeout=START_PATIENCE_S).returncode == 0,
+            lambda: subprocess.run(command, check=False, timeout=PATIENCE_S).returncode == 0,
             f"the drive is disturbed: {' '.join(words)}",
-            START_PATIENCE_S,
+            PATIENCE_S,
         )
 
     @property
@@ -322,7 +344,7 @@ class Site:
             heard = self.ear.on("availability")[after:]
             return bool(heard) and heard[-1].payload == wanted
 
-        until(find, wanted, START_PATIENCE_S)
+        until(find, wanted, PATIENCE_S)
 
     def await_measurement(self) -> None:
         """Wait until a report that is still to come has a fresh measurement."""
@@ -330,7 +352,8 @@ class Site:
 
         def find() -> bool:
             heard = self.ear.on("telemetry/drive")[known:]
-            return bool(heard) and (heard[-1].content["age_s"] or 1.0) < 0.05
+            age_s = heard[-1].content["age_s"] if heard else None
+            return age_s is not None and age_s < 1.0
 
         until(find, "a fresh measurement")
 
@@ -342,12 +365,12 @@ class Site:
 
     @property
     def daemon_log(self) -> str:
-        return self._read("daemon.log")
+        return self.read("daemon.log")
 
     def session_folder(self, number: int = -1) -> Path:
         """Return a recorded session, by default the last one; of a daemon that ended, all of it."""
         if self.daemon is None or self.daemon.poll() is not None:
-            until(lambda: not self._recorders(), "the recorder has written the rest")
+            until(lambda: not self.recorders(), "the recorder has written the rest")
         return sorted(self._sessions.glob("[!.]*"))[number]
 
     @property
@@ -355,19 +378,14 @@ class Site:
         """Folder of the sessions, in the state folder where a test names one."""
         return Path(self.environment.get("STATE_DIRECTORY") or self.folder) / "sessions"
 
-    def _prefer_recorders(self) -> None:
-        """Let the recorder write what is left within the 2 s that the daemon waits at its end."""
-        for recorder in self._recorders():
-            serve_promptly(int(recorder.name))
-
-    def _recorders(self) -> list[Path]:
+    def recorders(self) -> list[int]:
         """Processes that write the sessions of this site."""
         mark = os.fsencode(self._sessions)
         found = []
         for words in Path("/proc").glob("[0-9]*/cmdline"):
             with contextlib.suppress(OSError):
                 if mark in words.read_bytes().split(b"\0"):
-                    found.append(words.parent)
+                    found.append(int(words.parent.name))
         return found
 
     def session(self) -> Session:
@@ -382,7 +400,8 @@ class Site:
             command, check=False, capture_output=True, text=True, timeout=3 * PATIENCE_S
         )
 
-    def _read(self, name: str) -> str:
+    def read(self, name: str) -> str:
+        """What a log of the folder holds by now."""
         path = self.folder / name
         return path.read_text(encoding="utf-8") if path.exists() else ""
 
@@ -395,3 +414,104 @@ def _end(process: Process) -> None:
     with contextlib.suppress(ProcessLookupError):
         process.send_signal(signal.SIGCONT)
     stop_process(process)
+
+
+@dataclass(frozen=True)
+class Commanded:
+    """One command frame."""
+
+    time_s: float
+    current_scale_S: float
+    bridge: bool
+
+    @property
+    def safe(self) -> bool:
+        return self.current_scale_S == 0.0 and not self.bridge
+
+
+class BusEar:
+    """Listens to the bus of a site while it is open."""
+
+    def __init__(self, config: Path) -> None:
+        bus = load_configuration(config).bus
+        assert isinstance(bus, CanBus)
+        self._bus = open_bus(bus)
+        self._frames: list[tuple[float, can.Message]] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._listen)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._bus.shutdown()
+
+    def _listen(self) -> None:
+        while not self._ended.is_set():
+            frame = self._bus.recv(0.05)
+            if frame is not None:
+                self._frames.append((time.monotonic(), frame))
+
+    def commands(self) -> list[Commanded]:
+        """All commands so far."""
+        database = cantools.database.load_file(EXAMPLES / "adaptdrive.dbc")
+        assert isinstance(database, Database)
+        message = database.get_message_by_name("DriveCommand")
+        found = []
+        for time_s, frame in list(self._frames):
+            if frame.arbitration_id == message.frame_id:
+                values = message.decode(bytes(frame.data), decode_choices=False)
+                assert isinstance(values, dict)
+                scale = float(values["CurrentScale"])  # type: ignore[arg-type]
+                found.append(Commanded(time_s, scale, values["BridgeEnable"] == 1))
+        return found
+
+
+class NotifySocket:
+    """The service manager's end; notes what it hears and when."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.heard: list[tuple[float, str]] = []
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        self._socket.settimeout(0.05)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def _listen(self) -> None:
+        while not self._ended.is_set():
+            try:
+                message = self._socket.recv(4096).decode()
+            except TimeoutError:
+                continue
+            self.heard.append((time.monotonic(), message))
+
+    @property
+    def messages(self) -> list[str]:
+        return [message for _, message in self.heard]
+
+    @property
+    def fed(self) -> int:
+        return self.messages.count("WATCHDOG=1")
+
+    def catch_up(self) -> None:
+        """Wait until all that was sent before has been noted: datagrams keep their order."""
+        known = self.messages.count("CAUGHT_UP=1")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
+            own.sendto(b"CAUGHT_UP=1", str(self.path))
+        until(lambda: self.messages.count("CAUGHT_UP=1") > known, "the socket has been read")
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._socket.close()

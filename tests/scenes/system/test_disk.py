@@ -11,13 +11,12 @@ import pytest
 
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import Dropped, Ending, session_directories
-from tests.scenes.system.bus_ear import BusEar
-from tests.scenes.system.conftest import MakeSite
+from tests.scenes.conftest import MakeSite
 from tests.scenes.system.own_disk import mounted, run_privileged, stalled
-from tests.scenes.system.site import PATIENT_DRIVE, Site, until
+from tests.scenes.system.site import BusEar, Site, until
 from tests.support import slow_disk
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.proof
 
 FAULT_S = 3.0
 SLOW_FSYNC_S = 5.0
@@ -67,7 +66,7 @@ def test_the_drive_runs_on_and_recording_resumes(
 ) -> None:
     site = make_site()
     site.environment["STATE_DIRECTORY"] = str(disk)
-    site.start("--initial-voltage", "280", *PATIENT_DRIVE)
+    site.start("--initial-voltage", "280")
     site.run_drive()
     folder = newest(disk / "sessions")
     until(lambda: read_session(folder).ticks.num_rows > 120, "ticks are recorded")
@@ -92,37 +91,10 @@ def test_the_drive_runs_on_and_recording_resumes(
         assert any("recording continues" in detail for detail in said), said
 
 
-def test_a_state_disk_that_becomes_read_only_ends_nothing(make_site: MakeSite, disk: Path) -> None:
-    """An access to such a disk through mapped memory would end the process."""
-    site = make_site()
-    site.environment["STATE_DIRECTORY"] = str(disk)
-    site.start("--initial-voltage", "280", *PATIENT_DRIVE)
-    site.run_drive()
-    with read_only(disk):
-        for number in range(10):
-            site.demand("setpoint", 3.0 + 0.01 * number)
-    ticks = site.ear.on("telemetry/drive")[-1].content["ticks"]
-    folder = newest(disk / "sessions")
-    until(lambda: read_session(folder).ticks.num_rows > ticks, "recording resumes", RESUMED_S)
-    assert site.state["state"] == "running"
-    assert site.stop_daemon() == 0
-
-
-def test_a_trip_reaches_the_broker_while_the_disk_hangs(make_site: MakeSite, disk: Path) -> None:
-    site = make_site()
-    site.environment["STATE_DIRECTORY"] = str(disk)
-    site.start("--initial-voltage", "280", *PATIENT_DRIVE)
-    site.run_drive()
-    with stalled(disk):
-        site.disturb("fault", "1")
-        until(lambda: "trip" in [one.content["kind"] for one in site.ear.on("event")], "the trip")
-    assert site.stop_daemon() == 0
-
-
 def test_a_slow_disk_holds_up_no_end_and_loses_no_event(make_site: MakeSite) -> None:
     site = make_site()
     site.start_broker()
-    site.start_device("--initial-voltage", "280", *PATIENT_DRIVE)
+    site.start_device("--initial-voltage", "280")
     environment = slow_disk(site.folder, SLOW_FSYNC_S)
     if environment is None:
         pytest.skip("no C compiler")

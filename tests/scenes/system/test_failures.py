@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import itertools
 import json
-import re
+import os
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
-from adaptdrive.recording.session import Ending
-from tests.scenes.system.bus_ear import BusEar
-from tests.scenes.system.conftest import MakeSite
-from tests.scenes.system.site import PATIENCE_S, Site, publish, until
-from tests.support import acting
+from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.session import Dropped, Ending
+from tests.scenes.conftest import MakeSite
+from tests.scenes.system.site import PATIENCE_S, BusEar, Site, publish, until
+from tests.support import acting, sample
 
 TICK_S = 1.0 / 120.0
-STALE_S = 0.1
-BUSY_S = 5.0
-"""What a machine with more work than processors may add to any time."""
+STALE_S = 2.0
 
 
 def test_a_killed_daemon_leaves_the_drive_safe_and_comes_back_in_standby(
@@ -30,16 +29,15 @@ def test_a_killed_daemon_leaves_the_drive_safe_and_comes_back_in_standby(
     site.start("--initial-voltage", "280")
     site.demand("mode", "adaptive")
     site.run_drive()
+    killed = site.session_folder()
+    until(lambda: "run" in stages(killed), "the run is recorded")
     site.kill(site.daemon)
+    for recorder in site.recorders():
+        os.kill(recorder, signal.SIGKILL)
     (safe,) = until(lambda: site.device_events("safe"), "the drive's safe state")
     assert safe["reason"] == "command timeout"
-    assert 100.0 <= safe["after_ms"] <= 100.0 + 1e3 * BUSY_S
     assert (safe["current_scale_S"], safe["bridge"], safe["load_current_A"]) == (0.0, False, 0.0)
     site.await_availability("offline")
-    _comes_back_in_standby(site)
-
-
-def _comes_back_in_standby(site: Site) -> None:
     with BusEar(site.config) as bus:
         site.start_daemon()
         site.await_measurement()
@@ -50,20 +48,33 @@ def _comes_back_in_standby(site: Site) -> None:
         assert all(command.safe for command in bus.commands())
         site.run_drive()
         until(lambda: bus.commands()[-1].bridge, "the bridge is commanded on")
+    until(lambda: read_session(killed).info.ended is Ending.CUT, "the session is closed")
+    session = read_session(killed)
+    assert session.ticks["sequence"].to_pylist() == list(range(session.ticks.num_rows))
+    assert "run" in stages(killed)
+
+
+def stages(folder: Path) -> list[str]:
+    """What the drive did in each recorded tick."""
+    found: list[str] = read_session(folder).ticks["stage"].to_pylist()
+    return found
 
 
 @pytest.mark.parametrize(
     "number",
-    [
-        signal.SIGHUP,
-        signal.SIGQUIT,
-        signal.SIGINT,
-        signal.SIGUSR1,
-        signal.SIGXCPU,
-        signal.SIGSTKFLT,
-        signal.SIGRTMIN,
-        signal.SIGRTMAX,
-    ],
+    sample(
+        [
+            signal.SIGHUP,
+            signal.SIGQUIT,
+            signal.SIGINT,
+            signal.SIGUSR1,
+            signal.SIGXCPU,
+            signal.SIGSTKFLT,
+            signal.SIGRTMIN,
+            signal.SIGRTMAX,
+        ],
+        1,
+    ),
 )
 def test_each_signal_that_ends_leaves_the_bridge_off(
     make_site: MakeSite, number: signal.Signals
@@ -72,14 +83,17 @@ def test_each_signal_that_ends_leaves_the_bridge_off(
     with acting(number):
         site.start("--initial-voltage", "280")
     site.run_drive()
+    ends_with_safe_commands(site, number)
+    site.await_state(state="standby")
+
+
+def ends_with_safe_commands(site: Site, number: signal.Signals) -> None:
     assert site.daemon is not None
     with BusEar(site.config) as bus:
         until(lambda: bus.commands() and bus.commands()[-1].bridge, "the bridge is commanded on")
         site.daemon.send_signal(number)
         assert site.daemon.wait(timeout=PATIENCE_S) == 0
-        farewell = bus.commands()[-3:]
-    assert all(command.safe for command in farewell)
-    site.await_state(state="standby")
+        until(lambda: all(command.safe for command in bus.commands()[-3:]), "safe commands")
 
 
 BLOCKED = (
@@ -91,6 +105,7 @@ BLOCKED = (
 """A launcher that a careless supervisor resembles: its children inherit what it blocks."""
 
 
+@pytest.mark.proof
 def test_a_daemon_whose_starter_blocked_its_signals_ends_by_them(make_site: MakeSite) -> None:
     site = make_site()
     site.start_broker()
@@ -98,11 +113,7 @@ def test_a_daemon_whose_starter_blocked_its_signals_ends_by_them(make_site: Make
     site.start_daemon(sys.executable, "-c", BLOCKED)
     site.await_measurement()
     site.run_drive()
-    with BusEar(site.config) as bus:
-        until(lambda: bus.commands() and bus.commands()[-1].bridge, "the bridge is commanded on")
-        assert site.stop_daemon() == 0
-        farewell = bus.commands()[-3:]
-    assert all(command.safe for command in farewell)
+    ends_with_safe_commands(site, signal.SIGTERM)
     assert "Unknown child process" not in site.daemon_log
 
 
@@ -110,22 +121,17 @@ def test_asked_to_end_the_daemon_says_goodbye(make_site: MakeSite) -> None:
     site = make_site()
     site.start("--initial-voltage", "280")
     site.run_drive()
-    with BusEar(site.config) as bus:
-        until(lambda: len(bus.commands()) > 20, "some commands")
-        assert site.stop_daemon() == 0
-        commands = bus.commands()
-    energised = [command for command in commands if not command.safe]
-    farewell = commands[len(energised) :]
-    assert all(command.safe for command in farewell)
-    assert len(farewell) >= 3
+    ends_with_safe_commands(site, signal.SIGTERM)
     site.await_availability("offline")
     site.await_state(state="standby")
     session = site.session()
     assert session.info.ended is Ending.ORDERLY
-    assert session.info.dropped.ticks == 0
+    assert session.info.dropped == Dropped()
+    assert session.ticks["sequence"].to_pylist() == list(range(session.ticks.num_rows))
     assert "Traceback" not in site.daemon_log
 
 
+@pytest.mark.proof
 def test_what_the_daemon_says_at_its_end_is_in_the_session(make_site: MakeSite) -> None:
     site = make_site()
     site.start("--initial-voltage", "280")
@@ -147,17 +153,13 @@ def test_what_the_daemon_says_at_its_end_is_in_the_session(make_site: MakeSite) 
 
 
 def test_a_killed_drive_trips_and_can_be_run_again_once_it_is_back(make_site: MakeSite) -> None:
-    site = make_site({"interlocks.stale_s": str(STALE_S)})
+    site = make_site()
     site.start("--initial-voltage", "280")
     site.run_drive()
     site.kill(site.device)
-    tripped = site.await_state(state="tripped")
-    age_ms = re.match(
-        r"stale: measurement is (\d+) ms old, limit 100 ms; .*no message comes",
-        tripped["trip"] or "",
-    )
-    assert age_ms is not None
-    assert 1e3 * STALE_S <= int(age_ms[1]) <= 1e3 * (STALE_S + TICK_S + BUSY_S)
+    trip = site.await_state(state="tripped")["trip"]
+    assert trip.startswith("stale: measurement is ")
+    assert "no message comes" in trip
     for verb in ("reset", "enable"):
         assert not site.ask(verb)["accepted"]
     site.start_device("--initial-voltage", "280")
@@ -192,6 +194,7 @@ def test_a_broker_that_goes_away_changes_nothing_for_the_drive(make_site: MakeSi
         site.await_availability("online")
         site.ear.next_on("telemetry/load", after=0)
         site.ear.next_on("telemetry/drive", after=0)
-        assert all(command.bridge for command in bus.commands())
+        until(lambda: bus.commands()[-1].bridge, "the drive is still commanded on")
     assert site.await_state(state="running")["trip"] is None
     site.demand("setpoint", 3.0)
+    assert site.device_events("safe") == []

@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from tests.scenes.system.bus_ear import BusEar
-from tests.scenes.system.conftest import MakeSite
-from tests.scenes.system.site import PATIENCE_S, Site, until
+from tests.scenes.conftest import MakeSite
+from tests.scenes.system.site import PATIENCE_S, BusEar, Site, until
 from tests.support import stop_process
+
+pytestmark = pytest.mark.proof
 
 _PIPE_BYTES = 4096
 _LINE_BYTES = 300
@@ -108,10 +109,3 @@ def test_a_log_that_was_closed_leaves_the_drive_controlled(piped: Piped) -> None
         piped.site.demand("disable")
     commands_go_on(piped.site)
     assert piped.site.stop_daemon() == 0
-
-
-def test_a_log_that_nobody_reads_delays_no_end(piped: Piped) -> None:
-    piped.fill()
-    assert piped.site.stop_daemon() == 0
-    piped.site.await_availability("offline")
-    os.close(piped.reader)

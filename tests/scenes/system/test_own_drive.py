@@ -1,4 +1,4 @@
-"""The quick start with a register map, followed word by word against a drive of foreign code."""
+"""docs/own-drive.md, followed word by word: with the simulator, and with a foreign drive."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ import tomlkit
 from tests.scenes.peers import fan_drive
 from tests.scenes.peers.motor import TACHOMETER_Vs
 from tests.scenes.system.site import until
-from tests.support import Broker, Process, Spawn, complete_lines, free_port, prefer, stop_process
+from tests.support import Broker, Process, Spawn, complete_lines, free_port, stop_process
+from tools.pages.first_hour import PAGE, page_with, walk
 
-PAGE = Path(__file__).parents[3] / "docs" / "own-drive.md"
+pytestmark = pytest.mark.proof
+
 REPLACED = ("heartbeat", "registers", "signals", "command")
 LONGEST_S = 900.0
-HOLD_S = 120.0
 BUSY = {"interlocks": {"stale_s": 1.0}}
 """What a machine needs that runs other tests besides."""
 
@@ -91,7 +92,6 @@ class Reader:
         program = [sys.executable, "-m", "adaptdrive.cli", words[0], str(self.config)]
         self._daemon = self._spawn("env", *self._assignments(), *program)
         until(self._measures, "a measurement", 120.0)
-        prefer(self._daemon)
 
     def _measures(self) -> bool:
         done = subprocess.run(
@@ -116,15 +116,13 @@ def drive_events(folder: Path, name: str) -> list[dict[str, float]]:
     return [event for event in found if event["event"] == name]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_a_register_map_that_is_not_ours_leads_to_adaptive_control(
     tmp_path: Path, spawn: Spawn, mosquitto: Broker
 ) -> None:
     port = free_port(socket.SOCK_STREAM)
-    drive = spawn(sys.executable, fan_drive.__file__, str(port), "2.0")
+    spawn(sys.executable, fan_drive.__file__, str(port), "2.0")
     until(lambda: drive_events(tmp_path, "ready"), "the drive", 60.0)
-    prefer(drive)
     reader = Reader(tmp_path, mosquitto, spawn)
     first, *others = commands()
     reader.follow(first)
@@ -145,6 +143,24 @@ def test_a_register_map_that_is_not_ours_leads_to_adaptive_control(
     def is_held() -> bool:
         return abs(drive_events(tmp_path, "state")[-1]["tachometer_V"] - volts) < 0.02 * volts
 
-    until(is_held, "the set-point", HOLD_S)
+    until(is_held, "the set-point")
     until(is_adaptive, "adaptive control", 240.0)
     assert is_held()
+
+
+def labels(page: str) -> list[list[str]]:
+    """First word of each line of a recorded text that does not depend on what is measured."""
+    blocks = re.findall(r"```console\n\$ adaptdrive (.*?)```", page, re.DOTALL)
+    steady = [one for one in blocks if one.startswith(("init", "check", "status"))]
+    return [[line.split()[0] for line in one.splitlines() if line.strip()] for one in steady]
+
+
+@pytest.mark.timeout(1500)
+def test_the_commands_of_the_page_lead_to_adaptive_control(tmp_path: Path) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    recorded = walk(tmp_path.resolve(), "--patience", "1")
+    anew = page_with(recorded, page)
+    assert re.search(r"pump holds [\d.]+ rad/s in mode adaptive, in force after [\d.]+ s", anew)
+    assert "controller  adaptive (asked for adaptive)" in anew
+    assert labels(anew) == labels(page)
+    assert (tmp_path / "commission.png").read_bytes().startswith(b"\x89PNG")

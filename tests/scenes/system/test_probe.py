@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 import can
 import pytest
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.hardware.link.bus import open_bus
-from tests.scenes.system.bus_ear import BusEar
-from tests.scenes.system.conftest import MakeSite
-from tests.scenes.system.site import PATIENCE_S, Site, until
-from tests.support import Process, complete_lines
+from tests.scenes.conftest import MakeSite
+from tests.scenes.system.site import PATIENCE_S, BusEar, Site, until
+from tests.support import Process
+
+pytestmark = pytest.mark.proof
 
 
 @pytest.fixture
@@ -26,7 +24,7 @@ def site(make_site: MakeSite) -> Site:
 
 
 def probe(site: Site, *options: str) -> Process:
-    return site._start("probe.log", "-m", "adaptdrive.cli", "probe", site.config, *options)
+    return site.start_process("probe.log", "-m", "adaptdrive.cli", "probe", site.config, *options)
 
 
 def test_a_probe_shows_refused_frames_and_commands_nothing(site: Site) -> None:
@@ -34,39 +32,25 @@ def test_a_probe_shows_refused_frames_and_commands_nothing(site: Site) -> None:
     assert isinstance(config, CanBus)
     with BusEar(site.config) as ear, open_bus(config) as sender:
         probe(site)
-        until(lambda: "v_bst" in site._read("probe.log"), "a reading")
+        until(lambda: "v_bst" in site.read("probe.log"), "a reading")
         for can_id, data in ((0x101, bytes(8)), (0x101, bytes(3)), (0x345, b"\x12\x34")):
             sender.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
-        until(lambda: "0x345" in site._read("probe.log"), "the refused frames")
+        until(lambda: "0x345" in site.read("probe.log"), "the refused frames")
         assert ear.commands() == []
-    shown = site._read("probe.log")
+    shown = site.read("probe.log")
     assert "refused 0x101 (DriveLoad): wrong_checksum 1 x, last [00 00 00 00 00 00 00 00]" in shown
     assert "refused 0x101 (DriveLoad): wrong_length 1 x, last [00 00 00]" in shown
     assert "refused 0x345: no entry of [signals] is taken from this id, 1 x, last [12 34]" in shown
 
 
-def test_a_probe_for_programs_prints_a_reading_on_each_line(site: Site) -> None:
-    probe(site, "--json")
-
-    def found() -> list[dict[str, Any]]:
-        lines = complete_lines(site.folder / "probe.log")
-        shown = [json.loads(line) for line in lines if line.startswith("{")]
-        return [one for one in shown if one["reading"] is not None]
-
-    reading = until(found, "a reading")[0]
-    assert reading["output"] == {"name": "speed", "unit": "V"}
-    assert reading["reading"]["boost_voltage_V"] == pytest.approx(280.0, rel=0.1)
-    assert reading["frames"]["received"] > 0
-
-
 def test_asked_to_a_probe_sends_the_safe_command_alone(site: Site) -> None:
     with BusEar(site.config) as ear:
         probe(site, "--safe-command")
-        until(lambda: "safe command: sent " in site._read("probe.log"), "an answer")
+        until(lambda: "safe command: sent " in site.read("probe.log"), "an answer")
         commands = ear.commands()
     assert len(commands) >= 30
     assert all(command.safe for command in commands)
-    assert "the drive says bridge off, fault 0x0 (before: bridge off, fault 0x0)" in site._read(
+    assert "the drive says bridge off, fault 0x0 (before: bridge off, fault 0x0)" in site.read(
         "probe.log"
     )
 
@@ -76,4 +60,4 @@ def test_a_probe_sends_nothing_beside_a_daemon(site: Site) -> None:
     refused = probe(site, "--safe-command")
     assert refused.wait(PATIENCE_S) == 1
     assert site.daemon is not None
-    assert f"is controlled by process {site.daemon.pid}" in site._read("probe.log")
+    assert f"is controlled by process {site.daemon.pid}" in site.read("probe.log")

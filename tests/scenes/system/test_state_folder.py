@@ -11,8 +11,10 @@ import pytest
 
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import session_directories
-from tests.scenes.system.conftest import MakeSite
+from tests.scenes.conftest import MakeSite
 from tests.scenes.system.site import Site, until
+
+pytestmark = pytest.mark.proof
 
 
 def events(site: Site, kind: str) -> list[str]:
@@ -74,28 +76,6 @@ def test_what_is_no_folder_of_a_log_is_named_and_delays_nothing(
     make(site.folder / "motor.log")
     site.start("--initial-voltage", "280")
     assert "motor.log" in events(site, "recording")[0]
-    runs_and_stops(site, status=4)
-
-
-@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["FIFO", "directory"])
-def test_what_is_no_file_of_a_log_is_named_and_delays_nothing(
-    make_site: MakeSite, make: Callable[[Path], None]
-) -> None:
-    site = make_site()
-    (site.folder / "motor.log").mkdir()
-    make(site.folder / "motor.log" / "00000001-20260101T000000000000Z-0001.log")
-    site.start("--initial-voltage", "280")
-    kind = "a FIFO" if make is os.mkfifo else "a directory"
-    assert f"it is {kind}, not a file" in events(site, "recording")[0]
-    runs_and_stops(site)
-
-
-def test_without_a_state_folder_it_drives_and_says_so(make_site: MakeSite) -> None:
-    site = make_site({"recording.directory": '"sessions"'})
-    (site.folder / "state").write_text("")
-    site.environment["STATE_DIRECTORY"] = str(site.folder / "state")
-    site.start("--initial-voltage", "280")
-    assert "nothing is recorded" in events(site, "state directory")[0]
     runs_and_stops(site, status=4)
 
 

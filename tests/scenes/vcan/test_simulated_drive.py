@@ -10,7 +10,7 @@ import pytest
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from tests.hardware.bench import EXAMPLES, Ear, build_port, running, until
-from tests.scenes.system.site import START_PATIENCE_S
+from tests.scenes.system.site import PATIENCE_S
 from tests.scenes.system.site import until as until_started
 from tests.scenes.vcan.peers import Link
 from tests.support import Spawn, logged_events
@@ -26,9 +26,7 @@ async def test_it_is_safe_without_its_interface_and_obeys_again_with_it(
     ear, log = Ear(), tmp_path / "process-0.log"
     words = ("--interface", "socketcan", "--channel", config.channel, "--initial-voltage", "280")
     spawn(sys.executable, "-m", "adaptdrive_sim", "device", EXAMPLES / "motor.toml", *words)
-    until_started(
-        lambda: config.channel in log.read_text(), "the simulated drive", START_PATIENCE_S
-    )
+    until_started(lambda: config.channel in log.read_text(), "the simulated drive", PATIENCE_S)
     port = build_port(config)
 
     def energised() -> bool:

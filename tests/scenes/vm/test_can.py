@@ -10,7 +10,7 @@ from tests.scenes.vm.guest_tests import ROOT, pytest_script, show
 from tests.support import has_can
 from tools.vm import machine
 
-pytestmark = [pytest.mark.slow, pytest.mark.proof]  # it needs two processors
+pytestmark = pytest.mark.proof  # it needs two processors
 
 _MARK = "mark.vcan"
 

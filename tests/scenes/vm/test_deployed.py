@@ -11,7 +11,7 @@ import pytest
 from tests.scenes.vm.guest_tests import ROOT, plain_pytest_script, show
 from tools.vm import machine
 
-pytestmark = [pytest.mark.slow, pytest.mark.proof]  # it needs two processors for ten minutes
+pytestmark = pytest.mark.proof  # it needs two processors for ten minutes
 
 HERE = Path(__file__).parent / "deployed"
 

@@ -11,13 +11,12 @@ import json
 import random
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tests.scenes.panel.browser import Panel
-from tests.scenes.panel.hostile import READ, Hostile
+from tools.benchmarks.hostile import READ, Hostile
 
 EVIL = "evil"
 """A drive without a daemon: all that is heard of it is hostile."""
@@ -121,34 +120,3 @@ def require_unhurt(panel: Panel) -> None:
 def longest_block_ms(panel: Panel) -> float:
     """The longest time for which the page's loop stood, in milliseconds."""
     return float(panel.page.evaluate("() => window.longestBlock_ms"))
-
-
-def marked(field: str) -> str:
-    """Return markup that names its field."""
-    return f"<img src=x onerror=window.attacked=1>{field}"
-
-
-NOW = "2026-11-22T00:00:00Z"
-STATE_FIELDS = ("state", "mode", "controller", "reason", "trip", "clock")
-
-
-def marked_messages() -> dict[str, dict[str, Any]]:
-    """Return a message of each topic with markup in each text that the page shows."""
-    state: dict[str, Any] = {field: marked(f"state.{field}") for field in STATE_FIELDS}
-    state |= {
-        "output": {"name": marked("output.name"), "unit": marked("output.unit")},
-        "last_trip": {"time": NOW, "text": "x", "remedy": marked("last_trip.remedy")},
-        "waveform": {"shape": marked("waveform.shape"), "low": 1, "high": 2, "period_s": 3},
-        "limits": {"setpoint": [0, 1]},
-        "modes": [marked("modes")],
-        "time": NOW,
-    }
-    estimates = {marked("estimates"): {"value": 1.0, "std": 0.1}}
-    sensors = {marked("sensors"): {"up": False, "detail": marked("sensors.detail")}}
-    event = {"kind": marked("event.kind"), "detail": marked("event.detail"), "severity": "alarm"}
-    return {
-        "state": state,
-        "telemetry/load": {"time": NOW, "estimates": estimates, "reason": marked("load.reason")},
-        "telemetry/drive": {"time": NOW, "output": 1.0, "sensors": sensors},
-        "event": {"time": NOW} | event,
-    }

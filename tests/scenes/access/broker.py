@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.support import Process, complete_lines, start_process, stop_process
+from tests.support import Process, await_listener, complete_lines, start_process, stop_process
 
-SHIPPED = Path(__file__).parents[2] / "deploy" / "mosquitto"
+SHIPPED = Path(__file__).parents[3] / "deploy" / "mosquitto"
 PEOPLE = ("operator", "viewer")
 DRIVES = ("motor", "bath")
 PATIENCE_S = 120.0
@@ -107,23 +106,11 @@ def _start(broker: GuardedBroker, program: str) -> Process:
     conf.write_text(text + "user root\n", encoding="utf-8")
     process = start_process([program, "-c", conf], folder / "mosquitto.log")
     try:
-        _await_listener(process, broker)
+        await_listener(process, broker.port, folder / "mosquitto.log")
     except BaseException:
         stop_process(process)
         raise
     return process
-
-
-def _await_listener(process: Process, broker: GuardedBroker) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline_s and process.poll() is None:
-        try:
-            socket.create_connection(("127.0.0.1", broker.port), timeout=1.0).close()
-        except OSError:
-            time.sleep(0.02)
-        else:
-            return
-    raise AssertionError((broker.folder / "mosquitto.log").read_text(encoding="utf-8"))
 
 
 class Ear:

@@ -1,4 +1,4 @@
-"""The way from `init` to adaptive control: `python -m tests.scenes.system.first_hour` records it.
+"""The way from `init` to adaptive control: `python -m tools.pages.first_hour` records it.
 
 The commands run for real, with the simulated drive of `pump.dbc`. What they print replaces the
 terminal text of docs/own-drive.md, and the figure of the measurement goes to docs/images.
@@ -23,7 +23,7 @@ from tests.pseudo_terminal import Screen
 from tests.scenes.system.site import until
 from tests.support import free_port
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "own-drive.md"
 FIGURE = ROOT / "docs" / "images" / "own-drive-load.png"
 BLOCK = re.compile(r"```console\n\$ adaptdrive ([^\n]*\bpump\b[^\n]*)\n.*?```", re.DOTALL)
