@@ -21,6 +21,7 @@ from tests.hardware.bench import Ear, until
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "motor-scpi.toml"
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.6543, bridge=True)
+ENDS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n"}
 Answer = Callable[[str], bytes | None]
 pytestmark = pytest.mark.usefixtures("memory")
 
@@ -33,6 +34,9 @@ class Supply:
         replies: By question; numbers of every measurement differ.
         spoil: Gives the bytes that answer a question in place of the reply, None for the reply.
         obeys: Whether `OUTP` does something.
+        answer: What answers a command.
+        end: End of the lines that it takes.
+        reply_end: End of its replies.
     """
 
     def __init__(self, port: int) -> None:
@@ -40,6 +44,8 @@ class Supply:
         self.commands: list[str] = []
         self.connections = 0
         self.obeys = True
+        self.answer = b""
+        self.end, self.reply_end = b"\n", b"\r\n"
         self.spoil: Answer = lambda _: None
         self.replies = {
             "MEAS:VOLT?": "+3.0012E+02",
@@ -55,8 +61,8 @@ class Supply:
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.connections += 1
         self._writers.add(writer)
-        with contextlib.suppress(ConnectionError):
-            while line := (await reader.readline()).decode().strip():
+        with contextlib.suppress(ConnectionError, asyncio.IncompleteReadError):
+            while line := (await reader.readuntil(self.end)).decode().strip():
                 writer.write(self.reply(line))
         writer.close()
 
@@ -65,9 +71,9 @@ class Supply:
             self.commands.append(line)
             if line.startswith("OUTP ") and self.obeys:
                 self.replies["OUTP?"] = str(int(line == "OUTP ON"))
-            return b""
+            return self.answer
         spoilt = self.spoil(line)
-        return f"{self.replies[line]}\r\n".encode() if spoilt is None else spoilt
+        return self.replies[line].encode() + self.reply_end if spoilt is None else spoilt
 
     def hang_up(self) -> None:
         for writer in self._writers:
@@ -101,7 +107,10 @@ async def rig(request: pytest.FixtureRequest) -> AsyncIterator[Rig]:
     supply, ear = Supply(memory.new_port()), Ear()
     tables = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
     tables["bus"] |= {"port": supply.port, "poll_ticks": 24, "timeout_s": 0.15}
-    tables["bus"] |= {"command_timeout_s": 1.0} | getattr(request, "param", {})
+    more = dict(getattr(request, "param", {}))
+    tables["bus"]["values"] |= more.pop("values", {})
+    tables["bus"] |= {"command_timeout_s": 1.0} | more
+    supply.end = ENDS[more.get("line_end", "LF")]
     tables["bus"]["values"]["limit"] = {"query": "VOLT:PROT?", "write": "VOLT:PROT {:.1f}"}
     tables["load"]["latency_ticks"], tables["interlocks"]["stale_s"] = 24, 1.0
     port = build_port(
@@ -180,6 +189,84 @@ async def test_a_supply_that_does_not_say_that_it_is_done_is_named(rig: Rig) -> 
     rig.port.send(RUN)
     missing = "no reply within 0.15 s to 'VOLT 287.654' and '*OPC?'"
     await until(lambda: any(missing in line for line in rig.port.details()))
+
+
+def error_word(**how: int) -> dict[str, object]:
+    return {"values": {"error": {"query": "SYST:ERR?", **how}}}
+
+
+@pytest.mark.parametrize(
+    ("rig", "expected"),
+    [
+        (error_word(bit=4), 1),
+        (error_word(bit=3), 0),
+        (error_word(mask=0x30), 3),
+        (error_word(mask=0x248), 0x200 >> 3),
+        (error_word(base=16), 0x234),
+    ],
+    indirect=["rig"],
+)
+async def test_words_are_read_in_any_base(rig: Rig, expected: int) -> None:
+    replies = ["0x234", "0X234", "#H234", "#q1064", "#B1000110100", '0x234,"on"']
+    plain = "234" if expected == 0x234 else "564"
+    for reply in (*replies, plain, f"+{plain}"):
+        rig.supply.replies["SYST:ERR?"] = reply
+        await rig.hears(3)
+        assert rig.ear.readings[-1].fault == expected
+        rig.supply.replies["SYST:ERR?"] = "0"
+        await rig.hears(3)
+        assert rig.ear.readings[-1].fault == 0
+
+
+ANSWERED = {
+    "clear": {"write": "*CLS", "answer": "OK"},
+    "remote": {"write": "SYST:REM", "answer": "OK"},
+    "voltage_set": {"write": "VOLT {:.3f}", "answer": "OK|=.*"},
+    "output": {
+        "query": "OUTP?",
+        "write": "OUTP {}",
+        "answer": "OK",
+        "names": {"OFF": 0, "ON": 1},
+    },
+}
+
+
+@pytest.mark.parametrize(
+    "rig", [{"values": ANSWERED, "done": done} for done in ("", "*OPC?")], indirect=True
+)
+async def test_a_setting_that_is_answered_is_taken_once_its_answer_has_come(rig: Rig) -> None:
+    rig.supply.answer = b"OK\r\n"
+    await rig.runs()
+    rig.supply.answer = b"ERR\n"
+    rig.port.send(SAFE_COMMAND)
+    refused = "'ERR' came in reply to 'VOLT 0.000'"
+    await until(lambda: any(refused in line for line in rig.port.details()))
+    assert rig.port.safe_s == math.inf
+    rig.supply.answer = b"OK\n"
+    await until(lambda: rig.port.safe_s < math.inf)
+    assert rig.supply.connections == 1
+
+
+@pytest.mark.parametrize(
+    ("rig", "reply_end"),
+    [({"line_end": "CR"}, "CR"), ({"line_end": "CR"}, "CRLF"), ({"line_end": "CRLF"}, "LF")],
+    indirect=["rig"],
+)
+async def test_lines_end_as_the_supply_has_it(rig: Rig, reply_end: str) -> None:
+    """A line feed behind the carriage return that ends a reply is no further reply."""
+    rig.supply.reply_end = ENDS[reply_end]
+    await rig.runs()
+    assert (rig.supply.connections, rig.port.statistics.timeouts) == (1, 0)
+
+
+async def test_a_reply_without_its_end_is_quoted_with_its_remedy(rig: Rig) -> None:
+    await rig.hears()
+    rig.supply.spoil = lambda line: b"45\r" if line == "MEAS:POW?" else None
+    await until(lambda: "no reply within" in rig.port.explain_age())
+    cause = f"stale: measurement is 600 ms old, limit 500 ms; {rig.port.explain_age()}"
+    came = "'45\\r' came without the end of a line, see bus.line_end"
+    assert cause.endswith(f"no reply within 0.15 s to 'MEAS:POW?'; {came}")
+    assert remedy(cause).startswith("set bus.line_end as")
 
 
 @pytest.mark.parametrize("rig", [{"setup": {"limit": 44.0}}], indirect=True)

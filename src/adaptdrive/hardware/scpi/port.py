@@ -6,12 +6,13 @@ could be that to an earlier request: the connection is given up, which no late r
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.scpi import ScpiBus
+from adaptdrive.config.scpi import ScpiBus, ScpiValue
 from adaptdrive.config.timing import Timing
 from adaptdrive.hardware.binding import Source
 from adaptdrive.hardware.bus_kind import BusKind, bus_of, polled_cautions, tcp_locks
@@ -24,6 +25,9 @@ from adaptdrive.hardware.port import Port
 
 _COMPLETE = "*OPC?"
 """Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
+
+_SHOWN_BYTES = 40
+"""Bytes of an unfinished reply that a message quotes."""
 
 
 class ScpiConnection(PolledLink):
@@ -47,7 +51,12 @@ class ScpiConnection(PolledLink):
         super().__init__(describe_supply(config), config.timeout_s, counts, clock)
         self._config = config
         registers = config.as_registers().registers
-        self._values = {one.address: (config.values[name], one) for name, one in registers.items()}
+        # a reply is the whole word: its bits are taken from the register
+        whole = {"bit": None, "mask": None}
+        self._values = {
+            one.address: (config.values[name], one.model_copy(update=whole))
+            for name, one in registers.items()
+        }
         self._replies = replies
 
     async def _connect(self) -> None:
@@ -65,25 +74,30 @@ class ScpiConnection(PolledLink):
             return await self._read(exchange.read, void)
         if exchange.write is not None:
             value, register = self._values[exchange.write.address]
-            await self._set(value.line(count(register, words)), void)
+            await self._set(value, value.line(count(register, words)), void)
         return []
 
-    async def _set(self, line: str, void: Void | None) -> None:
+    async def _set(self, value: ScpiValue, line: str, void: Void | None) -> None:
         """Send a command, and wait until the supply has done it, where it can say so."""
-        done = self._config.done
-        if not done:
+        done, lines = self._config.done, [line]
+        if value.answer is not None:
+            reply = await self._ask(lines, void)
+            if not re.fullmatch(value.answer, reply):
+                raise ExchangeError(f"{reply!r} came in reply to {line!r}")
+            lines, void = [], never  # it has been sent
+        if done:
+            reply = await self._ask([*lines, done], void)
+            if done == _COMPLETE and reply.lstrip("+") != "1":
+                raise ExchangeError(f"{reply!r} came in reply to {line!r} and {done}")
+        elif lines:
             self._ready(void)
-            self._stream.send(f"{line}\n".encode())
-            return
-        reply = await self._ask(f"{line}\n{done}", void)
-        if done == _COMPLETE and reply.lstrip("+") != "1":
-            raise ExchangeError(f"{reply!r} came in reply to {line!r} and {done}")
+            self._stream.send(self._ended(lines))
 
     async def _read(self, block: Block, void: Void | None) -> list[int]:
         """Return the registers of a value; one that is no number is NaN, or fails."""
         value, register = self._values[block.address]
         question = value.query or ""
-        reply = self._replies[question] = await self._ask(question, void)
+        reply = self._replies[question] = await self._ask([question], void)
         try:
             return encode_count(register, value.number(reply))
         except ValueError as problem:
@@ -95,32 +109,41 @@ class ScpiConnection(PolledLink):
         Raises:
             ExchangeError: They did, or the request is not wanted any more.
         """
-        if self._stream.received:
+        if self._stream.received.strip():
             self._counts["foreign"] += 1
             self.suspect()
         self._begin(void)
 
-    async def _ask(self, line: str, void: Void | None) -> str:
-        """Send a line, and return the line that answers it.
+    async def _ask(self, lines: list[str], void: Void | None) -> str:
+        """Send lines, and return the line that answers the last one.
 
         Raises:
             ExchangeError: There is none.
         """
         self._ready(void)
         stream = self._stream
-        reply = await self._reply(f"{line}\n".encode(), _first_line)
+        reply = await self._reply(self._ended(lines), self._first_line)
         if reply is None:
-            asked = " and ".join(map(repr, line.split("\n")))
+            asked = " and ".join(map(repr, lines)) + self._unfinished()
             self.lost = self.lost or f"no reply within {self._timeout_s:g} s to {asked}"
             raise ExchangeError(self.lost)
         stream.received = stream.received[len(reply) :]
         self._counts["received"] += 1
         return reply.decode("ascii", "replace").strip()
 
+    def _ended(self, lines: list[str]) -> bytes:
+        """Return lines as they are sent."""
+        return b"".join(line.encode() + self._config.end for line in lines)
 
-def _first_line(received: bytes) -> bytes | None:
-    line, end, _ = received.partition(b"\n")
-    return line + end if end else None
+    def _first_line(self, received: bytes) -> bytes | None:
+        line, end, _ = received.partition(self._config.end[-1:])
+        return line + end if end else None
+
+    def _unfinished(self) -> str:
+        """Quote what came of a reply without its end."""
+        came = self._stream.received
+        shown = came[:_SHOWN_BYTES].decode("ascii", "replace") + "…" * (len(came) > _SHOWN_BYTES)
+        return f"; {shown!r} came without the end of a line, see bus.line_end" if came else ""
 
 
 def describe_supply(config: ScpiBus) -> str:
