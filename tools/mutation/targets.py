@@ -116,7 +116,10 @@ RECORDING: dict[str, tuple[str, ...]] = {
         "tests/operation/test_stores.py",
     ),
     "adaptdrive.recording.recorder": ("tests/recording/test_recorder.py",),
-    "adaptdrive.recording.archive": ("tests/recording/test_archive.py",),
+    "adaptdrive.recording.archive": (
+        "tests/recording/test_archive.py",
+        "tests/recording/test_recorder.py",
+    ),
     "adaptdrive.recording.session": (
         "tests/recording/test_session.py",
         "tests/recording/test_round_trip.py",
