@@ -50,6 +50,8 @@ def test_the_ramp_chain_is_the_first_order_hold_discretisation(order: int, h: fl
     a, b, _, d, _ = cont2discrete(cascade(order), h, "foh")
     held, ramp = np.array(step_gains(order, h, 1.0)), np.array(ramp_gains(order, h, 1.0))
     assert np.abs(ramp - d[:, 0]).max() < 1e-12
+    for gains in (chain_decay, step_gains, ramp_gains):  # only the ratio of the times counts
+        assert gains(order, 7.0 * h, 7.0) == pytest.approx(gains(order, h, 1.0), rel=1e-13)
     # scipy shifts the state by the ramp response to make the system a proper one
     assert np.abs((held - ramp) + (a - np.eye(order)) @ ramp + ramp - b[:, 0]).max() < 1e-12
 

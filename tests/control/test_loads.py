@@ -55,7 +55,6 @@ def test_a_motor_is_two_lags_behind_a_voltage(gain: float, motor_s: float, filte
     assert values == pytest.approx([gain, motor_s + filter_s, motor_s * filter_s])
     assert load.names == ("gain", "tau_sum_s", "tau_product_s2")
     assert (load.input_gain, load.input_exponent) == (1.0, 1)
-    assert load.charging is None
 
 
 @given(resistance=SIZES, tau_s=SIZES, ratio=SIZES, droop=SIZES, heater=SIZES)

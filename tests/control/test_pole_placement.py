@@ -89,6 +89,7 @@ def test_it_is_the_papers_compensator_with_its_coefficients_corrected(
 def test_for_a_first_order_load_it_is_the_bath_compensator(a1: float, b1: float, m: float) -> None:
     r, s = place_poles([1.0, a1], [0.0, b1], desired_polynomial(m, 2))
     assert r == [1.0, -1.0]
+    assert desired_polynomial(m, 2) == pytest.approx([1.0, -2.0 * m, m * m], rel=1e-14)
     assert s == pytest.approx([(1.0 - 2.0 * m - a1) / b1, (m * m + a1) / b1], rel=1e-9, abs=1e-9)
 
 
