@@ -286,14 +286,12 @@ async def test_a_loss_in_the_queue_is_told_in_the_session(
 async def test_a_loss_during_a_stall_until_the_end_is_told(sessions: Path, disk: Disk) -> None:
     async with recording(sessions, backlog_bytes=TIGHT) as bench:
         await bench.publish(200)
-        stall = disk.stalled()
-        with stall:
+        with disk.stalled():
             await bench.publish(3000)
-            bench.said()
             assert bench.running is not None
             bench.running.cancel()
             await asyncio.sleep(0.1)  # the last count comes while nothing is written
-        await bench.stop()
+        await asyncio.wait([bench.running])
     lost = bench.session().info.dropped
     assert lost.ticks > 1000
     assert f"not recorded so far: {lost}" in [one.detail for one in bench.session().events]
