@@ -37,6 +37,10 @@ _EXCEPTIONS = {
 }
 """Codes by which a device says why it does not do what it was asked for (Modbus, 7)."""
 
+_NO_FUNCTION = 1
+_UNMAPPED = frozenset({2, 3})
+"""Codes by which a device refuses a read because some of its addresses hold nothing."""
+
 
 def function_of(exchange: Exchange) -> int:
     """Return the function code of a request, which its reply repeats.
@@ -107,7 +111,22 @@ def explain_exception(code: int, exchange: Exchange) -> str:
         exchange: What was asked for.
     """
     name = _EXCEPTIONS.get(code, "unknown")
-    return f"exception reply {code} to function {function_of(exchange)} ({name}), {exchange}"
+    refused = f"exception reply {code} to function {function_of(exchange)} ({name}), {exchange}"
+    return f"{refused}{_remedy(code, exchange)}"
+
+
+def _remedy(code: int, exchange: Exchange) -> str:
+    """Return the key of `[bus]` that may keep a device from refusing this, empty for none."""
+    read, write = exchange.read, exchange.write
+    if code in _UNMAPPED and read is not None and read.gap:
+        across = f"; it runs across {read.gap} addresses that no entry names"
+        return f"{across}: max_gap = {read.gap - 1} reads without them"
+    if code != _NO_FUNCTION or write is None or write.table != "holding":
+        return ""
+    if read is not None:
+        return "; bus.read_write = false writes in a request of its own"
+    other = ("multiple", _WRITE) if write.single else ("single", _WRITE_REGISTER)
+    return f"; bus.write = {other[0]!r} writes by function {other[1]}"
 
 
 class TcpFrames:

@@ -9,7 +9,7 @@ around each. On TCP the bytes cost next to nothing; the drive's turnaround is wh
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink
@@ -40,12 +40,14 @@ class Block:
         address: First address, zero-based.
         count: Number of registers.
         single: Whether it is written alone: function 5 for a coil, 6 for a register.
+        gap: Most neighbouring addresses in it that nobody wants.
     """
 
     table: Table
     address: int
     count: int
     single: bool = False
+    gap: int = field(default=0, compare=False)
 
     @property
     def end(self) -> int:
@@ -80,8 +82,9 @@ def plan_blocks(
         longest = 1 if single else max_count
         if last is not None and last.table == register.table:
             count = max(last.end, register.end) - last.address
-            if register.address - last.end <= max_gap and count <= longest:
-                blocks[-1] = replace(last, count=count)
+            gap = register.address - last.end
+            if gap <= max_gap and count <= longest:
+                blocks[-1] = replace(last, count=count, gap=max(last.gap, gap))
                 continue
         blocks.append(Block(register.table, register.address, register.words, single))
     return tuple(blocks)
