@@ -152,6 +152,16 @@ async def test_an_orderly_end_records_every_tick_up_to_the_last(sessions: Path) 
     assert bench.said() == []
 
 
+async def test_a_run_whose_drive_was_never_reached_has_no_session_whose_end_is_missing(
+    sessions: Path,
+) -> None:
+    bench = Bench(sessions)
+    bench.running = asyncio.create_task(bench.recorder.run(begin=asyncio.Event()))
+    await bench.publish(20)
+    await bench.stop()
+    assert (bench.said(), bench.recorder.complete, [*sessions.glob("*")]) == ([], True, [])
+
+
 async def test_the_first_archiver_finds_no_log_and_tells_nothing(sessions: Path) -> None:
     """The thread of the log may make its folder later than the archiver looks for it."""
     assert archive(log_of(sessions), 0.0, 10.0, lambda *_: pytest.fail("it tells")) == []

@@ -56,7 +56,7 @@ class Recorder:
     the recording is reported and changes nothing else.
 
     Attributes:
-        complete: False once the end of the session could not be recorded.
+        complete: False once the end of a session that has begun could not be recorded.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 - it joins the feed to the log
@@ -101,6 +101,7 @@ class Recorder:
             start_thread=pace.start_thread,
             backlog_bytes=pace.backlog_bytes,
         )
+        self._begun = False
         self._waiting: deque[TickReport] = deque()
         self._numbers = itertools.count(1)
         self._reported_loss = self._overflow = Dropped()
@@ -155,6 +156,7 @@ class Recorder:
             return
         if begin is not None:
             await begin.wait()
+        self._begun = True
         self._log.let_rows_in()
         await self._archiving.run()
 
@@ -238,12 +240,11 @@ class Recorder:
         self._note(self._events.drain())  # with the loss that this has told
         self._log.append(Kind.END, b"")
         written = await self._log.close(part_s)
-        sessions, made = self._place.sessions, self._archiving.directory is not None
-        self.complete = sessions is None or (written and made)
+        self.complete = not self._begun or (written and self._archiving.directory is not None)
         if not self.complete:
             why = "; ".join(filter(None, self._log.problems.values())) or "the disk does not answer"
             self._report(Severity.ALARM, f"the end of the session is not recorded: {why}")
-        elif sessions is not None:
+        elif self._begun:
             await self._close_session(part_s)
 
     async def _close_session(self, patience_s: float) -> None:
