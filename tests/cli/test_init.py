@@ -263,15 +263,22 @@ def test_what_is_true_of_the_example_alone_is_named_until_it_is_adapted(
         assert main(["check", str(path)]) == 0
         shown = capsys.readouterr()
         assert f"drive bath {end}" in shown.out
-        assert ("bus.command_timeout_s = 0.4" in shown.err) is bool(text)
+        assert ("bus.command_timeout_s = 1.0" in shown.err) is bool(text)
 
 
-def test_a_simulated_drive_gets_limits_for_a_shared_machine(tmp_path: Path) -> None:
-    """A real drive's own time-out decides; that of a simulated one is longer than any delay."""
-    assert init("bath", "--bus", "can", "--directory", tmp_path) == 0
-    shared = load_configuration(tmp_path / "bath.toml")
-    assert isinstance(shared.bus, CanBus)
-    assert (shared.interlocks.stale_s, shared.bus.command_timeout_s) == (0.5, 1.0)
+@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("load", LOADS)
+def test_a_simulated_drive_gets_limits_for_a_shared_machine(
+    load: str, bus: str, tmp_path: Path
+) -> None:
+    """A machine that others use delays a process by 0.2 s; docs/own-drive.md states the limits."""
+    assert init(load, "--bus", bus, "--directory", tmp_path) == 0
+    shared = load_configuration(tmp_path / f"{load}.toml")
+    assert 0.5 <= shared.interlocks.stale_s <= 0.55  # that of a serial line
+    assert isinstance(shared.bus, CanOpenBus) or shared.bus.command_timeout_s == 1.0
+
+
+def test_a_drive_that_is_described_gets_the_limits_of_a_real_bus(tmp_path: Path) -> None:
     database = EXAMPLES / "inverter.dbc"
     assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 0
     assert load_configuration(tmp_path / "motor.toml").interlocks.stale_s < 0.1

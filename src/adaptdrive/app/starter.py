@@ -30,8 +30,8 @@ _TICK_S = 1.0 / 120.0
 _THREE_TICKS_S = 3.0 * _TICK_S
 _LEAST_READINGS = 10  # of a drive in one slow period
 _SHARED = (
-    ("command_timeout_s", "1.0", "of the simulated drive; a real one: its own parameter"),
-    ("stale_s", "0.5", "a shared machine is late by this much; on a real bus 0.05"),
+    ("command_timeout_s", 1.0, "of the simulated drive; a real one: its own parameter"),
+    ("stale_s", 0.5, "a shared machine is late by this much; on a real bus three readings"),
 )
 _AMPERES = 'unit = "A", range = { low = -80.0, high = 80.0 } }'
 _OUTPUTS: Mapping[str, str] = {
@@ -92,8 +92,9 @@ def compose(load: LoadName, bus: BusName, name: str, bus_part: str | None = None
             _with_stale_limit(load_text[load_text.index("[interlocks]") :], bus_text, stride),
         )
     )
-    text = marked(_for_a_shared_machine(text))
-    return Starter(text, None, b"") if bus_part else _starter(text, "examples")
+    if bus_part:
+        return Starter(marked(text), None, b"")
+    return _starter(marked(_for_a_shared_machine(text)), "examples")
 
 
 def device_names() -> list[str]:
@@ -158,14 +159,14 @@ def _starter(text: str, folder: str) -> Starter:
 
 
 def _for_a_shared_machine(text: str) -> str:
-    """Return a configuration whose drive is simulated on this machine with limits that fit it.
+    """Return the configuration of the reference drive, which is simulated, with limits that fit.
 
-    A real drive on a real bus has the limits of the examples.
+    A real drive on a real bus has the limits of the examples, and longer ones stay.
     """
-    if '\ninterface = "udp_multicast"' not in text:
-        return text
     for key, value, remark in _SHARED:
-        text = _with(text, key, value, remark)
+        stated = re.search(rf"(?m)^{key} = ([\d.]+)", text)
+        if stated and float(stated[1]) < value:
+            text = _with(text, key, str(value), remark)
     return text
 
 

@@ -172,11 +172,15 @@ def _choose(
     load: LoadName, known: list[Candidate], without: Collection[str] = (), *, ask: bool | None
 ) -> Choices:
     wanted = {"output": OUTPUTS.get(load, NO_PROPOSAL), **QUANTITIES}
-    return {
+    chosen = {
         quantity: _confirm(quantity, _proposed(quantity, one, known, ask=ask), known, ask=bool(ask))
         for quantity, one in wanted.items()
         if quantity not in without
     }
+    left_out = ", ".join(quantity for quantity, one in chosen.items() if one is None)
+    if left_out and not ask:
+        print(f"left out, as no signal of the file means it: {left_out}")
+    return chosen
 
 
 def _proposed(

@@ -9,15 +9,16 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-_VOLT = "V mV kV"
-_WATT = "W kW"
+_VOLT, _WATT, _AMPERE = "V mV kV", "W kW", "A mA kA"
+_VOLTAGE, _POWER, _CURRENT = "voltage volt u v", "power p", "current i"
 
-_NAME_POINTS = 2  # one word that names a quantity outweighs one that contradicts it
 _UNIT_POINTS = 3  # a unit counts more than one word of a name
+_NAME_POINTS = 2  # a word that names the quantity counts more than one that goes with it
 _LEAST_BITS = 8  # shorter values are flags and states, no quantities
 
+_LIMITS = "limit max min"
 _OF_THE_BUS = "node id baud address version lockout discharge"
-_OPPOSITES = f"{_OF_THE_BUS} disable disabled inhibit off not"
+_OPPOSITES = f"{_OF_THE_BUS} disable disabled inhibit off not fault error alive crc mode reset"
 
 _ON = ("run", "on", "enabled", "enable", "operation", "active", "start")
 _OFF = ("stop", "off", "disabled", "disable", "standby", "idle", "ready")
@@ -60,46 +61,64 @@ class Candidate:
 class Wanted:
     """Units and names by which a quantity is recognised in foreign descriptions.
 
-    Blanks separate words and units.
+    Blanks separate words and units. The own name of a signal decides, without that of its message
+    or record: what stands in `Status` is no state for that.
 
     Attributes:
-        words: Parts of a name that count for it.
-        against: Parts of a name that count against it.
+        words: Parts of a name that mean the quantity; one of them is needed.
+        against: Parts of a name that mean something else.
         units: Units of which it must have one; none for a value without a unit.
-        never: Parts of a name that no such value has.
+        kind: Parts of a name of which a value without a unit needs one in place of it.
+        beside: Parts of a name, or of that of its message, that often go with it.
+        named: Parts of a name that mean it where a named value of it means on.
         commanded: True for a value that the daemon sends.
     """
 
     words: str
     against: str = ""
     units: str = ""
-    never: str = ""
+    kind: str = ""
+    beside: str = ""
+    named: str = ""
     commanded: bool = False
 
 
 QUANTITIES: Mapping[str, Wanted] = {
-    "boost_voltage_V": Wanted("boost bst dc link zwk cap bus", "set ref line mains", _VOLT),
-    "line_voltage_V": Wanted("line mains grid netz ac supply", "dc boost link", _VOLT),
-    "load_power_W": Wanted("power load out p", "limit max", _WATT),
-    "counter": Wanted("half cycle count tick", "alive crc hours"),
-    "fault": Wanted("fault error alarm trip", "crc alive"),
-    "bridge": Wanted("bridge run state status enabled on", "fault alive crc", "", _OPPOSITES),
-    "command.current_scale_S": Wanted("current scale k conductance", units="S", commanded=True),
+    "boost_voltage_V": Wanted(
+        "boost bst dc link zwk cap bus", f"set ref line mains {_LIMITS}", _VOLT, _VOLTAGE
+    ),
+    "line_voltage_V": Wanted(
+        "line mains grid netz ac supply", f"dc boost link {_LIMITS}", _VOLT, _VOLTAGE
+    ),
+    "load_power_W": Wanted(
+        "power load p", f"{_LIMITS} supply voltage current", _WATT, _POWER, "load out"
+    ),
+    "counter": Wanted("half cycle count tick", "alive crc hours error fault"),
+    "fault": Wanted("fault error alarm trip", "crc alive reset"),
+    "bridge": Wanted("bridge run enable on", f"{_OPPOSITES} relay lamp", named="state status"),
+    "command.current_scale_S": Wanted(
+        "current scale k conductance", units="S", kind="scale k conductance", commanded=True
+    ),
     "command.boost_reference_V": Wanted(
-        "boost dc link voltage set ref", "line mains", _VOLT, _OF_THE_BUS, commanded=True
+        "boost dc link voltage", f"line mains {_OF_THE_BUS}", _VOLT, _VOLTAGE, "set ref",
+        commanded=True,
     ),
     "command.bridge": Wanted(
-        "bridge enable run request start", "alive crc page mode", "", _OPPOSITES, commanded=True
+        "bridge enable run start", f"{_OPPOSITES} page", named="request state", commanded=True
     ),
-}
+}  # fmt: skip
 
 NO_PROPOSAL = Wanted("")
 """Fits no candidate: the output of a load that `OUTPUTS` does not describe is left to its user."""
 
+_SPEED = "speed tach rpm n omega velocity"
+
 OUTPUTS: Mapping[str, Wanted] = {
-    "motor": Wanted("speed tach rpm n act omega", units="rpm rad/s V Hz"),
-    "bath": Wanted("temp bath water t", "heatsink igbt", "K degC degF"),
-    "battery": Wanted("current batt out i", "line limit", "A mA kA"),
+    "motor": Wanted(_SPEED, f"set ref {_LIMITS}", "rpm rad/s V Hz", _SPEED, "act"),
+    "bath": Wanted("temp bath water t", "heatsink igbt motor fet board", "K degC degF", "temp"),
+    "battery": Wanted(
+        "current batt i", f"line mains ac input motor {_LIMITS}", _AMPERE, _CURRENT, "batt out"
+    ),
 }
 
 
@@ -124,23 +143,30 @@ def is_doubtful(wanted: Wanted, proposed: tuple[Candidate, ...]) -> bool:
 
 def _points(wanted: Wanted, candidate: Candidate) -> int:
     """Return the score of a candidate; 0 for one that it cannot be."""
-    if candidate.commanded is not wanted.commanded:
+    own, all_parts = _parts(candidate.words.rpartition(".")[2]), _parts(candidate.words)
+    named = _spoken(wanted.words, own) + (candidate.on is not None and _spoken(wanted.named, own))
+    if not named or candidate.commanded is not wanted.commanded or _spoken(wanted.against, own):
         return 0
-    if candidate.unit and candidate.unit not in wanted.units.split():
+    known = candidate.unit in wanted.units.split() if candidate.unit else _has_kind(wanted, own)
+    if not known or (wanted.units and candidate.bits < _LEAST_BITS):
         return 0
-    parts = _parts(candidate.words)
-    short = bool(wanted.units) and candidate.bits < _LEAST_BITS
-    if short or any(word in parts for word in wanted.never.split()):
-        return 0
-    named = sum(1 for word in wanted.words.split() if _speaks(word, parts))
-    against = sum(1 for word in wanted.against.split() if _speaks(word, parts))
     fits = _UNIT_POINTS if candidate.unit else 0
-    return max(0, fits + _NAME_POINTS * named - against) if named else 0
+    return fits + _NAME_POINTS * named + _spoken(wanted.beside, all_parts)
+
+
+def _has_kind(wanted: Wanted, own: set[str]) -> bool:
+    """Return whether a name says in place of a unit what kind of quantity it is."""
+    return not wanted.units or _spoken(wanted.kind, own) > 0
 
 
 def _parts(words: str) -> set[str]:
     """Return the lower-case words of names such as `BoostVoltage`, `U_DC` and `N_ACT`."""
     return {part.lower() for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", words)}
+
+
+def _spoken(words: str, parts: set[str]) -> int:
+    """Return how many of some words are parts of a name."""
+    return sum(_speaks(word, parts) for word in words.split())
 
 
 def _speaks(word: str, parts: set[str]) -> bool:

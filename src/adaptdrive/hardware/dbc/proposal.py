@@ -39,7 +39,7 @@ def _candidate(message: Message, signal: Signal, *, commanded: bool) -> Candidat
     written = "".join(one for one in signal.unit or "" if one.isprintable())
     return Candidate(
         reference=f"{message.name}.{signal.name}",
-        words=f"{message.name} {signal.name}",
+        words=f"{message.name}.{signal.name}",
         unit=known_unit(written) or written,
         range=limits,
         commanded=commanded,
