@@ -157,10 +157,10 @@ def test_an_eds_without_what_every_drive_needs_is_refused_before_a_question(
 ) -> None:
     monkeypatch.setattr("sys.stdin", Terminal(""))
     eds = tmp_path / "old.eds"
-    text = (EXAMPLES / "cia402.eds").read_text().replace("[1016", "[5016")
+    text = (EXAMPLES / "cia402.eds").read_text().replace("[1017", "[5017")
     eds.write_text(text)
     assert init("motor", "--bus", "canopen", "--eds", eds, "--directory", tmp_path) == 2
-    assert "the EDS has no object 0x1016.1" in capsys.readouterr().err
+    assert "the EDS has no object 0x1017" in capsys.readouterr().err
 
 
 def test_a_missing_signal_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
