@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import json
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -81,13 +81,12 @@ def fits_its_schema(site: Site) -> None:
 
 def gives_up(site: Site) -> None:
     """A command that its sender has given up, to a frozen daemon, is not carried out later."""
-    broker = ("--broker", f"127.0.0.1:{site.broker_port}")
-    command = [sys.executable, "-m", "adaptdrive.cli", "enable", "motor", "--timeout", "2", *broker]
-    known = len(site.ear.on("reply"))
+    expires = datetime.now(UTC) + timedelta(seconds=1.0)
+    payload = json.dumps({"id": "given up", "expires": f"{expires:%Y-%m-%dT%H:%M:%SZ}"})
     with site.stalled(site.daemon):
-        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=site.folder)
-    assert done.returncode == 3, done.stderr
-    reply = site.ear.next_on("reply", after=known).content
+        publish(site.broker_port, "adaptdrive/motor/command/enable", payload)
+        until(lambda: datetime.now(UTC) > expires, "the sender has given up")
+    reply = until(lambda: site.reply_to("given up"), "a reply")
     assert not reply["accepted"]
     assert "expired at" in reply["reason"]
     assert site.state["state"] in ("standby", "tripped")
