@@ -131,7 +131,7 @@ class ScpiBus(PolledBus, TcpHost):
 
     @property
     def end(self) -> bytes:
-        """What ends a line that is sent."""
+        """End of a line that is sent."""
         return {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n"}[self.line_end]
 
     def as_registers(self) -> ModbusTcp:
