@@ -820,6 +820,8 @@ async def test_the_words_beside_a_value_that_is_not_available_are_used(
     assert (reading.whole, next_one.whole, next_one.oldest_s) == (False, True, bench.clock.now_s)
     if spoilt == "DriveStatus":
         assert without_new_values(reading, good)
+        (refused,) = bench.port.details()
+        assert "]: BoostVoltage = 655.35 V (0…655.34); a sensor of the drive" in refused
     assert bench.port.statistics.out_of_range == 1
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.dbc.mending import mended
+from adaptdrive.hardware.dbc.signals import sign_caution, signal_problem
 from adaptdrive.hardware.description import read_description
 from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.link.bus import channel_flaws
@@ -240,8 +240,10 @@ class SignalCatalogue(Catalogue[Located]):
             return None
         missing = f"message {message.name!r} has no signal"
         found = self._named(message.signals, signal, place, missing)
-        problem = _signal_problem(message, found) if found else None
+        problem = signal_problem(message, found) if found else None
         self.note(place, problem and f"signal {signal!r} {problem}")
+        if found and not problem and (caution := sign_caution(found[0])):
+            self.cautions.append(Flaw(place, f"{reference}: {caution}"))
         return Located(message, found[0]) if found and not problem else None
 
     def _named(self, known: Sequence[Named], name: str, place: str, missing: str) -> list[Named]:
@@ -358,7 +360,7 @@ def _place_remarks(
         key = str(frame_key(message.frame_id, extended=message.is_extended_frame))
         before: dict[str, tuple[Signal, int]] = {}
         for signal in message.signals:
-            problem = _signal_problem(message, [signal])
+            problem = signal_problem(message, [signal])
             bits = 0 if problem else signal_bits(signal)
             shared = (n for n, (one, own) in before.items() if own & bits and _meet(one, signal))
             problem = problem or next((f"has bits of {name!r}" for name in shared), None)
@@ -371,21 +373,6 @@ def _meet(one: Signal, other: Signal) -> bool:
     """Return whether a frame may carry two signals: it has no pages, or one has both."""
     pages = one.multiplexer_ids, other.multiplexer_ids
     return not all(pages) or one.multiplexer_ids == other.multiplexer_ids
-
-
-def _signal_problem(message: Message, found: Sequence[Signal]) -> str | None:
-    """Return why the signals of one name cannot be used, None where it is one that can."""
-    signal = found[0]
-    low, high, scale, offset = signal.minimum, signal.maximum, signal.scale, signal.offset
-    if len(found) > 1:
-        return f"is there {len(found)} times in message {message.name!r}: rename one"
-    if signal.start < 0 or signal_bits(signal) >> 8 * message.length:
-        return f"does not fit into the {message.length} bytes of message {message.name!r}"
-    if not (scale and math.isfinite(scale) and math.isfinite(offset)):
-        return f"has factor {scale:g} and offset {offset:g}"
-    if low is not None and high is not None and low > high:
-        return f"has the range [{low:g}|{high:g}], which ends below its start: state bus.ranges"
-    return None
 
 
 def cycle_time_s(message: Message) -> float:

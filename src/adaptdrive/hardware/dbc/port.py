@@ -282,7 +282,7 @@ class CanPort:
         if verdict is not FrameVerdict.COUNTER_LOST:
             self._counts[verdict] += 1
         codec = status.codec
-        self._refusals.note(codec.label, verdict, bytes(frame.data), codec.needed)
+        self._refusals.note(codec.label, verdict, bytes(frame.data), codec)
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""

@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.integrity import FrameVerdict
 
 _KINDS_HELD = 64
 """Kinds of refused frames remembered: a flood of ids must not fill the memory."""
 
 _REMEDIES = {
-    FrameVerdict.WRONG_LENGTH: "DLC {}, needed {}: the DBC describes another version "
+    FrameVerdict.WRONG_LENGTH: "DLC {0}, needed {1}: the DBC describes another version "
     "of the message",
     FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; look at the "
     "cable",
     FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
     FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
-    FrameVerdict.OUT_OF_RANGE: "a sensor of the drive is broken, or the DBC has another range",
+    FrameVerdict.OUT_OF_RANGE: "{2}; a sensor of the drive is broken, or the DBC has another sign "
+    "or range",
 }
 
 
@@ -28,7 +30,7 @@ class _Refusal:
     count: int = 0
     in_a_row: int = 0
     data: bytes = b""
-    needed: int = 0
+    codec: MessageCodec | None = None
 
 
 class Refusals:
@@ -42,21 +44,27 @@ class Refusals:
         """True if a frame was refused since the start."""
         return bool(self._seen)
 
-    def note(self, frame: str, verdict: FrameVerdict | None, data: bytes, needed: int = 0) -> None:
+    def note(
+        self,
+        frame: str,
+        verdict: FrameVerdict | None,
+        data: bytes,
+        codec: MessageCodec | None = None,
+    ) -> None:
         """Remember a frame that failed a check, or of an id that nothing is taken from.
 
         Args:
             frame: Its message or id.
             verdict: The check, None for an id that nothing is taken from.
             data: Its bytes.
-            needed: Number of bytes that the signals in use take.
+            codec: Codec of its message, None for such an id.
         """
         if verdict is None and frame not in self._seen and len(self._seen) >= _KINDS_HELD:
             return
         refusal = self._seen.setdefault(frame, {}).setdefault(verdict, _Refusal())
         refusal.count += 1
         refusal.in_a_row += 1
-        refusal.data, refusal.needed = data, needed
+        refusal.data, refusal.codec = data, codec
 
     def accept(self, message: str) -> None:
         """Note a good frame of a message."""
@@ -85,4 +93,7 @@ class Refusals:
 
 
 def _remedy(verdict: FrameVerdict, refusal: _Refusal) -> str:
-    return _REMEDIES[verdict].format(len(refusal.data), refusal.needed)
+    codec, data = refusal.codec, refusal.data
+    needed = 0 if codec is None else codec.needed
+    outside = codec.outside(data) if codec and verdict is FrameVerdict.OUT_OF_RANGE else ""
+    return _REMEDIES[verdict].format(len(data), needed, outside or "its alive counter")

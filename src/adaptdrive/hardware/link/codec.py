@@ -208,6 +208,24 @@ class MessageCodec:
             return Decoded(decoded.verdict, lost=decoded.lost)
         return decoded
 
+    def outside(self, data: bytes) -> str:
+        """Return the values of a frame that are out of range, each with its range.
+
+        Args:
+            data: The bytes of a frame that was refused for that.
+        """
+        try:
+            raw = self._unpack(data[: self.length].ljust(self.length, b"\xff"))
+        except DecodeError:
+            return "a page that the DBC does not have"
+        found = ((one, raw[one.name]) for one in self._wanted if one.name in raw)
+        return ", ".join(
+            f"{one.name} = {one.physical(value):g} {one.unit}".rstrip()
+            + f" ({one.ends[0]:g}…{one.ends[1]:g})"
+            for one, value in found
+            if one.value(value) is None
+        )
+
     def reset(self) -> None:
         """Forget the alive counter received last; the next frame starts anew."""
         self._alive.reset()
