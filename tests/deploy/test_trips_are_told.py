@@ -21,7 +21,6 @@ RETURNING = {"find_cause", "_unhealthy", "_exceeded", "complaint"} | {
     "_watch",
     "_departure",
     "precharge_cause",
-    "rate_cause",
     "_low",
     "_fallen",
 }

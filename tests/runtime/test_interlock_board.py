@@ -148,10 +148,39 @@ def test_the_rate_of_a_drive_that_is_the_clock_must_be_known_and_right(
     rate: FrameRate | None, *, known: bool, cause: str | None
 ) -> None:
     of = new_board(rate=rate)
-    assert of.rate_known is known
+    assert (of.rate_doubt(START_S) is None) is known
     reading = replace(CALM, arrival_s=START_S, oldest_s=START_S)
     standing = of.standing_cause(reading, START_S)
     assert standing == cause if cause is None else (standing or "").startswith(cause)
+
+
+@pytest.mark.parametrize(
+    ("pauses_ticks", "named_ms"),
+    [
+        ((), None),
+        ((3.0,), None),  # as late as a reading may be
+        ((9.0,), 70),
+        ((9.0, 20.0, 9.0), 156),
+        ((20.0, *[1.0] * 230), 156),
+        ((20.0, *[1.0] * 250), None),  # a rate is judged over 240 half cycles
+        ((20.0, *[1.0] * 250, 9.0), 70),
+    ],
+)
+@pytest.mark.parametrize("rate", [rate_of(1.0, 30), rate_of(0.8, 240)])
+def test_a_busy_machine_is_named_where_its_pauses_may_be_what_is_wrong_with_the_rate(
+    rate: FrameRate, pauses_ticks: tuple[float, ...], named_ms: int | None
+) -> None:
+    of, now_s = new_board(rate=rate), START_S
+    of.look(now_s)
+    for pause_ticks in pauses_ticks:
+        now_s += pause_ticks * TICK_S
+        of.look(now_s)
+    reading = replace(CALM, arrival_s=now_s, oldest_s=now_s)
+    said = of.rate_doubt(now_s) if rate.cause is None else of.standing_cause(reading, now_s)
+    named = f"this machine was busy: the daemon did not run for {named_ms} ms"
+    assert (named in (said or "")) is (named_ms is not None)
+    assert ("gateway" in (said or "")) is (rate.cause is None and named_ms is None)
+    assert ("line_frequency_Hz" in (said or "")) is (rate.cause is not None)
 
 
 def test_a_count_may_stand_for_as_long_as_a_reading_is_fresh() -> None:

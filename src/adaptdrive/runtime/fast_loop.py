@@ -305,9 +305,9 @@ class FastLoop:
             machine.latch(cause)
             self._stopping.watch.command(now_s)
         else:
-            known = interlocks.rate_known
+            doubt = interlocks.rate_doubt(now_s)
             voltage_V = math.nan if reading is None else reading.boost_voltage_V
-            machine.advance(self.tick, voltage_V, rate_known=known, now_s=now_s)
+            machine.advance(self.tick, voltage_V, doubt=doubt, now_s=now_s)
             if stage is _OFF and machine.stage is not _OFF:
                 self._stopping.start()
 

@@ -6,9 +6,13 @@ import math
 
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.bridge_watch import BridgeWatch
+from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlocks import find_cause
 from adaptdrive.runtime.loop_interface import FastLoopSettings
+
+_PAUSE_READINGS = 3.0
+"""Readings without an evaluation after which this process did not run: counts jump by as many."""
 
 _PRIORITY = "give the daemon priority by realtime.priority: docs/proof/realtime.md"
 
@@ -34,20 +38,34 @@ class InterlockBoard:
         self._counts = half_cycles.counts
         self._bridge = BridgeWatch(timing, reported=reported, cycle_s=cycle_s, queued=queued)
         self._watched_s = math.inf
+        self._pause_s, self._paused_s = 0.0, -math.inf
+        self._least_pause_s = _PAUSE_READINGS * timing.reading_s
+        self._judged_over_s = verdict_ticks(timing.ticks_per_reading) * timing.half_cycle_s
         self._stale_s = timing.stale_s
         self._gap_limit_s = timing.overslept_s
 
-    @property
-    def rate_known(self) -> bool:
-        """True once the rate of the drive was judged; at an unknown one it is not energised."""
-        return self._rate is None or self._rate.judged
+    def rate_doubt(self, now_s: float) -> str | None:
+        """Return why the drive's rate is not known, at which it is not energised; None once it is.
+
+        Args:
+            now_s: Monotonic time.
+        """
+        if self._rate is None or self._rate.judged:
+            return None
+        return self._busy(now_s) or (
+            "the drive's half-cycle counter jumps again and again, or its readings are too few: "
+            "look for a gateway that repeats or loses frames, and at signals.counter"
+        )
 
     def awaits_bridge(self, now_s: float) -> bool:
         """Return whether nothing that energises may be sent before the drive has reported again."""
         return self._counts.in_doubt or self._bridge.must_report(now_s - self._watched_s)
 
     def look(self, now_s: float) -> None:
-        """Note an evaluation."""
+        """Note an evaluation, and the longest time of late in which this process did not run."""
+        pause_s = now_s - self._watched_s
+        if pause_s > self._least_pause_s and (pause_s > self._pause_s or not self._busy(now_s)):
+            self._pause_s, self._paused_s = pause_s, now_s
         self._watched_s = now_s
 
     def standing_cause(self, reading: Reading | None, now_s: float) -> str | None:
@@ -59,11 +77,21 @@ class InterlockBoard:
             return cause
         standing_s, limit_s = self._rate.standing_s, self._stale_s
         if standing_s <= limit_s:
-            return self._rate.cause
+            wrong, busy = self._rate.cause, self._busy(now_s)
+            return f"{wrong}; {busy}" if wrong and busy else wrong
         return (  # the readings may be one reading, repeated
             f"half-cycle counter: the drive's count has stood for {standing_s * 1e3:.0f} ms while "
             f"frames come, limit {limit_s * 1e3:g} ms: its control hangs, or its last frame is "
             "repeated"
+        )
+
+    def _busy(self, now_s: float) -> str:
+        """Return that this process did not run while the rate was judged, empty where it did."""
+        if now_s - self._paused_s > self._judged_over_s:
+            return ""
+        return (
+            f"this machine was busy: the daemon did not run for {self._pause_s * 1e3:.0f} ms, and "
+            f"readings come late or are lost meanwhile; {_PRIORITY}"
         )
 
     def running_cause(

@@ -300,7 +300,7 @@ class Machine:
         self.state = State.STANDBY if self.stopped else State.STOPPING
 
     def advance(
-        self, tick: int, boost_voltage_V: float, *, rate_known: bool = True, now_s: float = 0.0
+        self, tick: int, boost_voltage_V: float, *, doubt: str | None = None, now_s: float = 0.0
     ) -> None:
         """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
 
@@ -310,7 +310,7 @@ class Machine:
         Args:
             tick: Present tick.
             boost_voltage_V: Boost voltage.
-            rate_known: Whether the drive's rate is known; at an unknown one no precharge begins.
+            doubt: Why the drive's rate is not known, None once it is: then the precharge begins.
             now_s: Monotonic time, by which an unknown rate is awaited.
         """
         if self.state is _RUNNING and self.mode is _MANUAL:
@@ -320,23 +320,23 @@ class Machine:
         if self.state is not _STARTING:
             return
         if not self._precharging:
-            self._precharging, self._since_tick = rate_known, tick
-            if not rate_known:
-                self._await_rate(now_s)
+            self._precharging, self._since_tick = doubt is None, tick
+            if doubt is not None:
+                self._await_rate(doubt, now_s)
         elif self._limits.is_reached(boost_voltage_V):
             self.state = State.RUNNING
             self.manual = replace(self.manual, since_tick=tick)  # nobody could renew it meanwhile
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(self._limits.precharge_cause(boost_voltage_V))
 
-    def _await_rate(self, now_s: float) -> None:
+    def _await_rate(self, doubt: str, now_s: float) -> None:
         """Trip once the rate has been unknown for too long, or its operator may be lost."""
         self._awaited_s = min(self._awaited_s, now_s)
         waited_s, limit_s = now_s - self._awaited_s, self._limits.rate_s
         if self.mode is _MANUAL and self.manual.hold_s is not None:
             limit_s = min(limit_s, self.manual.hold_s)
         if waited_s > limit_s:
-            self.latch(self._limits.rate_cause(waited_s))
+            self.latch(f"frame rate: not known {waited_s:.3g} s after the start: {doubt}")
 
     def forget_reach(self) -> None:
         """Go by the nominal model again: what a run found may not hold in the next one."""

@@ -122,14 +122,6 @@ class MachineLimits:
         held_V = min(max(self.floor_V, voltage_V), self.ceiling_V)
         return ManualVoltage(held_V, held_V, tick, self.slew_V_per_s * self.tick_s)
 
-    def rate_cause(self, waited_s: float) -> str:
-        """Return the cause of a trip in state `starting` before the precharge."""
-        return (
-            f"frame rate: not known {waited_s:.3g} s after the start: the drive's half-cycle "
-            "counter jumps again and again, or its readings are too few: look for a gateway that "
-            "repeats or loses frames, and at signals.counter"
-        )
-
     def precharge_cause(self, boost_voltage_V: float) -> str:
         """Return the cause of a trip in state `starting`, with the likeliest remedy."""
         passed_s, unit = self.starting_ticks * self.tick_s, self.manipulated.unit
