@@ -9,6 +9,7 @@ import pytest
 from adaptdrive.app.advice import advice
 from adaptdrive.app.examine import implausible
 from adaptdrive.config import load_configuration
+from tests.config.modbus_documents import parse
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 
@@ -70,3 +71,21 @@ def test_a_report_of_the_bridge_that_comes_too_seldom_is_named(
     )
     flaws = [one for one in advice(configuration) if one.place == "signals.bridge"]
     assert [one.message[: len(words)] for one, words in zip(flaws, named, strict=True)] == named
+
+
+@pytest.mark.parametrize(
+    ("framing", "timeout_s", "stale_s", "named"),
+    [
+        ("tcp", 0.05, 0.25, None),  # 1.5 polls of 0.1 s, and two lost replies
+        ("tcp", 0.06, 0.25, "0.25 s is shorter than 0.27 s"),
+        ("rtu", 0.05, 0.45, None),  # a line that is not numbered falls silent for three time-outs
+        ("rtu", 0.05, 0.44, "0.44 s is shorter than 0.45 s"),
+    ],
+)
+def test_a_stale_limit_that_two_lost_replies_reach_is_named(
+    framing: str, timeout_s: float, stale_s: float, named: str | None
+) -> None:
+    changes = {"bus__framing": f'"{framing}"', "bus__timeout_s": f"{timeout_s}"}
+    flaws = advice(parse(**changes, interlocks__stale_s=f"{stale_s}"))
+    found = [one.message for one in flaws if one.place == "interlocks.stale_s"]
+    assert [one.partition(",")[0] for one in found] == ([] if named is None else [named])

@@ -14,7 +14,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
-from adaptdrive.config.modbus import RtuLink, TcpLink
+from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
 from adaptdrive.hardware.modbus.frames import (
     SerialFrames,
     TcpFrames,
@@ -84,8 +84,7 @@ class ModbusConnection(PolledLink):
     @property
     def miss_s(self) -> float:
         """Time for which a missing reply keeps the link busy."""
-        silent_timeouts = 0.0 if self._numbered else _SILENT_TIMEOUTS
-        return (1.0 + silent_timeouts) * self._timeout_s
+        return miss_s(self._config)
 
     async def _connect(self) -> None:
         config, stream = self._config, self._stream
@@ -188,6 +187,15 @@ class ModbusConnection(PolledLink):
         """Count what no request waits for: noise, a late reply, another transaction."""
         self.suspect()
         self._counts["foreign"] += 1
+
+
+def miss_s(config: ModbusLink) -> float:
+    """Return the time in s for which a missing reply keeps a link busy.
+
+    Args:
+        config: The link.
+    """
+    return (1.0 if config.numbered else 1.0 + _SILENT_TIMEOUTS) * config.timeout_s
 
 
 def describe_bus(config: TcpLink | RtuLink) -> str:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
-from adaptdrive.config.timing import Timing
+from adaptdrive.config.timing import LATE_READINGS, Timing
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, polled_cautions, tcp_locks
 from adaptdrive.hardware.modbus.frames import are_alike
-from adaptdrive.hardware.modbus.link import ModbusConnection, describe_bus
+from adaptdrive.hardware.modbus.link import ModbusConnection, describe_bus, miss_s
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.polled.capacity import Exchange
@@ -20,6 +21,9 @@ from adaptdrive.hardware.polled.link import PolledLink
 from adaptdrive.hardware.polled.mapping import Poll, planned
 from adaptdrive.hardware.polled.port import PolledPort
 from adaptdrive.hardware.port import Port
+
+_LOST_REPLIES = 2
+"""Replies in a row that may be lost on a drive that runs."""
 
 
 class ModbusPort(PolledPort):
@@ -47,9 +51,20 @@ def _build(
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
-    """Yield what the drive's own time-out does not fit, and a report that may be an echo."""
+    """Yield what time-outs and lost replies do not fit, and a report that may be an echo."""
     yield from polled_cautions(configuration)
+    yield from _loss_cautions(_bus(configuration), configuration.timing)
     yield from _echo_cautions(_bus(configuration), configuration.signals)
+
+
+def _loss_cautions(bus: ModbusTcp | ModbusRtu, timing: Timing) -> Iterator[Flaw]:
+    """Yield one word on a drive that trips as soon as few replies are lost or late."""
+    busy_s = _LOST_REPLIES * miss_s(bus)
+    least_s = LATE_READINGS * timing.reading_s + busy_s
+    if timing.stale_s < least_s and not math.isclose(timing.stale_s, least_s):
+        parts = f"{LATE_READINGS:g} polls and the {busy_s:.4g} s of {_LOST_REPLIES} lost replies"
+        text = f"{timing.stale_s:g} s is shorter than {least_s:.4g} s, {parts} (bus.timeout_s = "
+        yield Flaw("interlocks.stale_s", f"{text}{bus.timeout_s:g}): they trip the drive")
 
 
 def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Flaw]:
