@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from adaptdrive_sim.demo.main import next_step
+
 pytestmark = pytest.mark.usefixtures("outside")
 
 ROOT = Path(__file__).parents[2]
@@ -76,3 +78,20 @@ def _add_needed(name: str, extras: tuple[str, ...], found: set[tuple[str, str]])
         if key not in found:
             found.add(key)
             _add_needed(one.name, tuple(one.extras) or ("",), found)
+
+
+def test_the_next_step_of_the_readme_works_as_typed_and_the_demonstration_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    activate = Path(sys.executable).with_name("activate")
+    if not activate.exists():
+        pytest.skip("this Python is in no virtual environment")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    assert next_step().startswith(f". {activate} ")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = re.search(r"```sh\n(\. \.venv/bin/activate .*\nadaptdrive init .*)\n", readme)
+    assert found is not None
+    typed = found[1].replace(".venv/bin/activate", str(activate))
+    subprocess.run(["sh", "-ec", typed], check=True, capture_output=True)
+    assert (tmp_path / "pump.toml").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -176,6 +177,15 @@ def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
         yield f"  once more  {program()} plot {_short(session)} --from {drawn[1]}"
     else:
         yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
+    yield f"  next       {next_step()}"
+
+
+def next_step() -> str:
+    """Return what to type for a drive of one's own, where `adaptdrive` is not known, too."""
+    activate = Path(sys.executable).with_name("activate")
+    if shutil.which("adaptdrive") is None and activate.exists():
+        return f". {_short(activate)}   # then adaptdrive is a command here: README.md goes on"
+    return f"{program()} init motor --device siemens-v20 --name pump   # README.md goes on"
 
 
 def _figure(session: Path) -> tuple[Path, int] | None:
