@@ -157,7 +157,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     half_cycle_ms = 500.0 / configuration.drive.line_frequency_Hz
-    names = sorted(sinks, key=lambda name: (name == bus.clock, name))
+    names = sorted(sinks, key=lambda name: (name == bus.clock_message, name))
     return DriveMessages(
         tuple(
             StatusMessage(
@@ -196,7 +196,7 @@ def _pages(message: Message, sinks: list[tuple[Signal, SignalSink]]) -> Iterator
 
 
 def _every_ticks(message: Message, bus: CanBus, half_cycle_ms: float) -> int:
-    if message.name == bus.clock:
+    if message.name == bus.clock_message:
         return bus.clock_ticks
     return max(1, round(1e3 * cycle_time_s(message) / half_cycle_ms))
 

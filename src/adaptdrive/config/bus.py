@@ -157,6 +157,16 @@ class CanBus(CommandWatch, CanDescription, BusSection):
     stale_cycles: float = key(3.0, span=(1.5, 10.0), allow_inf_nan=False)
 
     @property
+    def clock_message(self) -> str:
+        """Message that clocks, or one page of it."""
+        return self.clock.partition(".")[0]
+
+    @property
+    def clock_signal(self) -> str | None:
+        """Signal whose page clocks, None where each frame of the message does."""
+        return self.clock.partition(".")[2] or None
+
+    @property
     def ticks_per_reading(self) -> int:
         """Half cycles from one clocking message to the next."""
         return self.clock_ticks

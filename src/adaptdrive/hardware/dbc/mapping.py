@@ -24,7 +24,7 @@ from adaptdrive.hardware.dbc.database import (
     cycle_time_s,
     open_catalogue,
 )
-from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders
+from adaptdrive.hardware.dbc.orders import CommandFrame, are_apart, build_orders, find_orders
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
@@ -78,6 +78,7 @@ class CanMapping:
         orders: Frames of the command, in the order of sending.
         setup: Frames that are sent once, when the bus is opened.
         clock: Message whose arrival is the fast tick.
+        page: Signal whose page of that message alone is it, None for all its frames.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
         faults: Watched words of the drive, of faults and warnings.
         others: Names of its values that are no quantity.
@@ -89,6 +90,7 @@ class CanMapping:
     orders: tuple[CommandFrame, ...]
     setup: tuple[CommandFrame, ...]
     clock: str
+    page: str | None
     counter_modulus: int | None
     faults: Mapping[str, FaultWord]
     others: tuple[str, ...]
@@ -121,7 +123,9 @@ def map_drive(
     """
     catalogue = open_catalogue(bus, source)
     catalogue.warn_of_file("bus.database")
-    clock = catalogue.message(bus.clock, "bus.clock")
+    clock = catalogue.message(bus.clock_message, "bus.clock")
+    if clock is not None and bus.clock_signal and not catalogue.find(bus.clock, "bus.clock"):
+        clock = None
     bound = {one.quantity: one for one in catalogue.sources(signals.entries(), demands)}
     sources: dict[str, list[CanSource]] = {}
     for one in bound.values():
@@ -130,28 +134,45 @@ def map_drive(
         )
     orders = find_orders(catalogue, catalogue.sinks(signals.command, demands))
     setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
-    if clock is not None and clock.name not in sources:
-        catalogue.note("bus.clock", f"no entry of [signals] is taken from message {clock.name!r}")
+    if clock is not None:
+        catalogue.note("bus.clock", _clock_problem(bus, sources))
     for message in bus.polled.keys() & {**orders, **setup}:
         catalogue.note(f"bus.polled.{message}", "it carries the command: name one that is read")
-    catalogue.check_uses({"signals": sources, "signals.command": orders, "bus.setup": setup})
+    own = [
+        name
+        for name in setup
+        if name not in orders or not are_apart(catalogue.known(name), setup[name], orders[name])
+    ]
+    catalogue.check_uses({"signals": sources, "signals.command": orders, "bus.setup": own})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     counter = bound.get("counter")
+    commanded = tuple(build_orders(catalogue, bus.integrity, orders))
+    codecs = {one.codec.name: one.codec for one in commanded}
     return CanMapping(
         statuses=tuple(
             status_frame(catalogue, bus, *item, cycle_time_s(catalogue.known(item[0])))
             for item in sources.items()
         ),
-        orders=tuple(build_orders(catalogue, bus.integrity, orders)),
-        setup=tuple(build_orders(catalogue, bus.integrity, setup)),
-        clock=bus.clock,
+        orders=commanded,
+        setup=tuple(build_orders(catalogue, bus.integrity, setup, codecs)),
+        clock=bus.clock_message,
+        page=bus.clock_signal,
         counter_modulus=None if counter is None else counter_modulus(counter.field),
         faults=watched_words(bound.values()),
         others=other_names(bound.values()),
         timing=timing,
         cautions=tuple(catalogue.cautions),
     )
+
+
+def _clock_problem(bus: CanBus, sources: Mapping[str, Iterable[CanSource]]) -> str | None:
+    """Return that nothing is taken from what clocks, None where something is."""
+    signals = (f"{name}.{one.signal}" for name, found in sources.items() for one in found)
+    if bus.clock in {*sources, *signals}:
+        return None
+    what = "signal" if bus.clock_signal else "message"
+    return f"no entry of [signals] is taken from {what} {bus.clock!r}"
 
 
 def _source(
@@ -175,7 +196,7 @@ def _source(
     if timing.stale_s + slack_s > LONGEST_STALE_S:
         age = f"age for {timing.stale_s + slack_s:.4g} s, limit {LONGEST_STALE_S:g} s"
         catalogue.note(source.place, f"bus.stale_cycles lets a value of {named} {age}")
-    stated = message.name in {bus.clock, *bus.polled} or cycle_time_s(message) > 0.0
+    stated = message.name in {bus.clock_message, *bus.polled} or cycle_time_s(message) > 0.0
     return CanSource(
         quantity=source.quantity,
         signal=signal.name,
@@ -192,7 +213,11 @@ def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cy
     """Return the cycle of a signal that is in one of so many frames of a message."""
     cycle_s = cycle_time_s(message)
     clock_s = bus.clock_ticks * timing.half_cycle_s
-    if not cycle_s or (message.name == bus.clock and cycle_s <= clock_s):
+    clocks = message.name == bus.clock_message
+    page = next((one for one in message.signals if one.name == bus.clock_signal), None)
+    if clocks and page is not None:  # one comes each tick, a page within a page less often
+        return max(1, pages // _pages(message, page)) * clock_s, "bus.clock_ticks", message
+    if not cycle_s or (clocks and cycle_s <= clock_s):
         return pages * clock_s, "bus.clock_ticks", message
     return pages * cycle_s, "GenMsgCycleTime", message
 

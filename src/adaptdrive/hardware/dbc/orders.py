@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from types import MappingProxyType
 
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
@@ -82,14 +83,38 @@ def build_orders(
     catalogue: SignalCatalogue,
     integrity: Mapping[str, FrameIntegrity],
     drafts: Mapping[str, Sequence[Sink[Located]]],
+    codecs: Mapping[str, MessageCodec] = MappingProxyType({}),
 ) -> Iterator[CommandFrame]:
-    """The frames of a command, from drafts without a flaw."""
+    """The frames of a command, from drafts without a flaw.
+
+    Args:
+        catalogue: Has their messages.
+        integrity: Counters and checksums by message.
+        drafts: The values that each message carries.
+        codecs: Codecs of messages that others send, too.
+    """
     for name, draft in drafts.items():
         message = catalogue.known(name)
-        codec = MessageCodec(message, integrity.get(name))
+        codec = codecs.get(name) or MessageCodec(message, integrity.get(name))
         for fixed, carried in _frames(message, draft):
             parts = {one.item.signal.name: one for one in carried if one.factor}
             yield CommandFrame(codec, parts, fixed)
+
+
+def are_apart(
+    message: Message, setup: Sequence[Sink[Located]], command: Sequence[Sink[Located]]
+) -> bool:
+    """Return whether no frame of a set-up carries a signal of the command.
+
+    Args:
+        message: The message of both.
+        setup: What is sent once.
+        command: What is sent with each command.
+    """
+    commanded = [one.item.signal for one in command if not one.item.signal.is_multiplexer]
+    return not any(
+        is_carried(message, one, fixed) for fixed, _ in _frames(message, setup) for one in commanded
+    )
 
 
 def choices(message: Message, signals: Iterable[Signal]) -> list[Choice]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
 from functools import partial
 from typing import Any, Final
 
@@ -257,7 +257,7 @@ class CanPort:
         elif self._refusals.any:
             self._refusals.accept(status.codec.label)
         self._assembly.keep(status, decoded.values, arrival_s, whole=verdict is _GOOD)
-        if status is self._clocking:
+        if status is self._clocking and self._has_page(status, decoded.values, frame):
             stopped = self._obedience.awaited
             reading = self._assembly.reading(
                 arrival_s, bridge_sent=self._bridge_sent, stopped=stopped
@@ -265,6 +265,13 @@ class CanPort:
             self._newest = reading or self._newest
             if frame.timestamp and waited_s < PROMPT_S:
                 self.hand_out()
+
+    def _has_page(
+        self, status: StatusFrame, found: Mapping[str, float], frame: can.Message
+    ) -> bool:
+        """Return whether a good frame of the clocking message has the page that clocks."""
+        page = self._mapping.page
+        return page is None or page in found or status.codec.carries(bytes(frame.data), page)
 
     def _doubt(self, arrival_s: float) -> None:
         """Let what energises wait for the next report of the bridge: the drive may be a new one.

@@ -94,6 +94,6 @@ class Refusals:
 
 def _remedy(verdict: FrameVerdict, refusal: _Refusal) -> str:
     codec, data = refusal.codec, refusal.data
-    needed = 0 if codec is None else codec.needed
+    needed = codec.required(data) if codec and verdict is FrameVerdict.WRONG_LENGTH else 0
     outside = codec.outside(data) if codec and verdict is FrameVerdict.OUT_OF_RANGE else ""
     return _REMEDIES[verdict].format(len(data), needed, outside or "its alive counter")

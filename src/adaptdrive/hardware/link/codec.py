@@ -10,6 +10,7 @@ from typing import Final
 import can
 from cantools.database import DecodeError, EncodeError
 from cantools.database.can.message import Message
+from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.hardware.field import Field, Raw
@@ -20,7 +21,13 @@ from adaptdrive.hardware.link.integrity import (
     checksum_function,
     covered_bytes,
 )
-from adaptdrive.hardware.link.layout import compile_field, compile_pack, compile_unpack, signal_bits
+from adaptdrive.hardware.link.layout import (
+    compile_field,
+    compile_pack,
+    compile_unpack,
+    is_multiplexed,
+    signal_bits,
+)
 
 CLASSIC_LENGTH = 8
 """Most bytes of a frame without CAN FD."""
@@ -60,7 +67,8 @@ class MessageCodec:
     """Encodes and decodes the frames of one message, which `key` and `label` tell from others.
 
     Each direction keeps its own alive counter. A frame of another length is read if it has the
-    `needed` bytes, for one that wants some signals of a message without counter and checksum.
+    bytes that its page needs, for one that wants some signals of a message without counter and
+    checksum.
     Build it from a message whose integrity has been checked, as `SignalCatalogue.check_integrity`
     does.
     """
@@ -134,8 +142,10 @@ class MessageCodec:
         self._unpack = compile_unpack(message, [*used, *filter(None, [self._counter])])
         self._is_exact = wanted is None or any(self._proofs)
         read = [one for one in message.signals if one.is_multiplexer or one.name in used]
-        bits = max((signal_bits(one) for one in read), default=0).bit_length()
-        self.needed = message.length if self._is_exact else (bits + 7) // 8
+        ends = {one.name: _end_of(message, one) for one in read}
+        self._paged = {one.name: ends[one.name] for one in read if is_multiplexed(one)}
+        in_all = (end for name, end in ends.items() if name not in self._paged)
+        self.needed = message.length if self._is_exact else max(in_all, default=0)
 
     def encode(self, values: Mapping[str, float | None]) -> bytes:
         """Make the next frame; the alive counter advances by one.
@@ -192,8 +202,9 @@ class MessageCodec:
         Args:
             data: The bytes of the frame.
         """
-        if len(data) != self.length:
-            if self._is_exact or len(data) < self.needed:
+        size = len(data)
+        if size != self.length:
+            if self._is_exact or size < self.needed:
                 return Decoded(FrameVerdict.WRONG_LENGTH)
             data = data[: self.length].ljust(self.length, b"\xff")
         if not self._is_whole(data):
@@ -202,11 +213,31 @@ class MessageCodec:
             raw = self._unpack(data)
         except DecodeError:
             return Decoded(FrameVerdict.OUT_OF_RANGE)
+        if size < self.length and size < self._needed_of(raw):
+            return Decoded(FrameVerdict.WRONG_LENGTH)
         decoded = self._judge(raw, repeated=data == self._data)
         self._data = data
         if decoded.verdict is not _GOOD and not data.strip(b"\xff"):  # nothing is available
             return Decoded(decoded.verdict, lost=decoded.lost)
         return decoded
+
+    def required(self, data: bytes) -> int:
+        """Return the bytes that a frame needs, with what is taken from its page.
+
+        Args:
+            data: The bytes of a frame, which may be too short.
+        """
+        if len(data) < self.needed or not self._paged:
+            return self.needed
+        return self._needed_of(self._unpack(data[: self.length].ljust(self.length, b"\xff")))
+
+    def carries(self, data: bytes, signal: str) -> bool:
+        """Return whether a frame that was decoded has a signal, whatever its value is."""
+        return signal in self._unpack(data[: self.length].ljust(self.length, b"\xff"))
+
+    def _needed_of(self, raw: Mapping[str, Raw]) -> int:
+        """Return the bytes of a frame that has some signals."""
+        return max(self.needed, *(end for name, end in self._paged.items() if name in raw), 0)
 
     def outside(self, data: bytes) -> str:
         """Return the values of a frame that are out of range, each with its range.
@@ -275,6 +306,14 @@ class MessageCodec:
         if value >= self._modulus:
             return FrameVerdict.OUT_OF_RANGE, 0
         return self._alive.check(value)
+
+
+def _end_of(message: Message, signal: Signal) -> int:
+    """Return the bytes that a frame needs to have a signal, with what selects its page."""
+    end = (signal_bits(signal).bit_length() + 7) // 8
+    if not is_multiplexed(signal) or signal.multiplexer_signal is None:
+        return end
+    return max(end, _end_of(message, message.get_signal_by_name(signal.multiplexer_signal)))
 
 
 def frame_key(frame_id: int, *, extended: bool) -> int:

@@ -1,0 +1,143 @@
+"""A drive that sends and takes registers behind one id each, by the layout of its manual."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+
+import can
+import pytest
+
+from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import SAFE_COMMAND
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.dbc.mapping import CanMapping, map_drive
+from adaptdrive.hardware.dbc.port import CanPort
+from adaptdrive.hardware.link.bus import open_bus
+from tests.hardware.bench import Ear, running, until
+
+SPEED, CURRENT, STATUS, ERRORS = 0x30, 0x20, 0x40, 0x8F
+TORQUE, DISABLE, ASK = 0x90, 0x51, 0x3D
+DBC = """VERSION ""
+BU_: HOST D3
+BO_ 385 TX: 6 D3
+ SG_ REGISTER M : 0|8@1+ (1,0) [0|255] "" HOST
+ SG_ SPEED m48 : 8|16@1- (0.5,0) [-6000|6000] "rpm" HOST
+ SG_ CURRENT m32 : 8|16@1- (0.1,0) [-3000|3000] "V" HOST
+ SG_ STATUS m64 : 8|32@1+ (1,0) [0|4294967295] "" HOST
+ SG_ ERRORS m143 : 8|16@1+ (1,0) [0|65535] "" HOST
+BO_ 513 RX: 3 HOST
+ SG_ REGISTER M : 0|8@1+ (1,0) [0|255] "" D3
+ SG_ TORQUE m144 : 8|16@1- (0.01,0) [-100|100] "V" D3
+ SG_ DISABLE m81 : 8|16@1+ (1,0) [0|65535] "" D3
+ SG_ ASKED m61M : 8|8@1+ (1,0) [0|255] "" D3
+ SG_ SPEED_MS m48 : 16|8@1+ (1,0) [0|255] "ms" D3
+ SG_ STATUS_MS m64 : 16|8@1+ (1,0) [0|255] "ms" D3
+SG_MUL_VAL_ 513 TORQUE REGISTER 144-144;
+SG_MUL_VAL_ 513 DISABLE REGISTER 81-81;
+SG_MUL_VAL_ 513 ASKED REGISTER 61-61;
+SG_MUL_VAL_ 513 SPEED_MS ASKED 48-48;
+SG_MUL_VAL_ 513 STATUS_MS ASKED 64-64;
+"""
+SIGNALS = Signals.model_validate(
+    {
+        "boost_voltage_V": "TX.CURRENT",
+        "output": {"signal": "TX.SPEED", "unit": "rpm"},
+        "bridge": {"signal": "TX.STATUS", "on": 1},
+        "faults": "TX.ERRORS",
+        "command": {
+            "boost_reference_V": "RX.TORQUE",
+            "bridge": {"signal": "RX.DISABLE", "on": 0, "off": 4},
+        },
+    }
+)
+TIMING = Timing(half_cycle_s=0.01, stale_s=0.5, voltage_parts=frozenset())
+
+
+def bus_of(folder: Path, clock: str, setup: Mapping[str, float] | None = None) -> CanBus:
+    database = folder / "registers.dbc"
+    database.write_text(DBC)
+    tables = {"interface": "virtual", "channel": "registers", "database": database}
+    return CanBus.model_validate({"type": "can", "clock": clock, "setup": setup or {}} | tables)
+
+
+def mapped(folder: Path, setup: Mapping[str, float], clock: str = "TX") -> CanMapping:
+    named = {f"RX.{name}": value for name, value in setup.items()}
+    return map_drive(bus_of(folder, clock, named), SIGNALS, TIMING)
+
+
+def page(register: int, value: int, length: int = 4) -> bytes:
+    """A reply of a register, as long as its value and one byte."""
+    return struct.pack("<Bq", register, value)[:length].ljust(length, b"\0")
+
+
+@pytest.mark.parametrize(
+    ("data", "verdict", "values"),
+    [
+        (page(SPEED, 300), "good", {"SPEED": 150.0}),
+        (page(SPEED, -2, 3), "good", {"SPEED": -1.0}),
+        (page(STATUS, 1, 6), "good", {"STATUS": 1}),
+        (page(STATUS, 1, 5), "good", {"STATUS": 1}),
+        (page(STATUS, 1, 4), "wrong_length", {}),
+        (page(SPEED, 300, 2), "wrong_length", {}),
+        (b"", "wrong_length", {}),
+    ],
+)
+def test_a_frame_needs_the_bytes_of_its_own_page(
+    tmp_path: Path, data: bytes, verdict: str, values: dict[str, float]
+) -> None:
+    (status,) = mapped(tmp_path, {}).statuses
+    decoded = status.codec.decode(data)
+    assert (str(decoded.verdict), dict(decoded.values)) == (verdict, values)
+    if verdict == "wrong_length":
+        needed = {0: 1, 2: 3, 4: 5}[len(data)]
+        assert status.codec.required(data) == needed
+
+
+async def test_one_page_is_the_clock(tmp_path: Path) -> None:
+    """Readings come with the speed alone, whether or not its value is within its range."""
+    bus, ear = bus_of(tmp_path, "TX.SPEED"), Ear()
+    clock = asyncio.get_running_loop().time
+    port = CanPort(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
+    async with running(port, ear):
+        with open_bus(bus) as drive:
+            pages = [page(CURRENT, 7), page(STATUS, 1, 6), page(ERRORS, 0), page(SPEED, 300)]
+            pages += [page(SPEED, 14000), page(CURRENT, 9), page(SPEED, 302)]
+            for data in pages:
+                drive.send(can.Message(arbitration_id=385, is_extended_id=False, data=data))
+            await until(lambda: port.statistics.received == len(pages))
+            await ear.hears(3)
+    assert [one.boost_voltage_V for one in ear.readings] == pytest.approx([0.7, 0.7, 0.9])
+    assert len(ear.readings) == 3
+
+
+@pytest.mark.parametrize(
+    ("clock", "words"),
+    [("TX.SPEEDS", "did you mean 'SPEED'"), ("TX.REGISTER", "no entry of [signals] is taken from")],
+)
+def test_a_clock_that_is_no_page_of_the_readings_is_refused(
+    tmp_path: Path, clock: str, words: str
+) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        mapped(tmp_path, {}, clock)
+    (flaw,) = refused.value.flaws
+    assert (flaw.place, words in flaw.message) == ("bus.clock", True)
+
+
+def test_requests_go_once_in_pages_of_the_commands_message_that_no_command_uses(
+    tmp_path: Path,
+) -> None:
+    mapping = mapped(tmp_path, {"SPEED_MS": 10.0, "STATUS_MS": 100.0})
+    once = {order.encode(SAFE_COMMAND) for order in mapping.setup}
+    assert once == {bytes((ASK, SPEED, 10)), bytes((ASK, STATUS, 100))}
+    always = {order.encode(SAFE_COMMAND) for order in mapping.orders}
+    assert always == {bytes((TORQUE, 0, 0)), bytes((DISABLE, 4, 0))}
+
+
+@pytest.mark.parametrize("name", ["TORQUE", "DISABLE"])
+def test_a_set_up_on_a_page_of_the_command_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigurationError, match="'RX' carries the command: name a constant"):
+        mapped(tmp_path, {name: 1.0})
