@@ -1,6 +1,6 @@
 """Do the tests notice small changes of the code? `python -m tools.mutation [MODULE|PART ...]`.
 
-For each module of `targets.py`, or of a part of the controller that is named there, its tests are
+For each module of `targets.py`, or of a part that is named there, its tests are
 collected once. Each mutant then lives in a process of its own, in which the tests run that execute
 the changed lines. What survives is listed, with its reason where `survivors.py` has one. MUTANTS
 bounds the number for each module; a sample of a fixed seed is taken.

@@ -206,12 +206,14 @@ HALVES = _control({
 })  # fmt: skip
 
 PARTS = {
+    "hardware": HARDWARE,
+    "recording": RECORDING,
     "supervision": SUPERVISION,
     "learning": LEARNING,
     "design": DESIGN,
     "halves": HALVES,
 }
-"""Parts of the controller, of each of whose modules a sample of mutants is tried."""
+"""Parts of the product, of each of whose modules a sample of mutants is tried."""
 
 CONTROL = SUPERVISION | LEARNING | DESIGN | HALVES
 

@@ -76,10 +76,12 @@ def forms() -> tuple[Form, ...]:
              ("-m", "tools.soak", "virtual", days, *at_most), as_table=True),
         Form("soak-real", "A site in real time at 120 Hz",
              ("-m", "tools.soak", "real", minutes), as_table=True),
+        Form("faults-by-hand", "Faults put by hand into safety code",
+             ("-m", "tools.mutation.faults"), is_shown=False),
         *(Form(f"mutants-{module.rpartition('.')[2]}", f"Small changes of the code: {module}",
                ("-m", "tools.mutation", module.removeprefix("adaptdrive.")), as_table=True)
           for module in RUNTIME | OPERATION),
-        *(Form(f"mutants-{part}", f"Small changes of the code: control, {part}",
+        *(Form(f"mutants-{part}", f"Small changes of the code: {part}",
                ("-m", "tools.mutation", part), {"MUTANTS": mutants}, as_table=True)
           for part in PARTS),
         *(Form(f"branches-{package}", f"Lines and branches: {package}",
