@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.sensors import AnySensorBus
@@ -33,6 +34,7 @@ from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters
+from adaptdrive_sim.plants.held import HeldOutput
 from adaptdrive_sim.plants.kinds import coupling_of, load_of
 from adaptdrive_sim.world import World, WorldParameters
 
@@ -80,8 +82,10 @@ def build_drive(
         RefusedError: A setting cannot be read.
     """
     world, power = build_world(configuration, settings), configuration.drive
-    holder = None
-    if configuration.voltage_loop.where == "drive":
+    holder: VoltageHolder | HeldOutput | None = None
+    if isinstance(world.boost, HeldOutput):
+        holder = world.boost
+    elif configuration.voltage_loop.where == "drive":
         bidirectional = power.kind == "bidirectional"
         holder = VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
     return SimulatedDrive(
@@ -183,9 +187,23 @@ def build_world(configuration: Configuration, settings: DeviceSettings) -> World
     stage = coupling_of(configuration)
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
     world = World(load_of(configuration, settings.disks), parameters)
+    if _holds_output(configuration):
+        world.boost = HeldOutput(boost, _lag_s(configuration))
     if settings.initial_voltage_V is not None:
         world.settle(settings.initial_voltage_V)
     return world
+
+
+def _holds_output(configuration: Configuration) -> bool:
+    """Return whether the drive is no boost stage: it gives less than the peak of its line."""
+    drive = configuration.drive
+    peak_V = 2.0**0.5 * drive.line_voltage_V
+    lowest_V = drive.limits.boost_reference_min_V
+    return configuration.voltage_loop.where == "drive" and lowest_V <= peak_V
+
+
+def _lag_s(configuration: Configuration) -> float:
+    return controller_settings(configuration).rates.lag_ticks * tick_s(configuration)
 
 
 def report(event: str, **data: object) -> None:

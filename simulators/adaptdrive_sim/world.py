@@ -132,7 +132,7 @@ class World:
         Raises:
             ParameterError: The line's peak lies above that voltage.
         """
-        peak_V = self.line.voltage_V * 2.0**0.5
+        peak_V = self.line.voltage_V * 2.0**0.5 if self.boost.has_rectifier else 0.0
         if not boost_voltage_V >= peak_V:
             rule = f"must be at least the line's peak of {peak_V:.1f} V"
             raise ParameterError("boost_voltage_V", boost_voltage_V, rule)

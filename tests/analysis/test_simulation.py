@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from typing import Any
 
 import numpy as np
 import pytest
 
+from adaptdrive.analysis.closed_loop import BoostStage
+from adaptdrive.config import Configuration
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.control.signals import Command
 from adaptdrive.errors import CommissionError, IdentificationError
 from adaptdrive.lab import commission, simulate
+from adaptdrive_sim.device_main import build_drive
+from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from tests.devices.described import DEVICES, NAMES
 from tests.hardware.bench import EXAMPLES
 from tests.support import sample
 
@@ -107,6 +115,54 @@ def test_a_plant_answers_at_its_own_step(step_s: float, close: float) -> None:
 def test_a_step_that_is_no_time_is_named(step_s: float) -> None:
     with pytest.raises(IdentificationError, match=r"step_s of the plant is .*above 0 s"):
         simulate(EXAMPLES / "motor.toml", AtOwnStep(1, step_s), 3.0, 1.0)
+
+
+def packaged(name: str) -> Configuration:
+    file = DEVICES / f"{name}.toml"
+    return validate_configuration(tomllib.loads(file.read_text(encoding="utf-8")), file)
+
+
+class Belt:
+    """A lag of six seconds, 3.14 rad/s per Hz, behind a frequency inverter."""
+
+    speed = 0.0
+
+    def step(self, frequency_Hz: float, duration_s: float) -> tuple[float, float]:
+        self.speed -= math.expm1(-duration_s / 6.0) * (3.14 * frequency_Hz - self.speed)
+        return self.speed, 0.0
+
+
+def test_an_inverter_gives_the_few_hertz_that_it_is_asked_for() -> None:
+    file = DEVICES / "siemens-v20.toml"
+    last = simulate(file, Belt(), 60.0, 90.0).slow.tail(1).to_dicts()[0]
+    assert last["output"] == pytest.approx(60.0, rel=0.01)
+    assert last["boost_reference_V"] == pytest.approx(60.0 / 3.14, rel=0.01)
+    found = commission(file, Belt(), patience_s=20.0)
+    assert found.prediction.quality.overshoot < 0.01
+    assert found.refusal == ""
+
+
+OWN_LOOPS = [name for name in NAMES if packaged(name).voltage_loop.where == "drive"]
+
+
+@pytest.mark.parametrize("name", OWN_LOOPS)
+def test_a_drive_with_its_own_loop_gives_what_it_is_asked_for(name: str) -> None:
+    """In Hz, percent, Nm or volts: its line has nothing to do with it."""
+    configuration = packaged(name)
+    limits, stage = configuration.drive.limits, BoostStage(configuration, None)
+    for wanted in (limits.boost_reference_max_V, limits.boost_reference_min_V):
+        stage.step(Command(0.0, wanted, bridge=True), 0.0, 1e3)
+        assert stage.voltage_V == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("asked", [30.0, 5.0, 0.0])
+def test_a_simulated_inverter_gives_the_few_hertz_that_it_is_asked_for(asked: float) -> None:
+    settings = DeviceSettings(line_drift_Hz=0.0, initial_voltage_V=20.0)
+    drive = build_drive(packaged("siemens-v20"), settings, lambda *_, **__: None)
+    for tick in range(1000):
+        drive.hold(asked, bridge=True, now_s=0.01 * tick)
+        drive.tick(0.01 * (tick + 1))
+    assert drive.world.boost.voltage_V == pytest.approx(asked, abs=1e-3)
 
 
 @pytest.mark.parametrize("step_s", sample([0.5, None, 1e-3], 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import resource
 import shutil
@@ -11,11 +12,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 
+from adaptdrive.analysis.steps import Quality
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
 from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
+from adaptdrive.commission.prediction import Prediction
 from adaptdrive.commission.report import Commissioned
 from adaptdrive.commission.run import alone, write
 from adaptdrive.config.services import Mqtt
@@ -65,9 +69,38 @@ def test_a_file_that_the_settings_no_longer_suit_is_left_as_it_is(tmp_path: Path
     before = file.read_bytes()
     proposal = SimpleNamespace(values={"load.pole": 0.9})
     with pytest.raises(ConfigurationError, match="pole"):
-        write(file, cast("Commissioned", SimpleNamespace(proposal=proposal)))
+        write(file, cast("Commissioned", SimpleNamespace(proposal=proposal, refusal="")))
     assert file.read_bytes() == before
     assert not file.with_name("motor.toml.bak").exists()
+
+
+def foreseen(overshoot: float, settling_s: float = 9.0, fault: str = "") -> Prediction:
+    quality = Quality(1, overshoot, settling_s, 0, 0.1, 1.0, 40.0)
+    return Prediction(np.zeros(1), np.zeros(1), np.zeros(1), quality, fault)
+
+
+@pytest.mark.parametrize(
+    ("proposed", "present", "why"),
+    [
+        (foreseen(61.2, math.nan), foreseen(0.1), "does not settle: .* 6120.0 %, settling nan s"),
+        (foreseen(math.nan), foreseen(0.1), "does not settle: predicted overshoot nan %"),
+        (foreseen(math.inf, math.inf), foreseen(0.1), "does not settle: predicted overshoot inf"),
+        (foreseen(0.0, fault="cell too warm"), foreseen(0.1), "trips: cell too warm"),
+        (foreseen(0.12), foreseen(0.03), "predicted overshoot 12.0 %, with the present .* 3.0 %"),
+        (foreseen(0.12), foreseen(0.13), ""),
+        (foreseen(0.12), foreseen(math.nan, math.nan), ""),
+        (foreseen(0.009), foreseen(0.0), ""),
+    ],
+)
+def test_a_prediction_that_is_no_good_writes_nothing(
+    proposed: Prediction, present: Prediction, why: str
+) -> None:
+    refusal = proposed.refusal(present)
+    assert bool(refusal) == bool(why)
+    found = cast("Commissioned", SimpleNamespace(refusal=refusal))
+    if why:
+        with pytest.raises(CommissionError, match=f"motor.toml stays as it is: .*{why}"):
+            write(Path("motor.toml"), found)
 
 
 def test_a_full_disk_is_found_before_the_experiment(tmp_path: Path) -> None:

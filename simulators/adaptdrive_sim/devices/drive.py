@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.parameters import check_range
+from adaptdrive_sim.plants.held import HeldOutput
 from adaptdrive_sim.world import Sample, World
 
 COMMAND_TIMEOUT_s = 0.100
@@ -80,7 +81,7 @@ class SimulatedDrive:
         self,
         world: World,
         report: Report,
-        holder: VoltageHolder | None = None,
+        holder: VoltageHolder | HeldOutput | None = None,
         timeout_s: float = COMMAND_TIMEOUT_s,
         *,
         boost_needs_bridge: bool = False,

@@ -59,7 +59,10 @@ class Boost:
         mean_voltage_V: Mean voltage over the last step.
         mean_load_W: Mean power into the dc/dc stage over the last step.
         mean_line_W: Mean power from the line over the last step, diode current included.
+        has_rectifier: Whether the line's peak is the lowest voltage at rest.
     """
+
+    has_rectifier = True
 
     def __init__(self, parameters: BoostParameters, voltage_V: float) -> None:
         self.parameters = parameters

@@ -74,7 +74,10 @@ class LoopStart:
 
 
 class BoostStage:
-    """The boost capacitor on an ideal line, charged to the lowest V_c at least.
+    """Output stage of a drive, which the controller commands.
+
+    Where the daemon controls it, that is a boost capacitor on an ideal line, which the rectifier
+    keeps at the line's peak at least. A drive with a loop of its own follows V_c as it is.
 
     Attributes:
         voltage_V: v_bst at the end of the last step.
@@ -85,16 +88,18 @@ class BoostStage:
 
         Args:
             configuration: The drive.
-            voltage_V: v_bst at the start; the lowest V_c when None.
+            voltage_V: v_bst at the start; the lowest V_c, or 0 where that is negative, when None.
         """
         drive, loop = configuration.drive, configuration.voltage_loop
         rates = controller_settings(configuration).rates
-        self._peak_V = math.sqrt(2.0) * drive.line_voltage_V
+        by_daemon = loop.where == "daemon"
+        self._floor_V = math.sqrt(2.0) * drive.line_voltage_V if by_daemon else -math.inf
         self._line_V = drive.line_voltage_V
         self._capacitance_F = drive.boost_capacitance_F
-        self._lag_s = rates.lag_ticks * rates.nominal_tick_s if loop.where == "drive" else None
-        lowest_V = max(self._peak_V, drive.limits.boost_reference_min_V)
-        self.voltage_V = lowest_V if voltage_V is None else max(self._peak_V, voltage_V)
+        self._lag_s = rates.lag_ticks * rates.nominal_tick_s
+        self._by_daemon = by_daemon
+        start_V = max(0.0, drive.limits.boost_reference_min_V) if voltage_V is None else voltage_V
+        self.voltage_V = max(self._floor_V, start_V)
 
     def step(self, command: Command, power_W: float, duration_s: float) -> float:
         """Advance under a command and a load.
@@ -108,14 +113,14 @@ class BoostStage:
             The mean voltage over the step, in V.
         """
         before_V = self.voltage_V
-        if self._lag_s is not None:
-            share = -math.expm1(-duration_s / self._lag_s)
+        if not self._by_daemon:
+            share = -math.expm1(-duration_s / self._lag_s) if self._lag_s else 1.0
             self.voltage_V += share * (command.boost_reference_V - before_V)
         else:
             fed_W = command.current_scale_S * self._line_V**2
             square = before_V**2 + 2.0 * duration_s / self._capacitance_F * (fed_W - power_W)
             self.voltage_V = math.sqrt(max(0.0, square))
-        self.voltage_V = max(self._peak_V, self.voltage_V)
+        self.voltage_V = max(self._floor_V, self.voltage_V)
         return 0.5 * (before_V + self.voltage_V)
 
 

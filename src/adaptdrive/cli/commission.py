@@ -76,10 +76,12 @@ def commission(  # noqa: PLR0913 - the words of the command line
             file.refuse_unwritable(path)
         commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
         print(report.as_text(commissioned))
-        digest = _write(path, commissioned) if write or apply else ""
         figure = into / "commission.png"
         replace_result(figure, report.draw(commissioned))
         print(f"\n{figure}")
+        if commissioned.refusal and not (write or apply):
+            return 0
+        digest = _write(path, commissioned) if write or apply else ""
         if apply or (not write and _agreed_to("\napply and go on in adaptive? [y/N] ")):
             digest = digest or _write(path, commissioned)
             _put_to_use(drive, commissioned, digest, contact)

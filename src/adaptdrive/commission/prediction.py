@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,12 @@ from adaptdrive.identification.result import IdentifiedLoad
 Array = NDArray[np.float64]
 
 _PERIODS_BEFORE, _PERIODS_AFTER = 10, 60
+_SETTLED = 10.0
+"""Slow periods after the step over the time constant of the pole, 1 / (1 - pole), at least."""
+
+_UNSEEN = 0.01
+"""Overshoot, as a share of the step, that no present settings are compared with."""
+
 _POWER_SHARE = 0.5
 """Power of the load at the highest V_c over the largest power of the drive."""
 
@@ -33,12 +40,31 @@ class Prediction:
         output: Output.
         boost_voltage_V: v_bst.
         quality: Overshoot, settling, effort.
+        fault: Cause that ended it early, empty for none.
     """
 
     time_s: Array
     output: Array
     boost_voltage_V: Array
     quality: Quality
+    fault: str = ""
+
+    def refusal(self, present: Prediction) -> str:
+        """Return why the settings are not to be put to use, empty where they are.
+
+        Args:
+            present: The prediction with the settings in force.
+        """
+        overshoot, settling_s = self.quality.overshoot, self.quality.settling_s
+        if self.fault:
+            return f"the predicted loop trips: {self.fault}"
+        shown = f"predicted overshoot {100.0 * overshoot:.1f} %"
+        if not (math.isfinite(overshoot) and math.isfinite(settling_s)):
+            return f"the loop does not settle: {shown}, settling {settling_s:.4g} s"
+        before = present.quality.overshoot
+        if overshoot > _UNSEEN and overshoot > before:
+            return f"{shown}, with the present settings {100.0 * before:.1f} %"
+        return ""
 
 
 def predict(
@@ -63,7 +89,8 @@ def predict(
         reference = rest if number < first else rest + move
         return Order(Stage.RUN, reference, Mode.FIXED, section.pole)
 
-    count = (_PERIODS_BEFORE + _PERIODS_AFTER) * samples
+    after = max(_PERIODS_AFTER, math.ceil(_SETTLED / (1.0 - section.pole)))
+    count = (_PERIODS_BEFORE + after) * samples
     period_s = tick_s(configuration) * configuration.bus.ticks_per_reading
     plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), _power(configuration))
     record = run_loop(configuration, plant, order, count, LoopStart(boost_voltage_V=rest_V))
@@ -78,6 +105,7 @@ def predict(
         output=output,
         boost_voltage_V=volts,
         quality=quality_of(reference, output, volts, section.period_s, span),
+        fault=record.fault,
     )
 
 

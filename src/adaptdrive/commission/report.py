@@ -35,6 +35,7 @@ class Commissioned:
         proposal: Proposed settings.
         prediction: Response of the proposed loop.
         before: The present configuration.
+        refusal: Why the settings are not to be put to use, empty where they are.
     """
 
     sensor: SensorState
@@ -43,6 +44,7 @@ class Commissioned:
     proposal: Proposal
     prediction: Prediction
     before: Configuration
+    refusal: str = ""
 
 
 def as_text(found: Commissioned) -> str:
@@ -84,6 +86,8 @@ def _loop(found: Commissioned) -> Iterator[str]:
     yield f"predicted overshoot {overshoot:.1f} %, settling {settling_s:.4g} s"
     yield f"gain margin {margins.gain:.3g}, delay margin {margins.delay_s:.3g} s"
     yield f"largest v_bst after the step {quality.highest_V:.4g} V"
+    if found.refusal:
+        yield f"not to be applied: {found.refusal}"
 
 
 def draw(found: Commissioned) -> bytes:
@@ -139,5 +143,9 @@ def judged(
     identified = evaluate(experiment, candidate_loads(present))
     proposal = propose(identified, text, path, experiment.course.record.coarseness())
     rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
-    prediction = predict(identified, proposal.configuration, rest_V, experiment.course.target.move)
-    return Commissioned(sensor, outcome, identified, proposal, prediction, present)
+    proposed, now = (
+        predict(identified, one, rest_V, experiment.course.target.move)
+        for one in (proposal.configuration, present)
+    )
+    refusal = proposed.refusal(now)
+    return Commissioned(sensor, outcome, identified, proposal, proposed, present, refusal)

@@ -117,9 +117,12 @@ def write(path: Path, commissioned: Commissioned) -> tuple[Path, str]:
         A copy of the file before, and the digest of what was written.
 
     Raises:
+        CommissionError: The predicted response is no good.
         ConfigurationError: The file was changed and is not valid with the settings, or cannot be
             written.
     """
+    if commissioned.refusal:
+        raise CommissionError(f"{path} stays as it is: {commissioned.refusal}")
     text = read_text(path)
     parse_configuration(text, path)
     proposed = with_values(path, text, commissioned.proposal.values)
