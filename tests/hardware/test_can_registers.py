@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -17,7 +18,7 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.mapping import CanMapping, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.link.bus import open_bus
-from tests.hardware.bench import Ear, running, until
+from tests.hardware.bench import Clock, Ear, running, until
 
 SPEED, CURRENT, STATUS, ERRORS = 0x30, 0x20, 0x40, 0x8F
 TORQUE, DISABLE, ASK = 0x90, 0x51, 0x3D
@@ -36,6 +37,8 @@ BO_ 513 RX: 3 HOST
  SG_ ASKED m61M : 8|8@1+ (1,0) [0|255] "" D3
  SG_ SPEED_MS m48 : 16|8@1+ (1,0) [0|255] "ms" D3
  SG_ STATUS_MS m64 : 16|8@1+ (1,0) [0|255] "ms" D3
+BO_ 514 WAKE: 1 HOST
+ SG_ CALL : 0|8@1+ (1,0) [0|255] "" D3
 SG_MUL_VAL_ 513 TORQUE REGISTER 144-144;
 SG_MUL_VAL_ 513 DISABLE REGISTER 81-81;
 SG_MUL_VAL_ 513 ASKED REGISTER 61-61;
@@ -51,6 +54,7 @@ SIGNALS = Signals.model_validate(
         "command": {
             "boost_reference_V": "RX.TORQUE",
             "bridge": {"signal": "RX.DISABLE", "on": 0, "off": 4},
+            "constants": {"WAKE.CALL": 3},
         },
     }
 )
@@ -134,10 +138,42 @@ def test_requests_go_once_in_pages_of_the_commands_message_that_no_command_uses(
     once = {order.encode(SAFE_COMMAND) for order in mapping.setup}
     assert once == {bytes((ASK, SPEED, 10)), bytes((ASK, STATUS, 100))}
     always = {order.encode(SAFE_COMMAND) for order in mapping.orders}
-    assert always == {bytes((TORQUE, 0, 0)), bytes((DISABLE, 4, 0))}
+    assert always == {bytes((TORQUE, 0, 0)), bytes((DISABLE, 4, 0)), bytes((3,))}
 
 
 @pytest.mark.parametrize("name", ["TORQUE", "DISABLE"])
 def test_a_set_up_on_a_page_of_the_command_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigurationError, match="'RX' carries the command: name a constant"):
         mapped(tmp_path, {name: 1.0})
+
+
+async def test_a_message_of_constants_goes_at_its_own_rate_and_at_once_with_the_bridge(
+    tmp_path: Path,
+) -> None:
+    bus, ear, clock = bus_of(tmp_path, "TX"), Ear(), Clock()
+    bus = bus.model_copy(update={"send_every_s": {"WAKE": 0.1}})
+    port = CanPort(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
+    run = replace(SAFE_COMMAND, bridge=True)
+    ids: list[list[int]] = []
+    async with running(port, ear):
+        with open_bus(bus) as drive:
+            for data in (page(CURRENT, 7), page(STATUS, 0, 6), page(ERRORS, 0), page(SPEED, 300)):
+                drive.send(can.Message(arbitration_id=385, is_extended_id=False, data=data))
+            await ear.hears(1)
+            for command in [SAFE_COMMAND] * 25 + [run] * 15:
+                assert port.send(command)
+                clock.now_s += 0.01
+                ids.append([one.arbitration_id for one in iter(lambda: drive.recv(0), None)])
+    assert [number for number, one in enumerate(ids) if 514 in one] == [0, 10, 20, 25, 35]
+    assert all(one.count(513) == 2 for one in ids)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("RX", "carries boost_reference_V"), ("WAK", "did you mean 'WAKE'")]
+)
+def test_a_rate_of_what_is_commanded_is_refused(tmp_path: Path, name: str, words: str) -> None:
+    bus = bus_of(tmp_path, "TX").model_copy(update={"send_every_s": {name: 0.1}})
+    with pytest.raises(ConfigurationError) as refused:
+        map_drive(bus, SIGNALS, TIMING)
+    (flaw,) = refused.value.flaws
+    assert (flaw.place, words in flaw.message) == (f"bus.send_every_s.{name}", True)

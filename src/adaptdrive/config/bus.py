@@ -154,6 +154,7 @@ class CanBus(CommandWatch, CanDescription, BusSection):
     bitrate_switch: bool = True
     clock: str
     clock_ticks: int = key(1, span=(1, 120))
+    send_every_s: dict[str, Annotated[PositiveFloat, Field(le=10.0)]] = key({})
     stale_cycles: float = key(3.0, span=(1.5, 10.0), allow_inf_nan=False)
 
     @property

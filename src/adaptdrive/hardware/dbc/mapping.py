@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cantools.database.can.message import Message
@@ -24,7 +24,13 @@ from adaptdrive.hardware.dbc.database import (
     cycle_time_s,
     open_catalogue,
 )
-from adaptdrive.hardware.dbc.orders import CommandFrame, are_apart, build_orders, find_orders
+from adaptdrive.hardware.dbc.orders import (
+    CommandFrame,
+    are_apart,
+    build_orders,
+    check_rates,
+    find_orders,
+)
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
@@ -136,6 +142,7 @@ def map_drive(
     setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
     if clock is not None:
         catalogue.note("bus.clock", _clock_problem(bus, sources))
+    check_rates(catalogue, bus.send_every_s, orders)
     for message in bus.polled.keys() & {**orders, **setup}:
         catalogue.note(f"bus.polled.{message}", "it carries the command: name one that is read")
     own = [
@@ -147,7 +154,10 @@ def map_drive(
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     counter = bound.get("counter")
-    commanded = tuple(build_orders(catalogue, bus.integrity, orders))
+    commanded = tuple(
+        replace(one, every_s=bus.send_every_s.get(one.codec.name, 0.0))
+        for one in build_orders(catalogue, bus.integrity, orders)
+    )
     codecs = {one.codec.name: one.codec for one in commanded}
     return CanMapping(
         statuses=tuple(

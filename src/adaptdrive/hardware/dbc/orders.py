@@ -17,6 +17,7 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.config.proposals import nearest
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.binding import BRIDGE, Sink
 from adaptdrive.hardware.dbc.database import Located, SignalCatalogue
@@ -35,11 +36,13 @@ class CommandFrame:
         codec: Codec of its message; frames of one message share it, and its alive counter.
         parts: What is taken from the command, by signal.
         fixed: Values that are always the same: constants, and what selects the page.
+        every_s: Time from one to the next where it does not go with each command.
     """
 
     codec: MessageCodec
     parts: Mapping[str, Sink[Located]]
     fixed: Mapping[str, float]
+    every_s: float = 0.0
 
     def encode(self, command: Command) -> bytes:
         """Make the next frame.
@@ -99,6 +102,31 @@ def build_orders(
         for fixed, carried in _frames(message, draft):
             parts = {one.item.signal.name: one for one in carried if one.factor}
             yield CommandFrame(codec, parts, fixed)
+
+
+def check_rates(
+    catalogue: SignalCatalogue,
+    rates: Mapping[str, float],
+    drafts: Mapping[str, Sequence[Sink[Located]]],
+) -> None:
+    """Collect the messages that cannot have a rate of their own: they carry what is commanded.
+
+    Args:
+        catalogue: Collects the flaws.
+        rates: `bus.send_every_s`.
+        drafts: The values that each message of the command carries.
+    """
+    for name in rates:
+        place, commanded = (
+            f"bus.send_every_s.{name}",
+            [one for one in drafts.get(name, ()) if one.factor],
+        )
+        if name not in drafts:
+            hint = nearest(name, [*drafts])
+            catalogue.note(place, f"no message {name!r} goes with the command{hint}")
+        elif commanded:
+            problem = f"carries {commanded[0].name}, which goes with each command"
+            catalogue.note(place, f"message {name!r} {problem}")
 
 
 def are_apart(

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -88,6 +88,7 @@ class CanPort:
         limit_s = mapping.timing.obeyed_s(self.bridge_cycle_s)
         self._obedience = Obedience(limit_s, clock)
         self._bridge_sent = False
+        self._sent_s: dict[int, float] = {}
         self._relink = Relink()
         self._leapt_s = -math.inf
         self._newest: Reading | None = None
@@ -144,7 +145,7 @@ class CanPort:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
         """
         bridge = command.bridge
-        orders = self._mapping.orders if bridge else self._stopping
+        orders = self._due(self._mapping.orders if bridge else self._stopping, bridge=bridge)
         frames = [self._frame(order, command) for order in orders]
         safe = not bridge and command == SAFE_COMMAND
         if not safe:
@@ -164,6 +165,7 @@ class CanPort:
             self._bridge_sent = self._bridge_sent or (bridge and taken > 0)
             return False
         self._bridge_sent = bridge
+        self._sent_s |= {order.codec.key: self._clock() for order in orders if order.every_s}
         if safe:
             self._obedience.hear()
         return True
@@ -311,6 +313,18 @@ class CanPort:
         seconds = self._obedience.overdue_s(powered=self._assembly.powered) / OBEY_S
         return seconds >= 0.0 and int(seconds) % 2 == 0
 
+    def _due(self, orders: Sequence[CommandFrame], *, bridge: bool) -> Sequence[CommandFrame]:
+        """Return the frames that go with a command now; all of them where the bridge changes."""
+        if bridge is not self._bridge_sent:
+            self._sent_s.clear()
+        if not self._sent_s:
+            return orders
+        soon_s = self._clock() + 0.5 * self._mapping.timing.reading_s
+        latest_s = self._sent_s
+        return [
+            one for one in orders if soon_s >= latest_s.get(one.codec.key, -math.inf) + one.every_s
+        ]
+
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         data, fast = order.encode(command), self._config.bitrate_switch
         return order.codec.frame(data, bitrate_switch=fast)
@@ -326,6 +340,7 @@ class CanPort:
         self._obedience.forget()
         self._relink.open(bridge=self._bridge_sent, glimpsed=self._assembly.powered)
         self._bridge_sent = False
+        self._sent_s.clear()
         self._assembly.forget()
         if not self._hears_all:
             self._set_up()
