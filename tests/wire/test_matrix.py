@@ -10,13 +10,12 @@ import asyncio
 import inspect
 import json
 import os
-import re
 from pathlib import Path
 
 import pytest
 
 from adaptdrive.runtime.reports import State
-from tests.wire.matrix import CELLS, Cell, section, table, without_times
+from tests.wire.matrix import CELLS, Cell
 from tests.wire.rig import Rig, rigged, until
 from tests.wire.wires import (
     BOOST_V,
@@ -30,6 +29,7 @@ from tests.wire.wires import (
     motor_text,
     strung,
 )
+from tools.pages.wire_faults import section, table, without_times
 
 TESTS = Path(__file__).parents[1]
 PAGE = TESTS.parent / "docs" / "proof" / "reliability.md"
@@ -149,16 +149,3 @@ def note(name: str, reaction_s: float, back_s: float) -> None:
 
 def test_the_page_lists_these_faults_and_no_others() -> None:
     assert without_times(section(PAGE.read_text(encoding="utf-8"))) == without_times(table({}))
-
-
-def test_every_test_that_the_page_names_exists() -> None:
-    named = set(re.findall(r"`(test_\w+)`", PAGE.read_text(encoding="utf-8")))
-    sources = (path.read_text(encoding="utf-8") for path in TESTS.rglob("*.py"))
-    written = {name for text in sources for name in re.findall(r"def (test_\w+)\(", text)}
-    assert len(named) > 20
-    assert named - written == set()
-
-
-def test_every_file_that_the_page_names_exists() -> None:
-    named = set(re.findall(r"`(tests/[\w/]+\.py)`", PAGE.read_text(encoding="utf-8")))
-    assert {name for name in named if not (TESTS.parent / name).exists()} == set()
