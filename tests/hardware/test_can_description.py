@@ -249,21 +249,6 @@ async def test_a_seldom_value_may_be_as_old_as_its_cycle_time_says(
     assert "limit 300 ms" in str(find_cause(pages, pages.oldest_s + 0.301, limits, stale_s))
 
 
-async def test_pages_that_stay_away_are_the_oldest_values_once_they_are_overdue(
-    inverter: Inverter, port: CanPort, ear: Ear
-) -> None:
-    async with running(port, ear):
-        inverter.send_all()
-        await ear.hears(1)
-        await asyncio.sleep(0.25)
-        inverter.send("INV_STATE", STATE)
-        await ear.hears(2)
-    first, second = ear.readings
-    assert second.slack_s == pytest.approx(0.2)
-    assert second.oldest_s <= first.arrival_s
-    assert second.arrival_s - second.oldest_s >= 0.25
-
-
 @pytest.mark.parametrize(
     ("changes", "place", "words"),
     [

@@ -15,7 +15,7 @@ from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.sensors import CanSensorPort, build_can_sensors
 from adaptdrive.hardware.link.bus import open_bus
-from tests.hardware.bench import EXAMPLES, Clock, Drive, SensorEar, noted_delays, until, with_crc
+from tests.hardware.bench import EXAMPLES, Clock, Drive, SensorEar, until, with_crc
 
 COMMON = {
     "name": "bench",
@@ -139,21 +139,6 @@ async def test_a_bus_that_cannot_be_opened_is_told_and_tried_again() -> None:
     assert not task.done()
     task.cancel()
     await asyncio.wait([task])
-
-
-async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A shorted bus whose controller restarts by itself: each time, warnings precede bus-off."""
-    delays_s = noted_delays("adaptdrive.hardware.link.connection", monkeypatch)
-    async with bench() as wires:
-        wires.drive.send_both()
-        await wires.ear.hears(1)
-        for count in (1, 2, 3):
-            for error in (0x04, 0x40):
-                wires.drive.bus.send(can.Message(arbitration_id=error, is_error_frame=True))
-            await until(lambda count=count: wires.port.statistics.reconnects == count)  # type: ignore[misc]
-    assert delays_s == [0.1, 0.2, 0.4]
 
 
 def test_what_the_database_does_not_have_is_listed_with_its_place(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -17,8 +16,8 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
 from tests.hardware import bench as can_bench
-from tests.hardware.canopen.documents import IN_MEMORY, other_eds, parse
-from tests.hardware.canopen.peer import ENABLED, FAULT, MEASURED
+from tests.hardware.canopen.documents import IN_MEMORY, parse
+from tests.hardware.canopen.peer import ENABLED, MEASURED
 from tests.hardware.canopen.peer import Peer as Node
 from tests.hardware.modbus.bench import Peer
 from tests.wire.rig import Rig, rigged, until
@@ -139,26 +138,6 @@ async def test_a_fault_beside_values_that_are_not_available_trips_and_the_stop_i
         await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)
         await until(lambda: rig.heard("trip", began_s))
         assert not any("does not stop" in event.detail for _, event in rig.events)
-
-
-async def test_a_node_in_a_fault_without_values_trips_and_its_stop_is_confirmed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
-    limited = "ParameterName=DC link circuit voltage\n"
-    eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=450000\n"))
-    with contextlib.closing(Node(eds=eds)) as peer:
-        bus = {**IN_MEMORY, "bus/eds": str(eds)}
-        async with rigged(parse({**PATIENT_NODE, **bus})) as rig:
-            await rig.run()
-            await until(lambda: peer.statusword == ENABLED)
-            began_s = asyncio.get_running_loop().time()
-            monkeypatch.setitem(MEASURED, "0x6079", 0xFFFFFFFF)
-            peer.obeys, peer.statusword = False, FAULT
-            trip, _ = await alarm(rig, "trip", began_s)
-            assert trip == "node 5: the drive left its state by itself: fault"
-            await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)
-            assert not any("does not stop" in event.detail for _, event in rig.events)
 
 
 class BlindWhenOff(Peer):

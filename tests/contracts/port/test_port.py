@@ -29,6 +29,7 @@ async def test_a_reading_holds_what_the_drive_measured_and_when(rig: Rig) -> Non
 async def test_whoever_only_listens_commands_nothing(rig: Rig) -> None:
     await rig.hears(20)
     assert rig.heard == []
+    assert not (rig.watched and rig.fed_s)
     assert rig.port.safe_s == math.inf
 
 
@@ -81,11 +82,15 @@ async def test_a_stop_is_confirmed_by_a_report_of_the_bridge_alone(rig: Rig) -> 
 async def test_a_safe_command_that_is_refused_is_not_in_force(rig: Rig) -> None:
     await rig.runs()
     rig.refuses, rig.ear.command = True, SAFE_COMMAND
+    known = len(rig.fed_s)
     await rig.passes(8)
     assert rig.port.safe_s == math.inf
     assert rig.heard[-1][0]
+    if rig.watched:  # nothing feeds it, and the operator is told
+        assert len(rig.fed_s) <= known + 1
+        assert rig.port.complaint is not None
     rig.refuses = False
-    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: rig.port.safe_s < math.inf and rig.port.complaint is None)
     assert rig.heard[-1] == (False, 0.0)
 
 

@@ -21,7 +21,7 @@ from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import RUN, Ear, driven, ready, running
 from tests.hardware.canopen.documents import EDS, MEMORY, other_eds, parse, without
-from tests.hardware.canopen.peer import FAULT, MEASURED, NODE, REST, Peer
+from tests.hardware.canopen.peer import FAULT, NODE, REST, Peer
 
 
 @pytest.fixture
@@ -78,15 +78,6 @@ async def test_a_reading_is_what_the_drive_measured_at_one_sync(peer: Peer) -> N
         assert bench.ear.bus[-1] == (True, f"{bench.port.description}: operational")
 
 
-async def test_without_one_of_its_pdos_there_is_no_reading(peer: Peer) -> None:
-    async with ready(peer) as bench:
-        peer.silent.add(2)
-        await asyncio.sleep(0.1)
-        known = len(bench.ear.readings)
-        await asyncio.sleep(0.1)
-        assert len(bench.ear.readings) == known
-
-
 async def test_a_pdo_that_was_refused_long_ago_does_not_explain_why_none_comes(peer: Peer) -> None:
     async with ready(peer) as bench:
         peer.network.send_message(0x180 + NODE, b"\0")
@@ -123,31 +114,6 @@ async def test_a_drive_that_was_on_and_says_nothing_since_its_set_up_gets_no_hea
         await until(lambda: len(peer.beats) > known + 2)
 
 
-async def test_the_daemons_heartbeat_goes_out_with_its_commands_only(peer: Peer) -> None:
-    async with ready(peer) as bench:
-        await until(lambda: len(peer.beats) > 2)
-        assert set(peer.beats) == {b"\x05"}
-        bench.ear.command = None
-        await asyncio.sleep(0.1)
-        known = len(peer.beats)
-        await asyncio.sleep(0.2)
-        assert len(peer.beats) == known
-
-
-async def test_a_lost_node_that_no_command_reaches_hears_no_heartbeat(peer: Peer) -> None:
-    """A power stage that stays on without its NMT master is switched off by its own watch."""
-    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
-        peer.override(0x1018, 1, b"\xff\xff\xff\x7f")
-        peer.node.nmt.state = "PRE-OPERATIONAL"
-        await bench.complains("not operational any more")
-        await asyncio.sleep(0.05)
-        known = len(peer.beats)
-        for _ in range(5):
-            assert not bench.port.send(SAFE_COMMAND)
-            await asyncio.sleep(0.05)
-        assert len(peer.beats) == known
-
-
 def refuse_mapping(*, index: int, **_: object) -> None:
     """Refuse what a drive refuses that is energised: its PDOs stay as they are."""
     if index == 0x1400:
@@ -165,18 +131,6 @@ async def test_a_lost_node_is_commanded_safe_before_it_is_made_pre_operational(p
         assert peer.node.nmt.state == "PRE-OPERATIONAL"
         assert peer.words[-1] == 0x00
         assert not peer.powered
-
-
-async def test_a_lost_node_has_time_for_the_safe_command(peer: Peer) -> None:
-    """One that misses the first takes that of the next tick, still in the state operational."""
-    peer.deaf = True
-    async with driven(peer, heartbeat_timeout_s=0.5) as bench:
-        peer.node.add_write_callback(refuse_mapping)
-        bench.ear.command = None
-        bench.ear.lost = lambda: bench.port.send(SAFE_COMMAND)
-        peer.node.nmt.stop_heartbeat()
-        await bench.reports("cannot write 0x1400.1")
-        assert peer.words[-3:] == [0x0F, 0x00, 0x00]
 
 
 async def test_a_lost_node_takes_the_safe_command_of_each_tick_and_no_other(peer: Peer) -> None:
@@ -265,24 +219,6 @@ async def test_a_heartbeat_that_stays_away_is_told_and_the_node_set_up_again(pee
         await until(lambda: bench.port.complaint is None)  # its 0x1017 was written again
         assert any("heartbeat lost" in detail for up, detail in bench.ear.bus if not up)
         assert bench.ear.bus[-1][0]
-
-
-async def test_a_node_without_values_confirms_its_stop_once_it_is_set_up_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    limited = "ParameterName=DC link circuit voltage\n"
-    eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=450000\n"))
-    with contextlib.closing(Peer(eds=eds)) as peer:
-        async with driven(peer, eds=eds) as bench:
-            bench.ear.command = SAFE_COMMAND
-            peer.boot()
-            monkeypatch.setitem(MEASURED, "0x6079", 0xFFFFFFFF)
-            await until(lambda: [up for up, _ in bench.ear.bus[-2:]] == [False, True])
-            good = bench.ear.readings[-1]
-            bench.port.send(SAFE_COMMAND)
-            await until(lambda: not bench.ear.readings[-1].bridge)
-            reading = bench.ear.readings[-1]
-    assert reading.bridge_reported_s > reading.oldest_s == good.oldest_s
 
 
 async def test_a_restarted_node_is_not_energised_again(peer: Peer) -> None:
@@ -561,28 +497,6 @@ async def test_a_node_whose_watch_another_sender_has_switched_off_is_set_up_agai
         await until(lambda: bench.port.complaint is None)
         await bench.run_drive()
         assert peer.number(0x1016, 1) == watch
-
-
-async def test_commands_that_the_bus_does_not_take_are_a_complaint_until_it_takes_one(
-    peer: Peer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with driven(peer) as bench:
-        bus = bench.port._connection.bus
-        assert bus is not None
-        take = bus.send
-
-        def refuse(frame: can.Message, timeout: float | None = None) -> None:
-            if frame.arbitration_id & 0x780 == 0x200:  # RPDO1; SYNC and heartbeat go out
-                raise can.CanOperationError("Transmit buffer full")
-            take(frame, timeout)
-
-        with monkeypatch.context() as stuck:
-            stuck.setattr(bus, "send", refuse)
-            await bench.complains("the bus does not take commands: ")
-            known = len(peer.beats)
-            await asyncio.sleep(0.2)
-            assert len(peer.beats) == known  # nor does a heartbeat keep the command before in force
-        await until(lambda: bench.port.complaint is None)
 
 
 async def test_a_node_that_leaves_operational_for_a_moment_is_set_up_again(peer: Peer) -> None:

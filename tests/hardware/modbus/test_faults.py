@@ -168,18 +168,6 @@ async def test_a_reply_that_is_late_never_answers_the_next_request(kind: str, de
         one.check_honesty()
 
 
-@pytest.mark.parametrize("delay", [1.2, 1.8, 2.4])
-async def test_replies_that_are_always_late_are_never_taken_for_later_ones(delay: float) -> None:
-    """Each comes while the next request would be waiting, if the port did not wait for silence."""
-    async with benched("rtu") as one:
-        one.peer.spoil = lambda reply: [(delay * TIMEOUT_s, reply)]
-        await one.asks(2)
-        heard = len(one.ear.readings)
-        await until(lambda: one.port.statistics.timeouts >= 5)
-        assert len(one.ear.readings) <= heard + 1
-        await heals(one)
-
-
 async def test_a_drive_that_does_not_answer_is_reported_and_its_return_too() -> None:
     async with watched("rtu") as one:
         one.peer.spoil = silence
@@ -248,15 +236,6 @@ async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken()
     async with watched() as one:
         one.peer.answer = sometimes_busy
         await one.runs_until(lambda: one.port.complaint is not None)
-
-
-async def test_an_exception_is_named() -> None:
-    async with watched() as one:
-        one.peer.answer = exception
-        await one.hears_of_bus(up=False)
-        assert "exception reply 2 to function 4 (illegal address), input " in one.ear.bus[0][1]
-        refused = [line for line in one.port.details() if line.startswith("refused: ")]
-        assert "illegal address" in refused[0]
 
 
 async def test_a_half_open_connection_is_given_up_and_made_anew() -> None:
@@ -361,16 +340,6 @@ async def test_an_adapter_that_hears_what_it_sends_answers_no_request(delay_s: f
         one.peer.spoil = echoed
         await one.runs_until(lambda: one.told() == [28765, 1])
         await one.hears(5)
-        one.check_honesty()
-
-
-async def test_noise_between_the_exchanges_is_waited_out() -> None:
-    async with watched("rtu") as one:
-        for _ in range(10):
-            one.peer.put(b"\x01\x04\x0c\x75\x30")
-            await asyncio.sleep(0.02)
-        await one.hears(3)
-        assert one.port.statistics.foreign >= 1
         one.check_honesty()
 
 

@@ -58,18 +58,6 @@ ON_OF_TWO: Changes = {
 """The bridge is a bit of the word of the voltage."""
 
 
-async def test_a_reading_holds_what_the_drive_measured() -> None:
-    async with benched() as one:
-        await one.hears(5)
-        one.check_honesty()
-        reading = one.ear.readings[-1]
-        assert reading.boost_voltage_V == pytest.approx(300.12)
-        assert reading.line_voltage_V == pytest.approx(120.4)
-        assert reading.output == 3.25
-        assert (reading.counter, reading.fault, reading.bridge) == (None, 0, False)
-        assert one.ear.bus == []
-
-
 async def test_the_newest_command_goes_out_with_each_poll_and_a_heartbeat() -> None:
     async with benched() as one:
         for voltage in (250.0, 260.0, 287.65):
@@ -113,12 +101,6 @@ async def test_the_safe_command_does_not_wait_for_the_next_poll() -> None:
         writes = len(one.peer.writes)
         await one.hears(1)
         assert len(one.peer.writes) <= writes + 1
-
-
-async def test_a_port_that_is_closed_leaves_the_drive_safe() -> None:
-    async with benched() as one:
-        await one.runs_until(lambda: bool(one.peer.writes))
-    assert one.told() == [0, 0]
 
 
 async def test_a_serial_port_that_is_not_there_ends_the_start() -> None:
@@ -396,30 +378,6 @@ async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_
         await is_fed(one)
 
 
-async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_values() -> None:
-    """All ones are no bridge."""
-    fault = {
-        "bus__registers__fault": "{ address = 5, table = 'input', bit = 1 }",
-        "signals__fault": '"fault"',
-    }
-    async with driven(1, **REPORTED, **fault) as one:
-        one.peer.speed = math.nan
-        await one.asks(12)
-        good = one.ear.readings[-1]
-        one.port.send(SAFE_COMMAND)
-        one.peer.state = 0xFFFF
-        await one.is_told(0, 0)
-        await one.asks(12)
-        assert one.ear.readings[-1].bridge_reported_s < one.port.safe_s
-        one.peer.state = 2
-        await one.hears(2)
-        assert "output: " in one.port.explain_age()
-        reading = one.ear.readings[-1]
-    assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
-    assert (reading.bridge, reading.fault) == (False, 1)
-    assert one.port.safe_s < reading.bridge_reported_s <= reading.arrival_s
-
-
 @pytest.mark.parametrize("coded", ["uint16", "int16"])
 async def test_a_register_without_a_value_confirms_no_stop(coded: str) -> None:
     """A gateway gives all ones for a module that it does not reach; the other values are right."""
@@ -502,21 +460,6 @@ async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(*, stops
         else:
             await until(lambda: len(one.peer.writes) > known)
             assert one.port.complaint is None
-
-
-async def test_a_drive_without_values_confirms_its_stop_over_a_new_link() -> None:
-    async with driven(1, **REPORTED) as one:
-        one.peer.stop()
-        await one.hears_of_bus(up=False)
-        good = one.ear.readings[-1]
-        one.port.send(SAFE_COMMAND)
-        one.peer.speed, one.peer.state = math.nan, 0
-        one.peer.start()
-        await one.hears(2)
-        reading = one.ear.readings[-1]
-    assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
-    assert not reading.bridge
-    assert one.port.safe_s < reading.bridge_reported_s
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])

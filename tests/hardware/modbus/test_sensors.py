@@ -24,7 +24,7 @@ from adaptdrive.hardware.modbus.sensors import (
 )
 from adaptdrive.hardware.polled.capacity import Block, Exchange
 from tests.hardware.bench import SensorEar, until
-from tests.hardware.modbus.bench import Peer, Pieces, untouched
+from tests.hardware.modbus.bench import Peer, untouched
 
 pytestmark = pytest.mark.usefixtures("memory")
 KINDS = pytest.mark.parametrize("kind", ["tcp", "rtu"])
@@ -119,56 +119,6 @@ async def test_a_value_that_is_none_is_left_out_alone(speed: float) -> None:
         assert set(one.ear.latest) == {"number", "speed"}
         assert one.port.statistics.out_of_range >= 3
         one.check_honesty()
-
-
-@KINDS
-async def test_late_and_missing_replies_are_never_taken_for_others(kind: str) -> None:
-    async with bench(kind) as one:
-        await one.ear.hears(3)
-
-        def late(reply: bytes) -> Pieces:
-            return [(0.1 if len(one.peer.requests) % 3 == 0 else 0.0, reply)]
-
-        one.peer.spoil = late
-        await one.ear.hears(10)
-        one.peer.spoil = lambda _: []
-        await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
-        await asyncio.sleep(0.1)
-        silent = len(one.ear.heard)
-        await asyncio.sleep(5 * CYCLE_s)
-        assert len(one.ear.heard) == silent
-        one.peer.spoil = untouched
-        await until(lambda: one.ear.bus[-1][0])
-        assert one.port.statistics.timeouts > 0
-        one.check_honesty()
-
-
-async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long() -> None:
-    """Two blocks of one register; the repetition comes before the reply to the second."""
-    async with bench("rtu", max_gap=0, max_block=2) as one:
-        await one.ear.hears(6)
-        heard = len(one.ear.heard)
-        one.peer.spoil = lambda reply: [(0.012, reply), (0.005, reply)]
-        await until(lambda: one.port.statistics.foreign >= 12)
-        mixed_up = [values for values, *_ in one.ear.heard[heard:] if values.get("number") == 30012]
-        assert len(mixed_up) <= 1
-        assert len(one.ear.heard) <= heard + 4
-        one.peer.spoil = untouched
-        await one.ear.hears(3)
-        one.ear.heard.clear()
-        await one.ear.hears(6)
-        one.check_honesty()
-
-
-async def test_an_exception_reply_gives_no_value() -> None:
-    async with bench("tcp") as one:
-        await one.ear.hears(2)
-        one.peer.answer = lambda pdu: bytes((pdu[0] | 0x80, 4))
-        await until(lambda: bool(one.ear.bus))
-        assert "exception reply 4" in one.ear.bus[0][1]
-        count = len(one.ear.heard)
-        await asyncio.sleep(3 * CYCLE_s)
-        assert len(one.ear.heard) == count
 
 
 @KINDS
