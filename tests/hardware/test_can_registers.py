@@ -39,6 +39,9 @@ BO_ 513 RX: 3 HOST
  SG_ STATUS_MS m64 : 16|8@1+ (1,0) [0|255] "ms" D3
 BO_ 514 WAKE: 1 HOST
  SG_ CALL : 0|8@1+ (1,0) [0|255] "" D3
+BO_ 515 BACK: 3 HOST
+ SG_ VOLTS : 0|16@1+ (0.1,0) [0|100] "V" D3
+ SG_ OTHER : 16|8@1+ (1,0) [0|255] "" D3
 SG_MUL_VAL_ 513 TORQUE REGISTER 144-144;
 SG_MUL_VAL_ 513 DISABLE REGISTER 81-81;
 SG_MUL_VAL_ 513 ASKED REGISTER 61-61;
@@ -166,6 +169,44 @@ async def test_a_message_of_constants_goes_at_its_own_rate_and_at_once_with_the_
                 ids.append([one.arbitration_id for one in iter(lambda: drive.recv(0), None)])
     assert [number for number, one in enumerate(ids) if 514 in one] == [0, 10, 20, 25, 35]
     assert all(one.count(513) == 2 for one in ids)
+
+
+def copying(folder: Path, **copies: object) -> CanMapping:
+    command = SIGNALS.command.model_dump(exclude_none=True) | {"copies": copies}
+    tables = SIGNALS.model_dump(exclude_none=True) | {"command": command}
+    return map_drive(bus_of(folder, "TX"), Signals.model_validate(tables), TIMING)
+
+
+async def test_a_measured_value_is_copied_into_the_command_while_it_is_fresh(
+    tmp_path: Path,
+) -> None:
+    copy = {"signal": "BACK.VOLTS", "scale": 0.5}
+    mapping, ear, clock = copying(tmp_path, boost_voltage_V=copy), Ear(), Clock()
+    bus, heard = bus_of(tmp_path, "TX"), []
+    port = CanPort(bus, mapping, clock, clock)
+    with open_bus(bus) as drive:
+
+        async def send(current: int) -> None:
+            known, data = port.statistics.received, page(CURRENT, current)
+            drive.send(can.Message(arbitration_id=385, is_extended_id=False, data=data))
+            await until(lambda: port.statistics.received > known)
+
+        async with running(port, ear):
+            for current, later_s in ((None, 0.0), (70, 0.4), (None, 0.2), (600, 0.0), (-1, 0.0)):
+                if current is not None:
+                    await send(current)
+                clock.now_s += later_s
+                assert port.send(SAFE_COMMAND)
+                frames = {one.arbitration_id: one.data for one in iter(lambda: drive.recv(0), None)}
+                heard.append(int.from_bytes(frames[515][:2], "little"))
+    assert heard == [0xFFFF, 140, 0xFFFF, 0xFFFF, 0xFFFF]
+
+
+def test_a_copy_of_what_is_not_measured_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"does not send 'outputs' \(did you mean 'output'"
+    ):
+        copying(tmp_path, outputs="BACK.OTHER")
 
 
 @pytest.mark.parametrize(

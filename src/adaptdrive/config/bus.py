@@ -299,6 +299,7 @@ class CommandSignals(Section):
     boost_reference_V: Quantity | None = None
     bridge: CommandedSwitch | None = None
     constants: dict[str, float | str] = key({})
+    copies: dict[str, Quantity] = key({})
 
 
 class Signals(Section):

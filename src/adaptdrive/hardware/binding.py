@@ -140,6 +140,8 @@ class Catalogue(ABC, Generic[Item]):
     """
 
     on: float | None = 1.0
+    has_copies = False
+    """True where a measured value may be sent back with the command."""
 
     def __init__(self, remarks: Sequence[str] = ()) -> None:
         """Find nothing yet.
@@ -212,6 +214,8 @@ class Catalogue(ABC, Generic[Item]):
             demands: What the signals must be able to carry.
         """
         found = self.settings(command.constants, f"{_COMMAND}.constants")
+        if command.copies and not self.has_copies:
+            self.note(f"{_COMMAND}.copies", "are for a drive that is described by a DBC")
         for name in ("current_scale_S", "boost_reference_V"):
             entry: SignalSource | None = getattr(command, name)
             item = None if entry is None else self.find(entry.signal, f"{_COMMAND}.{name}")
@@ -261,7 +265,7 @@ class Catalogue(ABC, Generic[Item]):
         if is_word(quantity):
             self._check_word(given, item, field)
         else:
-            self._check_unit(entry, field, demands.unit_of(quantity), place)
+            self.check_unit(entry, field, demands.unit_of(quantity), place)
             self._check_trip(given, field, demands)
         if isinstance(entry, FaultSource):
             word = self._watched(quantity, entry, field, place)
@@ -269,7 +273,8 @@ class Catalogue(ABC, Generic[Item]):
             on = self._on(entry, field, f"{place}.on")
         return Source(quantity, item, field, entry.scale, entry.offset, on, place, word)
 
-    def _check_unit(self, entry: SignalSource, field: Field, wanted: str, place: str) -> None:
+    def check_unit(self, entry: SignalSource, field: Field, wanted: str, place: str) -> None:
+        """Collect what is wrong with the unit of an entry, which should lead to the wanted one."""
         problem = unit_problem(entry, field.unit, wanted)
         self.note(place, problem and f"{entry.signal}: {problem}")
         caution = unit_caution(entry, field.unit) if wanted else None
@@ -359,7 +364,7 @@ class Catalogue(ABC, Generic[Item]):
         place, field = f"{_COMMAND}.{name}", self.field(item, "command")
         sink = Sink(name, item, field, -entry.offset / entry.scale, 1.0 / entry.scale)
         self.note(place, self.refusal(item, "command"))
-        self._check_unit(entry, field, demands.unit_of(name), place)
+        self.check_unit(entry, field, demands.unit_of(name), place)
         sent = self._sent(field, sink.base, place)
         if sent is None:
             return sink

@@ -110,6 +110,17 @@ class NewestValues:
             taken_s.get("boost_voltage_V"),
         )
 
+    def fresh(self, now_s: float, stale_s: float) -> dict[str, float]:
+        """Return the values that are not stale, by quantity.
+
+        Args:
+            now_s: The monotonic clock.
+            stale_s: Age at which a value is stale that may not be older, in s.
+        """
+        ages_s = {name: now_s - taken_s for name, taken_s in self._taken_s.items()}
+        old = {name for name, age_s in ages_s.items() if age_s > stale_s + self._slacks[name]}
+        return {name: value for name, value in self._values.items() if name in ages_s.keys() - old}
+
     def oldest(self) -> tuple[str, float, float]:
         """Return the quantity that is out of date first, its time, and that of the newest value.
 

@@ -134,6 +134,10 @@ class StatusAssembly:
             return replace(reading, bridge=bridge_sent and not self._carried_on)
         return reading
 
+    def fresh(self, now_s: float, stale_s: float) -> dict[str, float]:
+        """Return the values that are not stale, as `NewestValues.fresh` does."""
+        return self._newest.fresh(now_s, stale_s)
+
     def oldest(self) -> tuple[StatusFrame, CanSource, float, float]:
         """Return the value that is out of date first: its message, its source, and its arrival.
 

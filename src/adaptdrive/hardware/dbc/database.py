@@ -170,6 +170,8 @@ class Located(NamedTuple):
 class SignalCatalogue(Catalogue[Located]):
     """Finds messages and signals by name, and gathers a flaw for each that is not there."""
 
+    has_copies = True
+
     def __init__(
         self,
         description: Description,

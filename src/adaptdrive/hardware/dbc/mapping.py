@@ -29,6 +29,7 @@ from adaptdrive.hardware.dbc.orders import (
     are_apart,
     build_orders,
     check_rates,
+    find_copies,
     find_orders,
 )
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
@@ -138,7 +139,8 @@ def map_drive(
         sources.setdefault(one.item.message.name, []).append(
             _source(catalogue, bus, timing, clock, one)
         )
-    orders = find_orders(catalogue, catalogue.sinks(signals.command, demands))
+    sinks = catalogue.sinks(signals.command, demands)
+    orders = find_orders(catalogue, [*sinks, *find_copies(catalogue, signals, demands)])
     setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
     if clock is not None:
         catalogue.note("bus.clock", _clock_problem(bus, sources))

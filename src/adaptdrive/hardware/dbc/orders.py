@@ -8,6 +8,7 @@ a multiplexer may be one of the signals that another one selects.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -16,14 +17,16 @@ from types import MappingProxyType
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.config.bus import COMMANDED, FrameIntegrity, Signals
 from adaptdrive.config.proposals import nearest
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.binding import BRIDGE, Sink
+from adaptdrive.hardware.binding import BRIDGE, Sink, is_word
 from adaptdrive.hardware.dbc.database import Located, SignalCatalogue
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.layout import compile_field, initial_value, signal_bits
 
+_NOTHING: Mapping[str, float] = MappingProxyType({})
 Choice = dict[str, float]
 """Values of multiplexers by name."""
 
@@ -36,23 +39,33 @@ class CommandFrame:
         codec: Codec of its message; frames of one message share it, and its alive counter.
         parts: What is taken from the command, by signal.
         fixed: Values that are always the same: constants, and what selects the page.
+        copies: Measured values that are sent back, by signal.
         every_s: Time from one to the next where it does not go with each command.
     """
 
     codec: MessageCodec
     parts: Mapping[str, Sink[Located]]
     fixed: Mapping[str, float]
+    copies: Mapping[str, Sink[Located]]
     every_s: float = 0.0
 
-    def encode(self, command: Command) -> bytes:
+    def encode(self, command: Command, measured: Mapping[str, float] = _NOTHING) -> bytes:
         """Make the next frame.
+
+        Args:
+            command: The command.
+            measured: Measured values by name; a copy of one that is missing, or does not fit into
+                its signal, says that it is not available.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it.
         """
-        values = dict(self.fixed)
+        values: dict[str, float | None] = dict(self.fixed)
         for signal, part in self.parts.items():
             values[signal] = part.value(command)
+        for signal, copy in self.copies.items():
+            value = copy.base + copy.factor * measured.get(copy.name, math.nan)
+            values[signal] = None if copy.field.problem(value) else value
         return self.codec.encode(values)
 
 
@@ -61,6 +74,30 @@ def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
     return tuple(
         sorted(orders, key=lambda order: all(one.name != BRIDGE for one in order.parts.values()))
     )
+
+
+def find_copies(
+    catalogue: SignalCatalogue, signals: Signals, demands: Demands = NO_DEMANDS
+) -> Iterator[Sink[Located]]:
+    """Yield the destination of each measured value that is sent back; flaws are collected.
+
+    Args:
+        catalogue: Has the signals.
+        signals: `[signals]`.
+        demands: What the signals must be able to carry.
+    """
+    known = [name for name, _, _ in signals.entries() if not is_word(name)]
+    for name, entry in signals.command.copies.items():
+        place, item = f"signals.command.copies.{name}", None
+        if name in known:
+            item = catalogue.find(entry.signal, place)
+        else:
+            catalogue.note(place, f"the drive does not send {name!r}{nearest(name, known)}")
+        if item is not None:
+            catalogue.note(place, catalogue.refusal(item, "command"))
+            field = catalogue.field(item, "command")
+            catalogue.check_unit(entry, field, demands.unit_of(name), place)
+            yield Sink(name, item, field, -entry.offset / entry.scale, 1.0 / entry.scale)
 
 
 def find_orders(
@@ -100,8 +137,10 @@ def build_orders(
         message = catalogue.known(name)
         codec = codecs.get(name) or MessageCodec(message, integrity.get(name))
         for fixed, carried in _frames(message, draft):
-            parts = {one.item.signal.name: one for one in carried if one.factor}
-            yield CommandFrame(codec, parts, fixed)
+            sent = {one.item.signal.name: one for one in carried if one.factor}
+            parts = {name: one for name, one in sent.items() if one.name in COMMANDED}
+            copies = {name: one for name, one in sent.items() if name not in parts}
+            yield CommandFrame(codec, parts, fixed, copies)
 
 
 def check_rates(
@@ -117,10 +156,8 @@ def check_rates(
         drafts: The values that each message of the command carries.
     """
     for name in rates:
-        place, commanded = (
-            f"bus.send_every_s.{name}",
-            [one for one in drafts.get(name, ()) if one.factor],
-        )
+        place = f"bus.send_every_s.{name}"
+        commanded = [one for one in drafts.get(name, ()) if one.factor and one.name in COMMANDED]
         if name not in drafts:
             hint = nearest(name, [*drafts])
             catalogue.note(place, f"no message {name!r} goes with the command{hint}")

@@ -146,7 +146,8 @@ class CanPort:
         """
         bridge = command.bridge
         orders = self._due(self._mapping.orders if bridge else self._stopping, bridge=bridge)
-        frames = [self._frame(order, command) for order in orders]
+        measured = self._measured()
+        frames = [self._frame(order, command, measured) for order in orders]
         safe = not bridge and command == SAFE_COMMAND
         if not safe:
             self._obedience.forget()
@@ -325,13 +326,21 @@ class CanPort:
             one for one in orders if soon_s >= latest_s.get(one.codec.key, -math.inf) + one.every_s
         ]
 
-    def _frame(self, order: CommandFrame, command: Command) -> can.Message:
-        data, fast = order.encode(command), self._config.bitrate_switch
+    def _measured(self) -> Mapping[str, float]:
+        """Return what the drive has measured, where its command has a copy of that."""
+        if not any(order.copies for order in self._mapping.orders):
+            return {}
+        return self._assembly.fresh(self._clock(), self._mapping.timing.stale_s)
+
+    def _frame(
+        self, order: CommandFrame, command: Command, measured: Mapping[str, float]
+    ) -> can.Message:
+        data, fast = order.encode(command, measured), self._config.bitrate_switch
         return order.codec.frame(data, bitrate_switch=fast)
 
     def _set_up(self) -> bool:
         """Send what the drive needs before it is commanded; whether the bus took all of it."""
-        frames = [self._frame(order, SAFE_COMMAND) for order in self._mapping.setup]
+        frames = [self._frame(order, SAFE_COMMAND, {}) for order in self._mapping.setup]
         return all(self._connection.send(frame) for frame in frames)
 
     def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
