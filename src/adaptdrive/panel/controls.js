@@ -23,6 +23,11 @@ const Controls = (() => {
     return accepted;
   }
 
+  /** Take away an answer that is about an older value. @param {HTMLElement} answer */
+  function settle(answer) {
+    if (answer.dataset.kind !== "sent") Dom.say(answer, "");
+  }
+
   /** A stop: one action, in any state.
    * @param {DriveView} drive @param {HTMLElement} answer @param {() => Element} place before the answer */
   function stop(drive, answer, place) {
@@ -72,9 +77,9 @@ const Controls = (() => {
     return own;
   }
 
-  /** The row of buttons that a button is in, or the button itself. @param {Element} own */
+  /** The row of buttons or the banner that a button is in, or the button itself. @param {Element} own */
   function rowOf(own) {
-    return own.closest(".row") ?? own;
+    return own.closest(".row, .alarm") ?? own;
   }
 
   /** All controls of a drive.
@@ -89,9 +94,10 @@ const Controls = (() => {
     const voltage = field(`${drive.given.name}, ${drive.given.unit}`);
     const pole = field("pole, per slow period", { min: "0", max: "1" });
     const modes = drive.state?.modes ?? ["fixed", "adaptive"];
+    const reset = button("Reset trip", (place) => send(place, "reset", undefined));
     const choose = modes.map((name) => button(name, (place) => send(place, "mode", name), { "data-mode": name }));
     const body = Dom.make("div.controls", {},
-      Dom.make("div.row", {}, twice("Enable", (own) => send(rowOf(own), "enable", undefined)), button("Reset trip", (place) => send(place, "reset", undefined))),
+      Dom.make("div.row", {}, twice("Enable", (own) => send(rowOf(own), "enable", undefined))),
       Dom.make("div.row", { role: "group", "aria-label": "controller" }, ...choose),
       form("Set", (place) => send(place, "setpoint", setpoint.input.valueAsNumber), setpoint.row),
       Dom.make("details", {}, Dom.make("summary", {}, "Waveform"),
@@ -103,9 +109,11 @@ const Controls = (() => {
     );
     const viewer = Dom.make("p.viewer", { hidden: true });
     const root = Dom.make("section.side", {}, Dom.make("h2", {}, "Operate"), viewer, body, simulated(drive, answer), answer);
-    const rights = seeRights(drive, viewer, body);
+    root.addEventListener("input", () => settle(answer));
+    const rights = seeRights(drive, viewer, body, reset);
     return {
       root,
+      reset,
       draw() {
         rights();
         for (const button of choose) Dom.mark(button, "aria-pressed", String(button.dataset.mode === drive.state?.mode));
@@ -120,8 +128,8 @@ const Controls = (() => {
   }
 
   /** Show what the user may do, asked again until the drive answers.
-   * @param {DriveView} drive @param {HTMLElement} viewer @param {HTMLElement} body */
-  function seeRights(drive, viewer, body) {
+   * @param {DriveView} drive @param {HTMLElement} viewer @param {...HTMLElement} parts of those who may command */
+  function seeRights(drive, viewer, ...parts) {
     let known = false, asking = false;
     return async () => {
       if (known || asking) return;
@@ -130,7 +138,7 @@ const Controls = (() => {
       asking = false;
       known = obstacle !== null && obstacle !== Link.UNANSWERED;
       viewer.hidden = obstacle === "";
-      body.hidden = Boolean(obstacle);
+      for (const part of parts) part.hidden = Boolean(obstacle);
       Dom.say(viewer, obstacle ?? "The daemon does not answer.");
     };
   }

@@ -3,6 +3,7 @@
 
 const DrivePage = (() => {
   const NEAR = 0.1; // share of a trip's limit
+  const LATEST = 3; // events that are in sight at once
   /** @param {HTMLElement} parent @param {DriveView} drive */
   function open(parent, drive) {
     const answer = Dom.make("p.answer", { "aria-live": "polite" });
@@ -10,16 +11,18 @@ const DrivePage = (() => {
     const state = Dom.make("span.chip");
     const open = Dom.make("strong.unconfirmed");
     const age = Dom.make("span.age");
-    const alarm = Dom.make("div.alarm", { role: "alert", hidden: true });
     const stop = Controls.stop(drive, answer, () => bar);
     const now = present();
     const bar = Dom.make("header.bar", {}, Dom.make("a", { href: "#", "aria-label": "all drives" }, "‹ drives"), title, state, open, age, stop);
     const plotted = Dom.make("section.plots", { "aria-label": "plots" });
+    const latest = Dom.make("ol.latest", { "aria-label": "latest events" });
     const events = Dom.make("ol.events");
     const controls = Controls.panel(drive, answer);
+    const alarm = banner(controls.reset);
     parent.append(
       bar,
-      alarm,
+      alarm.root,
+      latest,
       Dom.make("div.columns", {}, Dom.make("div.left", {}, now.root, now.details), plotted, controls.root),
       Dom.make("section", {}, Dom.make("h2", {}, "Events"), events, ...report(drive.name)),
     );
@@ -29,7 +32,8 @@ const DrivePage = (() => {
     const built = drive.build;
 
     function draw() {
-      drawState(drive, state, age, alarm);
+      drawState(drive, state, age);
+      alarm.draw(drive);
       Dom.say(open, drive.openStop && `${drive.openStop}: the bridge is not reported off`);
       parent.classList.toggle("stale", !drive.live);
       now.draw(drive);
@@ -37,6 +41,7 @@ const DrivePage = (() => {
       plots.draw();
       if (seen === drive.eventVersion) return;
       seen = drive.eventVersion;
+      latest.replaceChildren(...drive.events.slice(0, LATEST).map(eventRow));
       events.replaceChildren(...drive.events.slice(0, 30).map(eventRow));
     }
 
@@ -62,25 +67,31 @@ const DrivePage = (() => {
     return target instanceof HTMLSelectElement || target instanceof HTMLTextAreaElement;
   }
 
-  /** @param {DriveView} drive @param {HTMLElement} chip @param {HTMLElement} age @param {HTMLElement} alarm */
-  function drawState(drive, chip, age, alarm) {
-    const state = drive.state;
+  /** @param {DriveView} drive @param {HTMLElement} chip @param {HTMLElement} age */
+  function drawState(drive, chip, age) {
     Dom.say(chip, drive.shown);
     Dom.mark(chip, "data-state", drive.shown);
     Dom.say(age, drive.ageText);
-    const trip = state?.trip;
-    alarm.hidden = !trip;
-    if (!trip) return;
-    const remedy = state?.last_trip?.remedy ?? "";
-    const advice = remedy ? Dom.make("p", {}, `What to do: ${remedy}`) : "";
-    alarm.replaceChildren(Dom.make("strong", {}, `Trip: ${Drives.cause(state)}`), advice);
+  }
+
+  /** A trip: when, why, what to do, and the button that ends it. @param {HTMLElement} reset */
+  function banner(reset) {
+    const cause = Dom.make("strong"), advice = Dom.make("p");
+    const root = Dom.make("div.alarm", { role: "alert", hidden: true }, Dom.make("div", {}, cause, advice), reset);
+    return { root, draw(/** @type {DriveView} */ { state }) {
+      root.hidden = !state?.trip;
+      if (!state?.trip) return;
+      const { time, remedy } = state.last_trip ?? { time: state.since, remedy: "" };
+      Dom.say(cause, `Trip, ${Dom.date(Drives.timeS(time))}: ${Drives.cause(state)}`);
+      Dom.say(advice, remedy && `What to do: ${remedy}`);
+    } };
   }
 
   /** What is now: large numbers, each with unit, limits and age. */
   function present() {
     const output = Dom.make("p.large");
     const name = Dom.make("h2");
-    const bar = Dom.make("div.range", { "aria-hidden": "true" }, Dom.make("i.mark.value"), Dom.make("i.mark.wanted"));
+    const bar = Dom.make("div.range", { "aria-hidden": "true" }, Dom.make("i.mark.value"), Dom.make("i.mark.wanted"), Dom.make("small"), Dom.make("small"));
     const first = Dom.make("dl.values"), rest = Dom.make("dl.values");
     const root = Dom.make("section.now", {}, name, output, bar, first);
     const details = Dom.make("section.details", {}, Dom.make("h2", {}, "Measurements and estimates"), rest);
@@ -156,7 +167,7 @@ const DrivePage = (() => {
     });
   }
 
-  /** @param {HTMLElement} bar @param {[number|null, number|null]|undefined} range
+  /** A range from end to end, with its limits. @param {HTMLElement} bar @param {[number|null, number|null]|undefined} range
    * @param {number|null|undefined} value @param {number|null|undefined} wanted */
   function drawRange(bar, range, value, wanted) {
     const [low, high] = range ?? [null, null];
@@ -165,6 +176,7 @@ const DrivePage = (() => {
     const at = (/** @type {number|null|undefined} */ x) => `${Math.min(100, Math.max(0, (100 * ((x ?? low) - low)) / (high - low)))}%`;
     /** @type {HTMLElement} */ (bar.children[0]).style.left = at(value);
     /** @type {HTMLElement} */ (bar.children[1]).style.left = at(wanted);
+    [low, high].forEach((end, i) => Dom.say(bar.children[2 + i], Dom.number(end)));
   }
 
   /** @param {State|null} state */

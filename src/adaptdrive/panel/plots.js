@@ -6,6 +6,7 @@ const Plots = (() => {
   const HOUR_S = 3600;
   const SPANS_S = [300, 1200, HOUR_S];
   const SHORTEST_ZOOM_S = 1;
+  const RESTING = 0.02, NARROW = 0.25; // shares of the limits: between them an axis shows only what the values cover
   const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, HOUR_S]; // between two marks of the time axis
   const SYNC = "drive";
 
@@ -32,6 +33,19 @@ const Plots = (() => {
   /** @param {any} _ @param {number[]} times */
   function clock(_, times) {
     return times.map(Dom.clock);
+  }
+
+  /** What an axis shows: its limits from end to end, or where values move within a small part of them, that part.
+   * @param {() => [number|null, number|null]|undefined} limits */
+  function reach(limits) {
+    return (/** @type {any} */ _, /** @type {number|null} */ low, /** @type {number|null} */ high) => {
+      const [least, most] = limits() ?? [null, null];
+      const whole = least != null && most != null && most > least ? most - least : null;
+      if (low == null || high == null) return whole ? [least, most] : [0, 1];
+      const moved = high - low;
+      if (whole && (moved < RESTING * whole || moved > NARROW * whole)) return [Math.min(low, least ?? low), Math.max(high, most ?? high)];
+      return moved > 0 ? uPlot.rangeNum(low, high, 0.1, true) : [low - (Math.abs(low) || 1) / 10, high + (Math.abs(high) || 1) / 10];
+    };
   }
 
   /** As many digits as tell two marks of an axis apart.
@@ -70,8 +84,9 @@ const Plots = (() => {
 
   /** Make one plot.
    * @param {HTMLElement} parent @param {string} title @param {any[]} lines
-   * @param {{marks: Mark[], zoom: (window: Window|null) => void}} owner @param {any[]} [bands] */
-  function plot(parent, title, lines, owner, bands = []) {
+   * @param {{marks: Mark[], zoom: (window: Window|null) => void}} owner
+   * @param {() => [number|null, number|null]|undefined} [limits] @param {any[]} [bands] */
+  function plot(parent, title, lines, owner, limits = () => undefined, bands = []) {
     const frame = Dom.make("figure.plot", {}, Dom.make("figcaption", {}, title));
     parent.append(frame);
     const axis = () => ({ stroke: colour("--text-soft"), grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false }, font: "11px system-ui", size: 58, values: digits });
@@ -79,7 +94,8 @@ const Plots = (() => {
       width: 300, height: HEIGHT,
       cursor: { sync: { key: SYNC }, points: { size: 5 }, drag: { x: true, y: false, setScale: false } },
       legend: { live: true },
-      axes: [{ ...axis(), size: 26, space: 70, incrs: STEPS_S, values: clock }, axis()],
+      axes: [{ ...axis(), size: 26, space: 70, incrs: STEPS_S, values: clock }, { ...axis(), space: 16 }],
+      scales: { y: { range: reach(limits) } },
       series: [{ label: "time", value: (/** @type {any} */ _, /** @type {number|null} */ at) => (at == null ? "–" : Dom.clock(at)) }, ...lines.map(series)],
       bands,
       hooks: {
@@ -126,12 +142,12 @@ const Plots = (() => {
     const output = plot(parent, `${drive.outputName}${unit}`, [
       { label: "reference", colour: "--series-2", step: true, dash: [6, 4] },
       { label: drive.outputName, colour: "--series-1" },
-    ], owner);
+    ], owner, () => drive.state?.limits.setpoint);
     const given = drive.given;
     const voltage = plot(parent, `${given.name}, ${given.unit}`, [
       { label: "asked for", colour: "--series-2", step: true, dash: [6, 4] },
       { label: "applied", colour: "--series-1" },
-    ], owner);
+    ], owner, () => drive.state?.limits.boost_V);
     const strip = Dom.make("canvas.strip", { "aria-label": "controller in force and verdict over time" });
     parent.append(Dom.make("figure.plot", {}, Dom.make("figcaption", {}, "controller in force: adaptive tall and blue, fixed low and grey; dots below where the estimate is refused"), strip));
     const key = Dom.make("p.hint.key");
@@ -175,7 +191,7 @@ const Plots = (() => {
           { label: "high", colour: "--series-1", band: true },
           { label: "low", colour: "--series-1", band: true },
           { label: text, colour: "--series-1" },
-        ], owner, [{ series: [1, 2], fill: colour("--band") }]);
+        ], owner, undefined, [{ series: [1, 2], fill: colour("--band") }]);
         estimates.set(name, own);
       }
       const at = (/** @type {Load} */ row, /** @type {number} */ sigmas) => {

@@ -81,6 +81,8 @@ def test_an_operator_runs_the_drive_and_sees_the_estimate_move(
     page.get_by_role("button", name="Set", exact=True).first.click()
     operator.expect_text(".answer", "refused: setpoint = 9 V is outside")
     page.get_by_label("set-point, V").fill("3.2")
+    expect(page.locator(".answer")).to_be_empty()  # it was about the other value
+    assert page.locator(".range small").all_inner_texts() == ["0", "4.5"]
     page.get_by_role("button", name="Set", exact=True).first.click()
     operator.expect_text(".answer", "setpoint 3.2: accepted")
     first = estimates(operator)
@@ -103,10 +105,12 @@ def test_a_trip_is_shown_with_its_remedy_and_reset(operator: Panel, panel_site: 
     operator.expect_state("running")
     site.kill(site.device)
     operator.expect_state("tripped")
-    operator.expect_text(".alarm", "Trip: ")
+    tripped = datetime.fromisoformat(site.state["last_trip"]["time"]).astimezone()
+    operator.expect_text(".alarm", f"Trip, {tripped:%Y-%m-%d %H:%M:%S}: ")
+    expect(operator.page.locator(".latest li").filter(has_text="stale").first).to_be_in_viewport()
     operator.expect_text(".alarm", "What to do: ")
     operator.expect_text(".age", "drive silent")
-    operator.page.get_by_role("button", name="Reset trip").click()
+    operator.page.locator(".alarm").get_by_role("button", name="Reset trip").click()
     operator.expect_text(".answer", "refused: cause is still there")
     site.start_device("--initial-voltage", "280")
     site.await_measurement()
