@@ -253,5 +253,5 @@ const Plots = (() => {
     }
   }
 
-  return { open };
+  return { open, reach };
 })();

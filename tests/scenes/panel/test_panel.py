@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,24 @@ def test_a_wrong_password_is_refused(make_panel: MakePanel, panel_site: PanelSit
     panel.expect_text(".answer", "refuses")
     panel.log_in(panel_site.address, "operator")
     expect(panel.page.get_by_role("heading", name="Drives")).to_be_visible()
+
+
+def test_an_axis_shows_the_range_of_its_limits(
+    make_panel: MakePanel, panel_site: PanelSite
+) -> None:
+    page = make_panel().page
+    page.goto(panel_site.address)
+    shown = "([limits, low, high]) => Plots.reach(() => limits)(null, low, high)"
+    for limits, values, wanted in (
+        ([0, 14], (0, 7), [0, 14]),
+        ([0, 14], (7, 7), [0, 14]),  # a constant has no scale of its own
+        ([0, 14], (None, None), [0, 14]),
+        ([0, 14], (-0.1, 15), [-0.1, 15]),
+        (None, (7, 7), [6.3, 7.7]),
+    ):
+        assert page.evaluate(shown, [limits, *values]) == pytest.approx(wanted)
+    low, high = page.evaluate(shown, [[0, 14], 3.0, 4.0])  # a step that would hardly be seen
+    assert 2.0 <= low < 3.0 < 4.0 < high <= 5.0
 
 
 def test_an_operator_runs_the_drive_and_sees_the_estimate_move(
