@@ -21,13 +21,8 @@ _UNUSED = ("comments", "dummyusage", "devicecomissioning")
 _IDENTITY = ("VendorNumber", "ProductNumber")
 """All that is used of a device."""
 
-_KEYS = {
-    one.lower(): one
-    for one in (
-        *(*_NUMBERS, *_IDENTITY, _NAME, "AccessType", "CompactSubObj"),
-        *("LowLimit", "HighLimit", "DefaultValue", "ParameterValue"),
-    )
-}
+_MORE = ("AccessType", "CompactSubObj", "LowLimit", "HighLimit", "DefaultValue")
+_KEYS = {one.lower(): one for one in (*_NUMBERS, *_IDENTITY, *_MORE, _NAME)}
 """Names of entries as the parser knows them."""
 
 
