@@ -81,6 +81,13 @@ def page(register: int, value: int, length: int = 4) -> bytes:
     return struct.pack("<Bq", register, value)[:length].ljust(length, b"\0")
 
 
+async def deliver(port: CanPort, drive: can.BusABC, data: bytes) -> None:
+    """Send a frame of the drive, and wait until the port has read it."""
+    known = port.statistics.received
+    drive.send(can.Message(arbitration_id=385, is_extended_id=False, data=data))
+    await until(lambda: port.statistics.received > known)
+
+
 @pytest.mark.parametrize(
     ("data", "verdict", "values"),
     [
@@ -144,6 +151,25 @@ def test_requests_go_once_in_pages_of_the_commands_message_that_no_command_uses(
     assert always == {bytes((TORQUE, 0, 0)), bytes((DISABLE, 4, 0)), bytes((3,))}
 
 
+async def test_requests_go_again_to_a_drive_that_is_off_and_has_fallen_silent(
+    tmp_path: Path,
+) -> None:
+    """One that was switched off and on again has forgotten them, and sends nothing."""
+    bus, ear, clock = bus_of(tmp_path, "TX.SPEED", {"RX.SPEED_MS": 10.0}), Ear(), Clock()
+    port = CanPort(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
+    asked = []
+    with open_bus(bus) as drive:
+        async with running(port, ear):
+            await until(lambda: drive.recv(0) is not None)
+            for number in range(40):
+                await deliver(port, drive, page(SPEED if number < 10 else CURRENT, 7))
+                assert port.send(SAFE_COMMAND)
+                frames = iter(lambda: drive.recv(0), None)
+                asked.append(any(one.data[0] == ASK for one in frames))
+                clock.now_s += 0.125
+    assert [number for number, one in enumerate(asked) if one] == [18, 27, 36]
+
+
 @pytest.mark.parametrize("name", ["TORQUE", "DISABLE"])
 def test_a_set_up_on_a_page_of_the_command_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigurationError, match="'RX' carries the command: name a constant"):
@@ -185,16 +211,10 @@ async def test_a_measured_value_is_copied_into_the_command_while_it_is_fresh(
     bus, heard = bus_of(tmp_path, "TX"), []
     port = CanPort(bus, mapping, clock, clock)
     with open_bus(bus) as drive:
-
-        async def send(current: int) -> None:
-            known, data = port.statistics.received, page(CURRENT, current)
-            drive.send(can.Message(arbitration_id=385, is_extended_id=False, data=data))
-            await until(lambda: port.statistics.received > known)
-
         async with running(port, ear):
             for current, later_s in ((None, 0.0), (70, 0.4), (None, 0.2), (600, 0.0), (-1, 0.0)):
                 if current is not None:
-                    await send(current)
+                    await deliver(port, drive, page(CURRENT, current))
                 clock.now_s += later_s
                 assert port.send(SAFE_COMMAND)
                 frames = {one.arbitration_id: one.data for one in iter(lambda: drive.recv(0), None)}

@@ -34,6 +34,10 @@ from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
+_ASK_AGAIN_S = 1.0
+"""Silence of the clock of a drive that is off after which its set-up is sent again: it may have
+started anew, and forgotten the requests for its messages."""
+
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 
 
@@ -90,7 +94,7 @@ class CanPort:
         self._bridge_sent = False
         self._sent_s: dict[int, float] = {}
         self._relink = Relink()
-        self._leapt_s = -math.inf
+        self._leapt_s = self._asked_s = -math.inf
         self._newest: Reading | None = None
         self._made_up = list(_made_up(config, mapping))
 
@@ -146,8 +150,7 @@ class CanPort:
         """
         bridge = command.bridge
         orders = self._due(self._mapping.orders if bridge else self._stopping, bridge=bridge)
-        measured = self._measured()
-        frames = [self._frame(order, command, measured) for order in orders]
+        frames = [self._frame(order, command) for order in orders]
         safe = not bridge and command == SAFE_COMMAND
         if not safe:
             self._obedience.forget()
@@ -155,6 +158,8 @@ class CanPort:
         if self._disobeyed or self._must_report(bridge=bridge):
             self._counts["withheld_commands"] += 1
             return False
+        if not bridge and self._clock() > self._asked_s + _ASK_AGAIN_S:
+            self._set_up()
         if bridge and not self._bridge_sent and not self._set_up():  # it may have started anew
             self._connection.uptake.note(taken=False)
             return False
@@ -261,6 +266,7 @@ class CanPort:
             self._refusals.accept(status.codec.label)
         self._assembly.keep(status, decoded.values, arrival_s, whole=verdict is _GOOD)
         if status is self._clocking and self._has_page(status, decoded.values, frame):
+            self._asked_s = max(self._asked_s, arrival_s)
             stopped = self._obedience.awaited
             reading = self._assembly.reading(
                 arrival_s, bridge_sent=self._bridge_sent, stopped=stopped
@@ -318,29 +324,21 @@ class CanPort:
         """Return the frames that go with a command now; all of them where the bridge changes."""
         if bridge is not self._bridge_sent:
             self._sent_s.clear()
-        if not self._sent_s:
-            return orders
-        soon_s = self._clock() + 0.5 * self._mapping.timing.reading_s
-        latest_s = self._sent_s
+        soon_s, sent_s = self._clock() + 0.5 * self._mapping.timing.reading_s, self._sent_s
         return [
-            one for one in orders if soon_s >= latest_s.get(one.codec.key, -math.inf) + one.every_s
+            one for one in orders if soon_s >= sent_s.get(one.codec.key, -math.inf) + one.every_s
         ]
 
-    def _measured(self) -> Mapping[str, float]:
-        """Return what the drive has measured, where its command has a copy of that."""
-        if not any(order.copies for order in self._mapping.orders):
-            return {}
-        return self._assembly.fresh(self._clock(), self._mapping.timing.stale_s)
-
-    def _frame(
-        self, order: CommandFrame, command: Command, measured: Mapping[str, float]
-    ) -> can.Message:
+    def _frame(self, order: CommandFrame, command: Command) -> can.Message:
+        stale_s = self._mapping.timing.stale_s
+        measured = self._assembly.fresh(self._clock(), stale_s) if order.copies else {}
         data, fast = order.encode(command, measured), self._config.bitrate_switch
         return order.codec.frame(data, bitrate_switch=fast)
 
     def _set_up(self) -> bool:
         """Send what the drive needs before it is commanded; whether the bus took all of it."""
-        frames = [self._frame(order, SAFE_COMMAND, {}) for order in self._mapping.setup]
+        self._asked_s = self._clock()
+        frames = [self._frame(order, SAFE_COMMAND) for order in self._mapping.setup]
         return all(self._connection.send(frame) for frame in frames)
 
     def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
