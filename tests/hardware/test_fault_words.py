@@ -100,7 +100,8 @@ def test_a_can_drive_has_several_words() -> None:
 
 def test_a_drive_on_modbus_has_several_words() -> None:
     fault = "[{ signal = 'state', mask = 0x100, names = { 8 = 'hw_overcurrent' } }, 'power']"
-    configuration = parse(signals__faults=fault)
+    warning = "{ signal = 'state', mask = 0x01, names = { 0 = 'derating' } }"
+    configuration = parse(signals__faults=fault, signals__warning=warning)
     poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
     assembly = PollAssembly(poll)
     assembly.begin()
@@ -110,12 +111,17 @@ def test_a_drive_on_modbus_has_several_words() -> None:
     assert reading is not None
     assert reading.fault == 0x102
     assert reading.fault_name == "state bit 8 hw_overcurrent, power bit 1"
+    assert reading.warning == "state bit 0 derating"
     assert "'speed' must be an integer" in flaws(signals__faults="['speed']")["signals.faults"]
 
 
 def test_a_node_on_canopen_has_several_words() -> None:
-    mapping = plan_objects({"signals/faults": ["0x2000.1"]})
-    assert mapping.faults == {"faults": FaultWord("0x2000.1", -1, {})}
+    warning = {"signal": "0x603F", "mask": 0x70, "names": {"4": "derating"}}
+    mapping = plan_objects({"signals/faults": ["0x2000.1"], "signals/warning": [warning]})
+    assert mapping.faults == {
+        "faults": FaultWord("0x2000.1", -1, {}),
+        "warning": FaultWord("0x603F", 0x70, {0x10: "derating"}, warns=True),
+    }
     assert "no object" in object_flaws({"signals/faults": ["0x2009"]})["signals.faults"]
 
 

@@ -13,7 +13,7 @@ import pytest
 from adaptdrive.config.bus import CanBus, SignalRange
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.hardware.dbc.database import Description, SignalCatalogue, describe, read_dbc
+from adaptdrive.hardware.dbc.database import SignalCatalogue, describe, read_dbc
 from adaptdrive.hardware.dbc.mapping import map_drive
 from tests.hardware.bench import EXAMPLES, MOTOR, TIMING, motor_bus, rewritten
 
@@ -299,9 +299,3 @@ def test_a_file_without_objects_is_no_eds(tmp_path: Path) -> None:
     path.write_text("nothing\n")
     with pytest.raises(ConfigurationError, match="it describes no object"):
         read_eds(path, 5)
-
-
-def test_a_description_of_one_file_has_its_remarks(tmp_path: Path) -> None:
-    bus = addressed(written(tmp_path, J1939 + FLAWS["long id"]))
-    found: Description = describe(bus)
-    assert [one.partition(":")[0] for one in found.remarks] == ["line 7"]

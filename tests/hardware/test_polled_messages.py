@@ -155,18 +155,6 @@ async def test_a_remote_frame_has_the_length_that_the_dbc_states(
     assert {(one.dlc, bytes(one.data)) for one in device.asked} == {(8, b"")}
 
 
-async def test_a_request_names_the_group_and_goes_to_its_sender(
-    config: CanBus, tmp_path: Path
-) -> None:
-    bus, ids = by_groups(config, tmp_path)
-    async with answering(bus, **ids) as device, running(build_port(bus), Ear()):
-        await until(lambda: len(device.asked) > 4)
-    assert {(one.arbitration_id, bytes(one.data)) for one in device.asked} == {
-        (0x18EA2717, b"\x10\xff\x00"),
-        (0x18EA2717, b"\x11\xff\x00"),
-    }
-
-
 @pytest.mark.parametrize(
     ("frame_id", "request_id", "data"),
     [

@@ -191,18 +191,6 @@ async def test_a_value_that_comes_late_is_as_old_as_its_measurement() -> None:
             one.ask(Enable())
 
 
-async def test_an_output_beyond_its_limit_trips_in_the_tick_that_sees_it() -> None:
-    async with bench() as one:
-        one.say(hot=302.5, cold=300.0)
-        one.frames(1)
-        one.ask(Enable())
-        one.frames(3)
-        one.say(hot=305.5)
-        one.frames(1)
-        assert one.machine.state is State.TRIPPED
-        assert "limit 5" in (one.machine.trip or "")
-
-
 async def test_loss_and_return_of_a_sensor_bus_are_told_with_its_name() -> None:
     async with bench() as one:
         one.bus.on_bus(up=False, detail="unplugged")

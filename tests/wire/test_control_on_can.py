@@ -66,32 +66,6 @@ async def tripped(wire: Wire) -> str:
     return wire.daemon._machine.trip or ""
 
 
-async def test_the_current_of_a_battery_follows_a_wave(free_udp_port: int) -> None:
-    changes = {
-        "load": {"period_s": 0.5, "samples": 45},
-        "load.model": {"relaxation_s": 15.0},
-        "estimator": {"tau_lambda_s": 10.0},
-    }
-    async with on_can(free_udp_port, changes, DeviceSettings(noise_V=0.02), "battery") as wire:
-        await wire.until_running()
-        assert wire.daemon._machine.coasting
-        await wire.daemon.execute(SetSetpoint(10.0))
-        machine = wire.daemon._machine
-        await until(lambda: machine.state is State.RUNNING and not machine.coasting, poll_s=0.05)
-        assert (await periods(wire, 40))[-1].snapshot.output == pytest.approx(10.0, abs=0.3)
-        await wire.daemon.execute(SetWaveform(Waveform(Shape.SQUARE, 6.0, 10.0, 10.0)))
-        seen = [report.snapshot for report in (await periods(wire, 50))[10:]]
-    settled = [
-        now.output / now.order.reference
-        for number, now in enumerate(seen)
-        if {one.order.reference for one in seen[number - 8 : number]} == {now.order.reference}
-    ]
-    assert len(settled) > 5
-    assert {one.order.reference for one in seen} == {6.0, 10.0}
-    assert all(0.9 < share < 1.1 for share in settled)
-    assert max(one.output for one in seen) < 11.0
-
-
 async def test_power_returns_to_the_line_within_its_limit(free_udp_port: int) -> None:
     changes = {"drive.limits": {"regeneration_scale_max_S": 0.003}}
     settings = DeviceSettings(initial_voltage_V=390.0)

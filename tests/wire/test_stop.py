@@ -74,7 +74,14 @@ async def test_a_bridge_that_stays_on_is_announced() -> None:
         assert rig.state.stop is StopWord.CONFIRMED
 
 
-async def test_a_node_that_stays_enabled_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "statusword",
+    [ENABLED, 0x0217, 0x0247],
+    ids=["enabled", "quick stop active", "no state of CiA 402"],
+)
+async def test_a_node_that_stays_enabled_is_announced(
+    statusword: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
     with contextlib.closing(Node()) as peer:
         bus = IN_MEMORY
@@ -84,6 +91,7 @@ async def test_a_node_that_stays_enabled_is_announced(monkeypatch: pytest.Monkey
             peer.obeys = False
             began_s = asyncio.get_running_loop().time()
             assert await rig.daemon.execute(Disable()) is State.STOPPING
+            peer.statusword = statusword
             trip, after_s = await alarm(rig, "trip", began_s)
             assert trip.startswith("the drive does not stop: its bridge is still on ")
             assert after_s < ANNOUNCED_s
@@ -96,25 +104,6 @@ async def test_a_node_that_stays_enabled_is_announced(monkeypatch: pytest.Monkey
             peer.obeys = True
             await rig.ask(Reset())
             await rig.reaches(State.STANDBY)
-
-
-@pytest.mark.parametrize(
-    "statusword", [0x0217, 0x0247], ids=["quick stop active", "no state of CiA 402"]
-)
-async def test_a_node_that_does_not_leave_a_powered_state_is_announced(
-    statusword: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
-    with contextlib.closing(Node()) as peer:
-        bus = IN_MEMORY
-        async with rigged(parse({**PATIENT_NODE, **bus})) as rig:
-            await rig.run()
-            await until(lambda: peer.statusword == ENABLED)
-            peer.obeys = False
-            assert await rig.daemon.execute(Disable()) is State.STOPPING
-            peer.statusword = statusword
-            trip, _ = await alarm(rig, "trip", asyncio.get_running_loop().time())
-            assert trip.startswith("the drive does not stop: its bridge is still on ")
 
 
 @pytest.mark.parametrize("messages", [1, 2], ids=["the values beside it", "every value"])

@@ -1,19 +1,15 @@
-"""Warnings of a drive, on each kind of bus with the whole daemon behind it: told, never a trip."""
+"""Warnings of a drive with the whole daemon behind its bus: told, never a trip."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import AsyncIterator, Callable
 
 import pytest
 
 from adaptdrive.runtime.reports import Severity, State
-from tests.hardware.canopen.documents import IN_MEMORY
-from tests.hardware.canopen.documents import parse as canopen_parse
-from tests.hardware.canopen.peer import MEASURED, Peer
 from tests.wire.rig import Rig, rigged, until
-from tests.wire.wires import PATIENT_NODE, CanWire, PATIENT_s, modbus_wire, motor_text, strung
+from tests.wire.wires import CanWire, PATIENT_s, motor_text, strung
 
 Drive = tuple[Rig, Callable[[int], None], str]
 """The daemon, what sets the drive's word, and the name of the signal of it."""
@@ -21,11 +17,12 @@ Drive = tuple[Rig, Callable[[int], None], str]
 _NAMES = "{ 4 = 'derating', 5 = 'fan' }"
 
 
-@contextlib.asynccontextmanager
-async def on_can() -> AsyncIterator[Drive]:
+@pytest.fixture
+async def drive(memory: None) -> AsyncIterator[Drive]:
+    """A drive on CAN that holds its voltage; `test_fault_words.py` has the words of each bus."""
     words = "{ signal = 'DriveStatus.Fault', mask = 0x0F }\n"
     words += f"warning = {{ signal = 'DriveStatus.Fault', mask = 0x70, names = {_NAMES} }}\n"
-    text = motor_text(stale_s=PATIENT_s)
+    text = motor_text(stale_s=PATIENT_s).replace('where = "daemon"', 'where = "drive"')
     wire = CanWire(text.replace('fault = "DriveStatus.Fault"', f"fault = {words}"))
 
     def show(word: int) -> None:
@@ -33,52 +30,6 @@ async def on_can() -> AsyncIterator[Drive]:
 
     async with strung(wire), rigged(wire.configuration) as rig:
         yield rig, show, "Fault"
-
-
-@contextlib.asynccontextmanager
-async def on_modbus() -> AsyncIterator[Drive]:
-    wire = modbus_wire(
-        "tcp",
-        bus__heartbeat__drive=None,
-        interlocks__stale_s=str(PATIENT_s),
-        signals__fault="{ signal = 'state', mask = 0x0F }",
-        signals__warning=f"[{{ signal = 'state', mask = 0x70, names = {_NAMES} }}]",
-    )
-    wire.peer.state = 0
-
-    def show(word: int) -> None:
-        wire.peer.state = word
-
-    async with strung(wire), rigged(wire.configuration) as rig:
-        yield rig, show, "state"
-
-
-@contextlib.asynccontextmanager
-async def on_canopen(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Drive]:
-    monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
-    monkeypatch.setitem(MEASURED, "0x603F", 0)
-    with contextlib.closing(Peer()):
-        words = {"mask": 0x70, "names": {"4": "derating", "5": "fan"}}
-        configuration = canopen_parse(
-            {
-                **PATIENT_NODE,
-                **IN_MEMORY,
-                "signals/fault": {"signal": "0x603F", "mask": 0x0F},
-                "signals/warning": [{"signal": "0x603F", **words}],
-            }
-        )
-        async with rigged(configuration) as rig:
-            yield rig, lambda word: monkeypatch.setitem(MEASURED, "0x603F", word), "0x603F"
-
-
-@pytest.fixture(params=["can", "modbus", "canopen"])
-async def drive(
-    request: pytest.FixtureRequest, memory: None, monkeypatch: pytest.MonkeyPatch
-) -> AsyncIterator[Drive]:
-    """A drive that runs, on one of the buses."""
-    buses = {"can": on_can(), "modbus": on_modbus(), "canopen": on_canopen(monkeypatch)}
-    async with buses[request.param] as found:
-        yield found
 
 
 async def test_a_warning_is_told_once_for_each_change_and_trips_nothing(drive: Drive) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import canopen
-import pytest
 from canopen.pdo.base import PdoMap
 from hypothesis import given
 from hypothesis import strategies as st
@@ -80,23 +79,6 @@ def test_everything_is_packed_once_and_no_frame_is_too_long(entries: list[Entry]
     packed = [one for pdo in pdos for one in pdo.entries]
     assert sorted(one.label for one in packed) == sorted(one.label for one in entries)
     assert all(sum(one.bits for one in pdo.entries) <= 64 for pdo in pdos)
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    assert pack(channels_of("TPDO", NODE)[:1], ENTRIES) is None
-
-
-@pytest.mark.parametrize("length", [0, 7, 9])
-def test_a_frame_of_another_length_is_refused(length: int) -> None:
-    (pdo,) = pack(channels_of("TPDO", NODE)[:1], ENTRIES[:3]) or []
-    assert codec(pdo).decode(bytes(length)).verdict is FrameVerdict.WRONG_LENGTH
-
-
-def test_a_number_that_is_none_is_refused() -> None:
-    (pdo,) = pack(channels_of("RPDO", NODE)[:1], [entry((0x2000, 3))]) or []
-    assert codec(pdo).decode(bytes.fromhex("0000c07f")).verdict is FrameVerdict.OUT_OF_RANGE
-    with pytest.raises(ValueError, match="outside"):
-        codec(pdo).encode({"0x2000.3": float("nan")})
 
 
 def test_channels_are_those_of_the_predefined_connection_set() -> None:

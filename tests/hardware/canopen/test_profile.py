@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import pytest
 from canopen.profiles.p402 import State402
 from hypothesis import given
@@ -118,26 +116,6 @@ def test_switched_off_and_on_between_two_statuswords_it_waits_for_rest() -> None
     assert control.fallen is None
     control.hear(REST)
     assert control.controlword(RUN) == SHUTDOWN
-
-
-def test_a_fault_is_reset_by_one_edge_and_only_when_asked() -> None:
-    control = risen(FAULT, command=SAFE_COMMAND)
-    assert {control.controlword(SAFE_COMMAND) for _ in range(100)} == {DISABLE_VOLTAGE}
-    control.ask_reset()
-    sent = [control.controlword(SAFE_COMMAND) for _ in range(100)]
-    rises = [b for a, b in itertools.pairwise(sent) if (a, b) == (0, FAULT_RESET)]
-    assert sent[0] == DISABLE_VOLTAGE
-    assert len(rises) == 1
-    assert sent[-1] == DISABLE_VOLTAGE
-
-
-def test_the_reset_ends_with_the_fault() -> None:
-    control = risen(FAULT, command=SAFE_COMMAND)
-    control.ask_reset()
-    control.controlword(SAFE_COMMAND)
-    assert control.controlword(SAFE_COMMAND) == FAULT_RESET
-    control.hear(REST)
-    assert control.controlword(SAFE_COMMAND) == DISABLE_VOLTAGE
 
 
 @given(st.lists(st.tuples(statuswords, commands), max_size=60))

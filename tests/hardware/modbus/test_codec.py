@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 
 import pytest
 from hypothesis import given
@@ -109,12 +108,6 @@ def test_a_value_outside_its_range_is_refused() -> None:
         encode_value(described, 600.01)
 
 
-def test_a_bit_is_taken_alone() -> None:
-    described = register(bit=3)
-    assert decode_value(described, [0b1000], measured=False) == 1.0
-    assert decode_value(described, [0b0111], measured=False) == 0.0
-
-
 @pytest.mark.parametrize(
     ("mask", "word", "value"), [(0x0F00, 0xA5FF, 5), (0xFFFF, 0x1234, 0x1234), (0x8000, 0x8000, 1)]
 )
@@ -139,9 +132,3 @@ def test_scaling_loses_at_most_half_a_count(value: float) -> None:
     back = decode_value(described, encode_value(described, value), measured=True)
     assert back is not None
     assert abs(back - value) <= 0.005 + 1e-9
-
-
-def test_the_high_word_comes_first_unless_told_otherwise() -> None:
-    high, low = struct.unpack(">2H", struct.pack(">f", 3.125))
-    assert encode_value(register(type="float32"), 3.125) == [high, low]
-    assert encode_value(register(type="float32", word_order="little"), 3.125) == [low, high]

@@ -11,7 +11,6 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.port import Reading
 from tests.hardware import memory
 from tests.hardware.bench import Ear, until
 from tests.hardware.modbus.bench import (
@@ -27,7 +26,6 @@ from tests.hardware.modbus.bench import (
     driven,
     ran,
     reported,
-    stand_still,
     untouched,
 )
 
@@ -154,25 +152,6 @@ async def test_a_port_that_is_closed_while_it_waits_for_the_drive_opens_no_link(
         await one.hears_of_bus(up=False)
         peer.start()
     assert peer.connections == 0
-
-
-async def test_after_a_freeze_nothing_energising_is_written() -> None:
-    """The process stands still between a reading and the command that goes with it."""
-    async with driven(None) as one:
-        await one.is_told(28765, 1)
-        written: list[int] = []
-
-        def freeze(_: Reading) -> None:
-            if written:
-                one.port.send(SAFE_COMMAND)
-            else:
-                stand_still(4.0 * POLL_s)
-                written.append(len(one.peer.writes))
-
-        one.ear.decide = freeze
-        await until(lambda: bool(written) and one.told()[1] == 0)
-        await one.hears(3)
-        assert not any(registers[1] for _, registers in one.peer.writes[written[0] :])
 
 
 @BOTH_WAYS

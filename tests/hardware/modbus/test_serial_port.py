@@ -130,17 +130,6 @@ async def test_a_port_that_hangs_while_it_is_closed_is_not_opened_beside_it(
     await port.open(Stream())
 
 
-async def test_a_port_that_cannot_be_opened_is_opened_later(
-    port: SerialPort, peer: Peer, threads: Threads
-) -> None:
-    peer.stop()
-    with pytest.raises(OSError, match="there is no such serial port"):
-        await port.open(Stream())
-    peer.start()
-    await port.open(Stream())
-    assert threads.begun == 0
-
-
 async def test_the_loop_goes_on_while_the_port_of_a_lost_drive_hangs(threads: Threads) -> None:
     async with benched("rtu") as one:
         one.peer.stop()

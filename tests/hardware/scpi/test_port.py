@@ -303,20 +303,6 @@ async def test_a_reply_that_nothing_asked_for_ends_the_connection(rig: Rig) -> N
     assert rig.port.statistics.foreign >= 1
 
 
-async def test_a_supply_that_went_off_while_nothing_was_heard_is_not_switched_on_again(
-    rig: Rig,
-) -> None:
-    await rig.runs()
-    rig.supply.replies["OUTP?"], rig.supply.commands[:] = "0", []
-    rig.supply.hang_up()
-    await until(lambda: rig.port.complaint is not None)
-    assert "drive stopped" in (rig.port.complaint or "")
-    rig.port.send(RUN)
-    await rig.hears()
-    assert "OUTP ON" not in rig.supply.commands
-    assert rig.supply.commands[:2] == ["*CLS", "SYST:REM"]
-
-
 async def test_a_supply_that_comes_late_or_returns_is_set_up_before_it_is_commanded(
     rig: Rig,
 ) -> None:
