@@ -9,7 +9,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from adaptdrive.lines import leads_to_journal
+
+pytestmark = pytest.mark.usefixtures("outside")
 
 PROGRAM = """
 import sys

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Enable, SetMode, SetSetpoint, SetVoltage
+from adaptdrive.runtime.requests import SetMode, SetSetpoint, SetVoltage
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
@@ -19,8 +18,6 @@ from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.bench import TICK_s
 from tests.closed_loop.life import started, wait
 from tests.support import sample
-
-SLEW_V_PER_S = 100.0
 
 
 def settled(name: str, load: SimulatedLoad, output: float, noise: float = 0.0) -> OperatedDrive:
@@ -83,18 +80,6 @@ def test_a_voltage_never_charges_a_battery_above_its_limit() -> None:
     assert terminals_V[-1] == pytest.approx(82.0, rel=1e-3)
 
 
-def test_a_voltage_is_approached_at_the_slew_and_held() -> None:
-    drive = motor()
-    drive.carry_out(SetMode(Mode.MANUAL))
-    before_V = in_force_V(drive)
-    drive.carry_out(SetVoltage(before_V + 50.0))
-    voltages, _ = courses(drive, 2.0)
-    slopes = [b - a for a, b in zip([before_V, *voltages], voltages, strict=False)]
-    assert max(slopes) <= SLEW_V_PER_S / 120.0 * (1.0 + 1e-9)
-    assert sum(voltage < before_V + 50.0 for voltage in voltages) in {59, 60}
-    assert voltages[-1] == before_V + 50.0
-
-
 @pytest.mark.parametrize("mode", sample([Mode.ADAPTIVE, Mode.FIXED], 1))
 @pytest.mark.parametrize(
     ("started_drive", "step_V", "wait_s", "limit_V"),
@@ -133,20 +118,3 @@ def test_the_estimator_learns_from_the_steps_of_the_operator() -> None:
     drive.carry_out(SetMode(Mode.ADAPTIVE))
     wait(drive, 5.0)
     assert drive.decision.controller is Mode.ADAPTIVE
-
-
-def test_after_enable_manual_is_off_until_a_voltage_and_begins_at_the_lowest() -> None:
-    drive = motor()
-    drive.carry_out(Disable())
-    courses(drive, 1.0)
-    drive.carry_out(SetMode(Mode.MANUAL))
-    drive.carry_out(Enable())
-    courses(drive, 10.0)
-    assert drive.machine.coasting
-    assert not drive._command.bridge
-    drive.carry_out(SetVoltage(200.0))
-    voltages, _ = courses(drive, 10.0)
-    assert drive.machine.state is State.RUNNING
-    assert drive._command.bridge
-    assert voltages[-1] == 200.0
-    assert max(voltages) == 200.0

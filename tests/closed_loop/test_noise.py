@@ -35,11 +35,6 @@ def test_noise_shakes_the_voltage_no_more_than_configured(limit_V: float) -> Non
 
 
 @pytest.mark.proof
-def test_without_a_limit_noise_shakes_the_voltage_more() -> None:
-    assert limited_to(0.0) > 15.0
-
-
-@pytest.mark.proof
 @pytest.mark.parametrize("resolution", [0.0, 0.01])
 def test_a_coarse_sensor_does_not_make_the_loop_hunt(resolution: float) -> None:
     """Whether its resolution is configured or has to be found (0.068 where it is neither)."""

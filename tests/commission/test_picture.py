@@ -31,12 +31,6 @@ def run(picture: Picture, samples: int) -> LoadExperiment:
     return experiment
 
 
-def test_a_picture_without_a_reading_says_so() -> None:
-    text = drawn(Picture("motor", TARGET))
-    assert "the drive starts" in text
-    assert "waiting for the drive" in text
-
-
 def test_it_shows_phase_voltage_output_and_the_key_that_ends_it() -> None:
     picture = Picture("motor", TARGET)
     run(picture, 600)
@@ -48,9 +42,3 @@ def test_it_shows_phase_voltage_output_and_the_key_that_ends_it() -> None:
     assert "▼test" in text
     assert "q ends the experiment with the drive off" in text
     assert max(len(line) for line in text.splitlines()) <= 80
-
-
-def test_each_phase_has_one_mark() -> None:
-    picture = Picture("motor", TARGET)
-    assert run(picture, 10**6).done
-    assert [mark.text for mark in picture.marks] == ["rest", "climb", "test", "done"]

@@ -191,12 +191,6 @@ async def test_a_command_without_a_usable_id_does_nothing(
     assert office.host.done == []
 
 
-async def test_a_ping_without_an_id_is_told_so(office: Office) -> None:
-    reply = await office.send("ping", b"{}")
-    assert not reply.accepted
-    assert reply.reason.startswith("id: ")
-
-
 async def test_a_retained_command_does_nothing(office: Office) -> None:
     for verb in ("enable", "ping"):
         reply = await office.send(verb, {"id": verb}, retained=True)

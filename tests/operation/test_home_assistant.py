@@ -174,18 +174,6 @@ def test_each_key_is_one_that_home_assistant_documents(unit: str) -> None:
             assert not ("options" in component and "state_class" in component)
 
 
-def test_a_rise_of_temperature_is_no_temperature() -> None:
-    for unit, wanted in (("K", "temperature_delta"), ("°C", "temperature")):
-        warm = replace(profile("x"), output=Output("temperature", unit))
-        shown = discovery(warm, "homeassistant")[1]["components"]["output"]
-        assert (shown["device_class"], shown["unit_of_measurement"]) == (wanted, unit)
-
-
-def test_limits_and_units_are_those_of_the_drive() -> None:
-    number = discovery(profile("x"), "homeassistant")[1]["components"]["setpoint"]
-    assert (number["min"], number["max"], number["unit_of_measurement"]) == (0.0, 4.0, "V")
-
-
 def test_a_narrow_range_has_a_step_that_home_assistant_takes() -> None:
     narrow = replace(profile("x"), limits={"setpoint": (0.0, 0.5)})
     number = discovery(narrow, "homeassistant")[1]["components"]["setpoint"]

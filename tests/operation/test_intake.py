@@ -5,16 +5,15 @@ from __future__ import annotations
 import asyncio
 from datetime import UTC, datetime
 
-import msgspec
 import pytest
 
-from adaptdrive.operation.board import Mailbox, Outbox, StateBoard
+from adaptdrive.operation.board import Outbox, StateBoard
 from adaptdrive.operation.intake import REPORTS_HELD, History, Intake
 from adaptdrive.operation.messages import Output
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, Severity, State
+from adaptdrive.runtime.reports import Event, Severity
 from tests.operation.memory_broker import MemoryBroker
-from tests.operation.peers import STANDBY, Bench, drive_report, listening, load_report, profile
+from tests.operation.peers import STANDBY, Bench, listening, profile
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 TRIP = Event("trip", Severity.ALARM, "over-speed", 7)
@@ -30,21 +29,6 @@ def make_intake(hub: Hub) -> Intake:
 @pytest.fixture
 def hub() -> Hub:
     return Hub()
-
-
-async def test_an_event_is_recorded_before_it_is_for_the_broker(hub: Hub) -> None:
-    recorded = asyncio.Event()
-    hub.kept = recorded.wait  # type: ignore[assignment]
-    intake = make_intake(hub)
-    running = asyncio.create_task(intake.run())
-    hub.publish(TRIP)
-    await asyncio.sleep(1.0)
-    assert len(intake.outbox) == 0
-    recorded.set()
-    await asyncio.sleep(0)
-    assert msgspec.json.decode(await intake.outbox.oldest())["detail"] == "over-speed"
-    running.cancel()
-    await asyncio.wait([running])
 
 
 async def test_an_event_reaches_no_client_before_it_is_recorded(
@@ -87,19 +71,3 @@ async def test_reports_that_overflowed_are_told(broker: MemoryBroker, bench: Ben
     assert told.content["severity"] == "warning"
     assert told.content["detail"].startswith("45 events or other reports were discarded: at most ")
     assert [message.content["kind"] for message in ear.heard].count("outbox") == 1
-
-
-async def test_a_slow_step_that_was_not_sent_is_forgotten_with_its_connection(hub: Hub) -> None:
-    intake = make_intake(hub)
-    hub.publish(load_report(1))
-    hub.publish(drive_report(2))
-    intake.catch_up()
-    boxes: tuple[Mailbox[dict[str, object]], ...] = intake.load, intake.drive, intake.histograms
-    assert [len(box) for box in boxes] == [1, 1, 1]
-    intake.forget_telemetry()
-    assert [len(box) for box in boxes] == [0, 0, 0]
-    rows = [page["rows"] for page in intake.history.pages(NOW)]
-    assert len(rows[0]) == 1  # the history has it all the same
-    hub.publish(STANDBY)
-    intake.catch_up()
-    assert intake.board.state is State.STANDBY

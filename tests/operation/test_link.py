@@ -9,15 +9,10 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.clock import (
     BrokerBackoff,
-    LogRation,
-    Synchronisation,
-    kernel_synchronisation,
 )
 from adaptdrive.operation.messages import Profile
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
@@ -290,22 +285,3 @@ def test_waiting_doubles_up_to_a_limit_and_starts_anew_after_a_good_connection()
     assert [backoff.after(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
     assert backoff.after(3.0) == 30.0  # a broker that hangs up at once is no good connection
     assert backoff.after(60.0) == 0.5
-
-
-@given(st.integers(0, 10_000), st.floats(0.0, 1.0))
-def test_waiting_is_spread_over_half_of_its_length(failures: int, chance: float) -> None:
-    backoff = BrokerBackoff(lambda low, high: low + chance * (high - low), failures=failures)
-    ceiling_s = min(30.0, 0.5 * 2.0 ** min(failures, 30))
-    assert 0.5 * ceiling_s <= backoff.after(0.0) <= ceiling_s
-
-
-def test_the_kernel_says_whether_its_clock_is_kept() -> None:
-    assert kernel_synchronisation() in Synchronisation
-
-
-def test_log_lines_beyond_their_ration_are_counted() -> None:
-    now_s = [0.0]
-    ration = LogRation(lambda: now_s[0], lines=3, interval_s=10.0)
-    assert [ration.take() for _ in range(8)] == [0, 0, 0, None, None, None, None, None]
-    now_s[0] = 10.0
-    assert [ration.take() for _ in range(2)] == [5, 0]

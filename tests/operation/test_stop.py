@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.operation.session import COMMANDS_HELD
-from adaptdrive.runtime.requests import Disable, Enable, SetMode, SetSetpoint
+from adaptdrive.runtime.requests import Disable, SetMode, SetSetpoint
 from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import Bench, RememberingHost, ask, listening, publish, serving
 
-EXPIRED = '{"id": "x", "expires": "2001-01-01T00:00:00Z"}'
 MORE = COMMANDS_HELD + 50
 
 
@@ -25,26 +24,6 @@ async def test_a_stop_without_an_id_acts(bench: Bench, payload: str | bytes) -> 
     reply = await ask(bench, "disable", payload)
     assert (reply["id"], reply["accepted"]) == (None, True)
     assert bench.host.asked == [Disable()]
-
-
-@pytest.mark.parametrize(
-    ("payload", "flaw"),
-    [
-        ('{"id": "x"}', ""),
-        (EXPIRED, "expired"),
-        ('{"id": "x", "value": 3}', "Expected `null`"),
-        ('{"id": "x", "force": true}', "unknown field"),
-        ('{"id": "x", ', "not JSON"),
-        ('{"id": "x", "value": "%s"}' % ("v" * 9000), "at most 8192"),
-    ],
-)
-async def test_a_stop_acts_and_then_hears_its_flaw(bench: Bench, payload: str, flaw: str) -> None:
-    await ask(bench, "enable", '{"id": "on"}')
-    reply = await ask(bench, "disable", payload)
-    assert flaw in reply["reason"]
-    assert bool(flaw) is bool(reply.pop("reason"))
-    assert reply == {"id": "x", "verb": "disable", "accepted": True, "state": "standby"}
-    assert bench.host.asked == [Enable(), Disable()]
 
 
 @pytest.mark.parametrize("live", [False, True])

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-import os
 import shutil
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -21,21 +18,16 @@ from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import log_files, recall
 from adaptdrive.recording.memory import EVENTS
-from adaptdrive.recording.records import EventRow, Header
+from adaptdrive.recording.records import EventRow
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Request
-from tests.operation.logs import PATIENCE_S, Time, memory_of, open_log, remembering
+from tests.operation.logs import Time, memory_of, open_log, remembering
 from tests.recording.disk import Disk
-from tests.recording.material import INFO
 
 
 def _reply(identity: str) -> Reply:
     return Reply(identity, "enable", accepted=True, reason="", state=State.RUNNING)
-
-
-def _header() -> Header:
-    return Header(INFO, "")
 
 
 def _event(number: int, kind: str = "mode") -> EventRow:
@@ -145,50 +137,6 @@ async def test_a_full_outbox_drops_the_oldest_on_disk_too(path: Path, log_disk: 
         outbox.sent(await outbox.oldest())
     unsent = recall(path, Time.wall).unsent
     assert [unsent[0].tick, unsent[-1].tick] == [8, EVENTS + 6]
-
-
-def _folder(path: Path) -> None:
-    path.parent.mkdir()
-    path.write_text("a file where the folder should be")
-
-
-def _no_folder(path: Path) -> None:
-    path.parent.write_text("a file where a folder should be")
-
-
-def _fifo(path: Path) -> None:
-    path.mkdir(parents=True)
-    os.mkfifo(path / "00000001-20260101T000000000000Z-0001.log")
-
-
-def _garbage(path: Path) -> None:
-    path.mkdir(parents=True)
-    file = path / "00000001-20260101T000000000000Z-0001.log"
-    file.write_bytes(b"this is no log" * 100)
-
-
-@pytest.mark.parametrize("damage", [_garbage, _fifo, _folder, _no_folder])
-async def test_a_damaged_disk_stops_nobody(path: Path, damage: Callable[[Path], None]) -> None:
-    damage(path)
-    time = Time()
-    recalled = recall(path, time.wall)
-    log_time = time.both
-    problems: list[str] = []
-    log = Log(
-        path,
-        _header(),
-        recalled,
-        log_time,
-        hear=lambda outcome: problems.extend(outcome.problems.values()),
-    )
-    log.start()
-    memory = memory_of(log, recalled, time)
-    memory.note("a", _reply("a"))
-    await asyncio.sleep(1.0)
-    assert memory.recall("a") == _reply("a")
-    unusable = damage in {_folder, _no_folder}
-    assert bool(problems) is unusable
-    assert await log.close(0.5 if unusable else PATIENCE_S) is not unusable
 
 
 async def test_a_damaged_file_is_reported_and_costs_only_itself(path: Path) -> None:

@@ -15,7 +15,6 @@ from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import (
-    Dropped,
     Ending,
     create_session,
     read_info,
@@ -145,21 +144,6 @@ def test_a_file_that_breaks_off_gives_its_whole_records_and_the_loss_has_its_pla
     assert verify(place.session).problems == (loss,)
 
 
-def test_a_flipped_byte_costs_the_record_that_it_is_in(place: Place) -> None:
-    place.begin()
-    batches = [make_batch([make_tick(number)]) for number in range(5)]
-    path = write_log(place.log, place.header(), *batches).path
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 0x10
-    path.write_bytes(content)
-    place.next_start()
-    found, verdict = sequences(place.session), verify(place.session)
-    assert len(found) == 4
-    assert set(found) < set(range(5))
-    assert verdict.missing_ticks == 1
-    assert path.name in verdict.problems[0]
-
-
 def test_a_file_of_the_log_that_cannot_be_read_is_kept_and_named(place: Place) -> None:
     place.begin()
     place.write(0)
@@ -226,14 +210,6 @@ def test_a_copy_of_a_session_does_not_get_the_rest_of_it(copied: str, place: Pla
     assert sequences(read_session(directory)) == list(range(10))
 
 
-def test_what_a_session_lacks_is_in_its_facts(place: Place) -> None:
-    place.begin()
-    batch = msgspec.structs.replace(make_batch([make_tick(0)]), dropped=Dropped(77))
-    place.add(batch)
-    place.next_start()
-    assert place.session.info.dropped == Dropped(77)
-
-
 def test_the_file_that_knows_what_the_others_left_is_never_removed(place: Place) -> None:
     place.begin()
     first = place.write(0, last=True)
@@ -296,13 +272,3 @@ def test_a_trip_whose_time_is_in_two_segments_has_one_record(place: Place) -> No
     assert (times_s[0], times_s[-1]) == pytest.approx((50.0, 115.0), abs=1 / 120)
     assert archive_all(place.log) == []
     assert trips_of(place) == [record]
-
-
-def test_ticks_that_the_record_of_a_trip_began_with_are_missed(place: Place) -> None:
-    place.begin()
-    trip_in(place, trip_s=120.0)
-    place.next_start()
-    (trip,) = trips_of(place)
-    info = msgspec.structs.replace(read_info(trip), first_sequence=1196)
-    (trip / "session.json").write_bytes(msgspec.json.encode(info))
-    assert verify(read_session(trip)).missing_ticks == 4

@@ -75,13 +75,3 @@ def test_a_byte_that_is_flipped_anywhere_costs_one_record_and_its_place_is_named
 @given(noise=st.binary(max_size=2000))
 def test_noise_gives_no_record(noise: bytes) -> None:
     assert list(read_frames(noise)) == ([Loss(0, len(noise))] if noise else [])
-
-
-@pytest.mark.parametrize("tail", [bytes(4096), b"\x05", b"aDl\x01", b"aDl\x01\xff\xff\xff\x7f{}"])
-def test_what_a_power_cut_leaves_at_the_end_is_one_loss(tail: bytes) -> None:
-    records = segment()[:5]
-    content = b"".join(map(framed, records))
-    assert list(read_frames(content + tail)) == [
-        *records,
-        Loss(len(content), len(content) + len(tail)),
-    ]

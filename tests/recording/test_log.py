@@ -17,7 +17,6 @@ from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import is_live, log_files, recall, records
 from adaptdrive.recording.log_syncs import LogNews
 from adaptdrive.recording.log_writer import LogWriter
-from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import Dropped
 from tests.recording.disk import Disk
@@ -242,18 +241,3 @@ async def test_a_log_is_live_while_its_daemon_is(folder: Path, disk: Disk) -> No
     assert is_live(folder)
     assert await bench.log.close(PATIENCE_S)
     assert not is_live(folder)
-
-
-async def test_without_a_further_thread_nothing_waits(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise RuntimeError("can't start new thread")
-
-    log = Log(folder, Header(INFO, ""), Recalled(), lambda: (1.0, 1.0), hear=lambda _: None)
-    monkeypatch.setattr(threading.Thread, "start", refuse)
-    with pytest.raises(RuntimeError, match="can't start new thread"):
-        log.start()
-    log.append(Kind.EVENT, b"")
-    with pytest.raises(StopIteration):
-        log.kept(PATIENCE_S).send(None)

@@ -82,10 +82,3 @@ def test_a_copy_in_the_place_of_another_segment_hides_nothing(tmp_path: Path, ta
     assert f"{table}-0002.parquet: its rows are not later than those before them" in (
         verdict(tmp_path).problems
     )
-
-
-def test_a_table_in_the_place_of_another_is_a_problem(tmp_path: Path) -> None:
-    record_in_two_parts(tmp_path)
-    shutil.copy(tmp_path / "ticks-0001.parquet", tmp_path / "slow-0001.parquet")
-    (found,) = verdict(tmp_path).problems[:1]
-    assert found.startswith("slow-0001.parquet: a column is damaged")

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.archive import archive
 from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.reader import Session, read_session, session_notes
@@ -82,13 +81,6 @@ class Bench:
     def session(self) -> Session:
         return read_session(self.directory)
 
-    def rows(self) -> int:
-        """Rows that can be read by now."""
-        try:
-            return int(self.session().ticks.num_rows)
-        except RecordingError:
-            return 0
-
     def said(self) -> list[str]:
         return [event.detail for event in self.told.drain() if isinstance(event, Event)]
 
@@ -150,16 +142,6 @@ async def test_an_orderly_end_records_every_tick_up_to_the_last(sessions: Path) 
     assert read.config_text == "# as configured\n"
     assert (bench.directory / "ticks-0001.parquet").exists()
     assert bench.said() == []
-
-
-async def test_a_run_whose_drive_was_never_reached_has_no_session_whose_end_is_missing(
-    sessions: Path,
-) -> None:
-    bench = Bench(sessions)
-    bench.running = asyncio.create_task(bench.recorder.run(begin=asyncio.Event()))
-    await bench.publish(20)
-    await bench.stop()
-    assert (bench.said(), bench.recorder.complete, bench.directory) == ([], True, sessions)
 
 
 async def test_the_first_archiver_finds_no_log_and_tells_nothing(sessions: Path) -> None:
@@ -312,24 +294,6 @@ def test_the_control_process_never_loads_the_disk_library(outside: None) -> None
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     answer = subprocess.check_output([sys.executable, "-c", question], env=environment)
     assert answer.strip() == b"False"
-
-
-async def test_a_trip_is_kept_with_the_minute_before_it(sessions: Path) -> None:
-    async with recording(sessions) as bench:
-        await bench.publish(400)
-        bench.trip("over-voltage: 431 V")
-        await bench.publish(300)
-        await bench.publish_until(
-            lambda: any("record of the trip" in detail for detail in bench.said())
-        )
-        written = bench.published
-    (trip,) = bench.trips()
-    kept = read_session(trip)
-    numbers = sequences(kept)
-    assert numbers == list(range(numbers[-1] + 1))
-    assert 600 <= len(numbers) <= written
-    assert "over-voltage: 431 V" in (trip / "trip.txt").read_text().splitlines()[0]
-    assert [event.kind for event in kept.events if event.kind == "trip"] == ["trip"]
 
 
 async def test_trips_one_after_another_and_at_the_end_have_a_record_each(sessions: Path) -> None:

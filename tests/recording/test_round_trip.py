@@ -2,7 +2,6 @@ import math
 import os
 import struct
 import tempfile
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -145,13 +144,6 @@ def test_whole_numbers_where_floats_belong_are_recorded_as_floats(tmp_path: Path
     assert read_session(tmp_path).ticks["reference"].to_pylist() == [3.0]
 
 
-def test_a_session_tells_how_its_ticks_kept_their_time(tmp_path: Path) -> None:
-    late = [replace(make_tick(number), lateness_us=1500.0 * number) for number in range(3)]
-    record_messages(tmp_path, Header(INFO, ""), make_batch(late[:1]), make_batch(late[1:]))
-    counted = read_session(tmp_path).info.histograms["lateness_us"]
-    assert {power: count for power, count in enumerate(counted) if count} == {0: 1, 11: 1, 12: 1}
-
-
 def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:
     now = datetime(2026, 1, 2, 3, 4, 5, 678901, tzinfo=UTC)
     event = EventRow(now, 7, "trip", "alarm", "hot", 12.5, 1)
@@ -169,15 +161,6 @@ def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:
     assert session.info.ended is Ending.ORDERLY
 
 
-def test_a_closed_session_is_one_parquet_file_per_table(tmp_path: Path) -> None:
-    record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "config.toml",
-        "session.json",
-        "ticks-0001.parquet",
-    ]
-
-
 def test_a_damaged_parquet_file_is_an_error_that_names_it(tmp_path: Path) -> None:
     record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
     (tmp_path / "ticks-0001.parquet").write_bytes(b"PAR1 but not really")
@@ -192,15 +175,6 @@ def test_a_damaged_column_is_an_error_that_names_its_file(tmp_path: Path, names:
     pq.write_table(pa.Table.from_arrays(columns, names), tmp_path / "ticks-0001.parquet")
     with pytest.raises(RecordingError, match=r"ticks-0001\.parquet: a column is damaged"):
         _ = read_session(tmp_path).ticks
-
-
-def test_a_damaged_event_log_is_named_and_leaves_the_ticks(tmp_path: Path) -> None:
-    record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
-    assert read_session(tmp_path).damage == ""
-    (tmp_path / "events-0001.parquet").write_bytes(b"no table at all" * 100)
-    session = read_session(tmp_path)
-    assert "events-0001.parquet" in session.damage
-    assert session.ticks.num_rows == 1
 
 
 def test_an_event_that_names_a_file_whose_name_is_no_utf_8_is_recorded(tmp_path: Path) -> None:

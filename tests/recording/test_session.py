@@ -1,7 +1,5 @@
 import json
 import shutil
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,7 +11,6 @@ from adaptdrive.recording.reader import find_session
 from adaptdrive.recording.session import (
     Dropped,
     Ending,
-    SessionInfo,
     create_session,
     read_info,
     session_directories,
@@ -52,23 +49,6 @@ def test_sessions_of_one_second_do_not_share_a_directory(sessions: Path) -> None
     names = [create_session(sessions, INFO, "").name for _ in range(3)]
     first = "20261121T012209Z_motor"
     assert names == [first, f"{first}-2", f"{first}-3"]
-
-
-def test_drives_of_two_containers_that_begin_at_once_make_a_session_each(
-    sessions: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A container counts its processes for itself: the same number is there twice."""
-    monkeypatch.setattr(threading, "get_native_id", lambda: 7)
-    drives = [msgspec.structs.replace(INFO, drive=name) for name in ("motor", "bath")]
-
-    def create(info: SessionInfo) -> Path:
-        return create_session(sessions, info, info.drive)
-
-    with ThreadPoolExecutor(max_workers=2) as both:
-        for _ in range(20):
-            for info, directory in zip(drives, both.map(create, drives), strict=True):
-                assert read_info(directory) == info
-                assert (directory / "config.toml").read_text() == info.drive
 
 
 def test_a_session_is_found_by_path_and_by_name(directory: Path) -> None:

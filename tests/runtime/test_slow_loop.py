@@ -106,17 +106,6 @@ async def test_a_full_queue_loses_its_oldest_and_counts() -> None:
     assert (len(quick.drain()), quick.dropped) == (5, 0)
 
 
-async def test_taking_waits_for_the_first_report() -> None:
-    hub = Hub()
-    events = hub.subscribe(Event, size=9)
-    taking = asyncio.create_task(events.take())
-    await asyncio.sleep(0)
-    assert not taking.done()
-    hub.publish(event(7))
-    assert await taking == (event(7),)
-    assert events.drain() == ()
-
-
 TRIP = "over-voltage: v_bst = 431.0 V, limit 430 V"
 LOST = "socketcan can0: [Errno 100] Network is down"
 STALE = "stale: measurement is 1272 ms old, limit 50 ms"

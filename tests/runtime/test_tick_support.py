@@ -87,43 +87,6 @@ async def test_each_frame_is_rehearsed_once_before_it_is_due_and_an_early_one_no
     assert times_s == pytest.approx([due_s[0] - 0.02, due_s[2] - 0.02], abs=1e-6)
 
 
-async def test_a_rehearsal_that_fails_is_told_and_is_the_last_one() -> None:
-    calls: list[str] = []
-
-    def fail() -> None:
-        calls.append("rehearsed")
-        raise ZeroDivisionError("of a load")
-
-    loop = asyncio.get_running_loop()
-    loop.set_exception_handler(lambda *_: calls.append("uncaught"))
-    rehearsal = support(
-        rehearse=fail, lead_s=0.001, look=lambda: calls.append("looked"), report_end=calls.append
-    )
-    for _ in range(2):
-        rehearsal.expect(loop.time())
-        await asyncio.sleep(0.01)
-    rehearsal.close()
-    assert calls == [
-        "rehearsed",
-        "rehearse_us has no effect any more: ZeroDivisionError('of a load')",
-        "looked",
-    ]
-
-
-async def test_a_look_at_the_bus_that_fails_is_no_rehearsal_that_fails() -> None:
-    loop, uncaught = asyncio.get_running_loop(), list[object]()
-    loop.set_exception_handler(lambda _, context: uncaught.append(context["exception"]))
-
-    def fail() -> None:
-        raise ZeroDivisionError
-
-    rehearsal = support(lead_s=0.001, look=fail)
-    rehearsal.expect(loop.time())
-    await asyncio.sleep(0.01)
-    rehearsal.close()
-    assert isinstance(uncaught[0], ZeroDivisionError)
-
-
 def test_the_rehearsal_leaves_the_bus_alone() -> None:
     path = EXAMPLES / "motor.toml"
     configuration = load_configuration(path)
@@ -227,21 +190,6 @@ def test_a_callback_that_blocks_is_told_by_its_processor_time(
     seen.detector.ticked(6000.0, tick_us)
     (sentence,) = seen.told
     assert sentence.startswith(f"tick 6.00 ms late: {told}")
-
-
-def test_a_collection_is_told_by_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = Detected()
-    monkeypatch.setattr(gc, "callbacks", [])
-    seen.detector.open()
-    (on_collection,) = gc.callbacks
-    for phase in ("start", "stop"):
-        on_collection(phase, {})
-        seen.now_s += 0.012
-        seen.used_s += 0.01
-    seen.detector.ticked(6000.0, 0.0)
-    assert seen.told[0].endswith("tick before, 12.00 ms of it to collect garbage")
-    seen.detector.close()
-    assert gc.callbacks == []
 
 
 def test_many_late_ticks_are_told_once_and_counted() -> None:

@@ -76,24 +76,6 @@ def test_without_command_or_load_the_capacitor_charges_to_the_peak_of_the_line()
     assert stage.voltage_V == pytest.approx(PEAK_V, abs=0.1)
 
 
-def test_only_a_bidirectional_stage_feeds_power_back() -> None:
-    one_way, both_ways = boost(350.0), boost(350.0, bidirectional=True)
-    for stage in (one_way, both_ways):
-        stage.advance(-0.02, LINE_V, 0.0, 0.0, HALF_CYCLE_s)
-    assert one_way.voltage_V == pytest.approx(350.0)
-    assert one_way.mean_line_W == pytest.approx(0.0, abs=1e-9)
-    assert both_ways.voltage_V < 350.0
-    assert both_ways.mean_line_W == pytest.approx(-0.02 * LINE_V**2)
-
-
-def test_only_a_bidirectional_stage_takes_power_from_the_load() -> None:
-    one_way, both_ways = boost(300.0), boost(300.0, bidirectional=True)
-    for stage in (one_way, both_ways):
-        stage.advance(0.0, LINE_V, 0.0, 2.0, HALF_CYCLE_s)
-    assert one_way.voltage_V == pytest.approx(300.0)
-    assert both_ways.voltage_V > 300.0
-
-
 def test_ripple_is_what_the_pulsating_line_power_does_to_the_capacitor() -> None:
     stage = boost(300.0)
     stage.settle(300.0, 1000.0)

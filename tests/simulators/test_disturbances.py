@@ -1,7 +1,6 @@
 """Disturbances: what is accepted, what is refused, and what they do."""
 
 import json
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,7 @@ from jsonschema import Draft202012Validator
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import RefusedError
 from adaptdrive_sim.device_main import build_sensors
-from adaptdrive_sim.device_settings import parse_address
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.disturbances import from_words, parse_request
@@ -49,15 +46,6 @@ def of(load: SimulatedLoad) -> Remote:
     return Remote(
         Mqtt(host="localhost", port=1), "bench", SimulatedDrive(World(load), ignore), ignore
     )
-
-
-def test_disks_come_and_go_but_for_the_last_one(remote: Remote) -> None:
-    assert ask(remote, disks=2) == (True, "")
-    assert remote.truth()["tau_motor_s"] == pytest.approx(35.1)
-    assert ask(remote, disks=-1) == (True, "")
-    assert remote.truth()["disks"] == 2
-    assert ask(remote, disks=-2) == (False, "disks = 0 must lie in 1…10")
-    assert remote.truth()["disks"] == 2
 
 
 @pytest.mark.parametrize(
@@ -154,22 +142,6 @@ def test_words_become_requests(
     made = from_words(action, values)
     assert made == request_
     parse_request(msgspec.json.encode({"id": "1", **made}))
-
-
-def test_words_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(RefusedError, match="sag takes sag duration_s, not 1 values"):
-        from_words("sag", (0.2,))
-    with pytest.raises(RefusedError, match="sag: duration_s = nan is not finite"):
-        from_words("sag", (0.2, math.nan))
-
-
-def test_broker_addresses() -> None:
-    assert parse_address("broker:1884") == Mqtt(host="broker", port=1884)
-    assert parse_address("10.0.0.1") == Mqtt(host="10.0.0.1", port=1883)
-    assert parse_address("[::1]:1885") == Mqtt(host="::1", port=1885)
-    for text in ("", ":1883", "broker:", "broker:x", "a:0", "a:70000", "::1", "a/b"):
-        with pytest.raises(RefusedError, match="broker"):
-            parse_address(text)
 
 
 @pytest.mark.parametrize(

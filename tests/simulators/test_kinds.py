@@ -15,8 +15,6 @@ from adaptdrive.cli.standard_files import FAILED
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.messages import DeviceReply
 from adaptdrive_sim import cli
 from adaptdrive_sim.device_main import build_world
 from adaptdrive_sim.device_settings import DeviceSettings
@@ -63,16 +61,6 @@ def test_its_linear_model_is_the_configured_one(kind: str) -> None:
         found["tau_product_s2"] = found["tau_motor_s"] * found["tau_filter_s"]
     expected = load.physical(list(load.numerator), list(load.denominator))
     assert [found[name] for name in load.names] == pytest.approx(expected)
-
-
-def test_what_the_model_leaves_open_can_be_named() -> None:
-    given = {"resistance_Ohm": 1.5, "friction_Nms": 0.03}
-    configuration = changed("motor", ("simulation.parameters", given))
-    world = build_world(configuration, DeviceSettings())
-    load: Any = world.load
-    assert load.parameters.friction_Nms == 0.03
-    assert world.true_model["gain"] == pytest.approx(0.011)
-    assert world.true_model["tau_motor_s"] == pytest.approx(11.7)
 
 
 def test_an_unknown_parameter_is_refused_with_the_nearest_one() -> None:
@@ -124,59 +112,3 @@ def test_what_cannot_be_asked_for_is_one_clear_line(
     assert said.startswith("adaptdrive-sim: ")
     assert complaint in said
     assert said.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        "campaign no-file.toml --output out --runs",
-        "campaign no-file.toml --output out --processes",
-        "campaign no-file.toml --output out --only",
-        "reproduce bath --output out --seed",
-        "demo bath --seed",
-        "device no-file.toml --seed",
-        "device no-file.toml --disks",
-        "device no-file.toml --port",
-    ],
-)
-def test_an_integer_is_not_rounded(words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status_of(f"{words} 1.9") == 2
-    option = words.rpartition(" ")[2]
-    said = capsys.readouterr().err
-    assert f'Invalid value for {option}: unable to convert "1.9" into int.' in said
-
-
-@pytest.mark.parametrize(
-    ("answer", "status", "said"),
-    [
-        (DeviceReply("1", True, ""), 0, ""),
-        (DeviceReply("1", False, "disks = 0"), 1, "adaptdrive-sim: refused: disks = 0\n"),
-        (NoAnswerError("bench", "broker b:1: refused"), 3, "adaptdrive-sim: broker b:1: refused\n"),
-    ],
-)
-def test_a_disturbance_has_the_status_of_its_answer(
-    answer: DeviceReply | Exception,
-    status: int,
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    async def ask(*_: object) -> DeviceReply:
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
-
-    monkeypatch.setattr("adaptdrive.operation.sender.disturb", ask)
-    assert status_of("disturb bench remove-disk --broker b:1") == status
-    assert capsys.readouterr().err == said
-
-
-def test_without_its_extra_it_names_the_command_to_install_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def run(*_: object, **__: object) -> int:
-        raise ModuleNotFoundError(name="numpy")
-
-    monkeypatch.setattr(cli, "carry_out", run)
-    with pytest.raises(SystemExit, match=r"numpy is missing: pip install 'adaptdrive\[sim\]'"):
-        cli.main()
