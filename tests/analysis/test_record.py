@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,9 +14,12 @@ import pandas as pd
 import polars as pl
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import lsim
+from scipy.signal import lfilter, lsim
 
+from adaptdrive.analysis.columns import columns_of_file, columns_of_table
+from adaptdrive.analysis.headers import quantity_of
 from adaptdrive.analysis.load_report import as_text
+from adaptdrive.analysis.record import RecordView, read_record
 from adaptdrive.cli import main
 from adaptdrive.errors import IdentificationError
 from adaptdrive.lab import RecordOptions, identify, load_session, simulate
@@ -26,6 +30,7 @@ from tests.support import sample
 
 Array = NDArray[np.float64]
 
+ANY = RecordView()
 PERIOD_s = 2.0
 FINE = 50
 """Steps of scipy in a sample: a dead time of a fiftieth is exact."""
@@ -204,6 +209,116 @@ def test_times_that_jump_divide_the_record_and_uneven_ones_do_not() -> None:
     assert thinned.model["tau_s"].value == pytest.approx(20.0, rel=1e-2)
 
 
+@pytest.mark.parametrize(
+    ("header", "unit_s"),
+    [
+        *(("time_ms", 1e-3), ("t/ms", 1e-3), ("timestamp_us", 1e-6), ("epoch [ns]", 1e-9)),
+        *(("time [min]", 60.0), ("Zeit [s]", 1.0), ("Time (h)", 3600.0), ("minutes", 60.0)),
+        *(("time", 1.0), ("time_utc", 1.0), ("Zeit (Tage)", 86400.0), ("time [\u00b5s]", 1e-6)),
+    ],
+)
+def test_the_unit_of_a_time_is_that_of_its_header(header: str, unit_s: float) -> None:
+    began_s, wanted_s = 1.76e9, [0.0, 2.0, 4.0, 8.0]
+    columns = columns_of_table({header: [(began_s + one) / unit_s for one in wanted_s]})
+    times_s = columns.times_s(header)
+    assert times_s - times_s[0] == pytest.approx(wanted_s, abs=1e-4)
+    record = read_record(columns_of_table({header: wanted_s, "u": range(4), "y": range(4)}), ANY)
+    assert record.excerpts[0].period_s == pytest.approx(2.0 * unit_s)
+
+
+@pytest.mark.parametrize(
+    ("header", "value", "problem"),
+    [
+        ("time [fortnight]", 1.0, r"'fortnight' is no unit of time: write ns, us, ms, s, min"),
+        ("t [-]", 1.0, "column 't .-.': '-' is no unit of time"),
+        ("timestamp", 1764382421000, "1764382421000 is no time in seconds: .* 'timestamp_ms'"),
+    ],
+)
+def test_a_time_of_no_known_unit_is_refused_by_name(
+    header: str, value: float, problem: str
+) -> None:
+    with pytest.raises(IdentificationError, match=problem):
+        columns_of_table({header: [value, value + 1]}).times_s(header)
+
+
+def test_times_without_a_zone_are_subtracted_as_they_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In Berlin no clock shows 02:30 in the night of 29 March: a record in UTC has it."""
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    try:
+        stamps = pd.date_range("2026-03-29 01:50", periods=8, freq="10min")
+        for column in (stamps, stamps.to_pydatetime(), stamps.astype(str)):
+            times_s = columns_of_table({"t": column}).times_s("t")
+            assert np.diff(times_s).tolist() == [600.0] * 7
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
+PREAMBLE = "Logger 7; Büro\nStart;2026-03-01\n\n"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+@pytest.mark.parametrize("before", ["", PREAMBLE, "Gerät;;;\nSeriennummer;17;;\n"])
+@pytest.mark.parametrize("head", ["Zeit [s];Heizung [%];Größe;y", "Zeit;u;v;y\n[s];(%);[];(°C)"])
+def test_a_table_of_a_logger_is_read(tmp_path: Path, encoding: str, before: str, head: str) -> None:
+    file = tmp_path / "logger.csv"
+    rows = [f"{n};{n % 3},5;7;{n},25" for n in range(5)]
+    file.write_bytes("\r\n".join([before + head, *rows]).encode(encoding))
+    columns = columns_of_file(file)
+    time_name, input_name, _, output = list(columns.values)
+    assert time_name == "Zeit [s]"
+    assert columns.times_s(time_name).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert columns.numbers(input_name).tolist() == [0.5, 1.5, 2.5, 0.5, 1.5]
+    assert columns.numbers(output)[-1] == 4.25
+
+
+@pytest.mark.parametrize(
+    ("header", "wanted", "value"),
+    [
+        ("speed", "rad/s", 60.0),
+        ("speed (rad/s)", "rad/s", 60.0),
+        ("speed [rpm]", "rad/s", 2.0 * np.pi),
+        ("bath [°C]", "K", 333.15),
+        ("v [mV]", "V", 0.06),
+        ("frequency [Hz]", "Hz", 60.0),
+        ("flow [m3/h]", "m3/h", 60.0),
+        ("speed [rpm]", "V", "is in rpm, where the configuration has V"),
+        ("speed [%]", "rad/s", "column 'speed .%.': is in %"),
+    ],
+)
+def test_a_column_of_a_drive_is_in_the_unit_of_its_header_or_refused(
+    header: str, wanted: str, value: float | str
+) -> None:
+    def found() -> float:
+        return float(quantity_of(np.array([60.0]), header, wanted, "file")[0])
+
+    if isinstance(value, float):
+        assert found() == pytest.approx(value)
+    else:
+        with pytest.raises(IdentificationError, match=value):
+            found()
+
+
+def test_parts_of_too_few_samples_are_left_out_and_counted() -> None:
+    """Of every length around those that the dead time and the noise model take away."""
+    random, rows, count = np.random.default_rng(1), [np.arange(120)], 120
+    for length in (1, 2, *range(11, 30)):
+        rows.append(count + 20 + np.arange(length))
+        count += 20 + length
+    kept = np.concatenate([*rows, count + 20 + np.arange(100)])
+    inputs = np.resize(steps(5, 300), kept[-1] + 1)
+    colour = lfilter([1.0], [1.0, -0.5, 0.3, 0.2], 0.05 * random.normal(size=len(inputs)))
+    output = response(lag(0.5, 20.0), inputs) + colour
+    table = {"time": PERIOD_s * kept, "u": inputs[kept], "y": output[kept]}
+    found = identify(table, lags=1)
+    assert found.model["tau_s"].value == pytest.approx(20.0, rel=0.05)
+    assert len(found.load.residuals) == len(found.ends_s) == len(found.load.used)
+    assert len(found.load.residuals) + found.left_out == len(rows) + 1
+    assert found.left_out > 10
+    assert f"{found.left_out} parts of too few samples left out" in as_text(found)
+
+
 @pytest.mark.proof
 def test_a_simulation_and_the_tables_of_a_session_are_identified(session_path: Path) -> None:
     motor = ReferenceMotor(2)
@@ -263,7 +378,8 @@ def test_bad_files_get_one_clear_error(
         (b"", "has no rows"),
         (b"time,u,y\n0,1,2\n1,2\n", "line 3: 2 values, where line 1 has 3"),
         (b"time,u,u\n0,1,2\n1,2,3\n", "two columns have the name 'u'"),
-        (b"\xff\xfe\x00", "is no text in UTF-8"),
+        (b"\xff\xfe\x00", "is no text in UTF-8 or Latin-1: it has a byte 0"),
+        (b"Logger\n\nu,y\nn/a,5\n1,2\n3,4\n", "no column of times among u, y"),
         (b"time,u,y\n0,1,2\n", "1 rows are no record"),
         (b"time,u,y\n0,1,2\n1,2,2\n", "30 are needed"),
         (b"time,u,y\n", "0 rows are no record"),

@@ -15,6 +15,7 @@ from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from tests.app.test_replay import lived
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 
@@ -42,6 +43,21 @@ def test_the_on_line_estimate_stands_beside_it(found: SessionLoad, session_path:
     assert f"{last['value']:.5g}" in text
     assert "[load.model]  # proposed\ngain = 0.01" in text
     assert as_json(found)["model"]["gain"]["std"] == found.load.parameters["gain"].std
+
+
+def test_a_session_with_missed_ticks_is_identified(tmp_path: Path, session_path: Path) -> None:
+    """Parts that the gaps leave too short are left out and counted."""
+    kept = [n for n in range(50 * 120) if n < 3600 or n % 400 < 60 + n // 100]
+    ticks, slow = lived((0.0113, 40.0, 300.7))
+    text = read_session(session_path).config_text
+    directory = create_session(tmp_path, INFO, text)
+    batch = make_batch([ticks[n] for n in kept if n < len(ticks)], slow, last=True)
+    record_messages(directory, Header(INFO, text), batch)
+    found = identify_session(directory)
+    assert found.load.parameters["gain"].value == pytest.approx(0.0113, rel=0.05)
+    assert found.left_out > 0
+    assert len(found.stretches) == len(found.load.residuals)
+    assert f"{found.left_out} parts of too few samples left out" in as_text(found)
 
 
 def test_a_part_in_which_nothing_ran_is_refused(session_path: Path) -> None:

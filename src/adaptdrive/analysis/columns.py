@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptdrive.analysis.headers import seconds_of, written_unit
 from adaptdrive.errors import IdentificationError, reason_of
 
 Array = NDArray[np.float64]
 
 _DELIMITERS = ";\t,"
 """In the order in which they are looked for: a comma may be a decimal one."""
+
+_SEEN = 50
+"""Last lines of a file, which show its delimiter and the number of its columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +43,9 @@ class Columns:
     decimal_comma: bool = False
 
     def numbers(self, name: str) -> Array:
-        """Return a column as numbers; dates and times as seconds.
+        """Return a column as numbers; dates and times as seconds since 1970.
+
+        A time without a zone is taken as it stands.
 
         Raises:
             IdentificationError: There is no such column, or a value of it is no number.
@@ -57,6 +64,22 @@ class Columns:
             )
         return made
 
+    def times_s(self, name: str) -> Array:
+        """Return a column of times in seconds: numbers in the unit of its header, or dates.
+
+        Raises:
+            IdentificationError: As above, or its unit is not known.
+        """
+        times = self.numbers(name)
+        dated = any(_is_date(value, comma=self.decimal_comma) for value in self.values[name][:1])
+        return times if dated else seconds_of(times, name, self.source)
+
+
+def _is_date(value: object, *, comma: bool) -> bool:
+    if isinstance(value, str):
+        return not math.isfinite(_from_text(value.strip(), comma=comma, readers=(float,)))
+    return isinstance(value, datetime | np.datetime64)
+
 
 def _number(value: object, *, comma: bool) -> float:
     """Return a value as a number, a date as seconds, NaN for anything else."""
@@ -65,15 +88,29 @@ def _number(value: object, *, comma: bool) -> float:
     if isinstance(value, str):
         return _from_text(value.strip(), comma=comma)
     if isinstance(value, datetime):
-        return value.timestamp()
+        return _since_1970_s(value)
     try:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         return math.nan
 
 
-def _from_text(text: str, *, comma: bool) -> float:
-    for read in (float, _seconds):
+def _seconds(text: str) -> float:
+    return _since_1970_s(datetime.fromisoformat(text))
+
+
+def _since_1970_s(time: datetime) -> float:
+    """Return a time in seconds; one without a zone as if it were UTC: only differences count."""
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+_READERS: tuple[Callable[[str], float], ...] = (float, _seconds)
+
+
+def _from_text(
+    text: str, *, comma: bool, readers: Iterable[Callable[[str], float]] = _READERS
+) -> float:
+    for read in readers:
         try:
             return read(text.replace(",", ".") if comma else text)
         except ValueError:
@@ -81,37 +118,69 @@ def _from_text(text: str, *, comma: bool) -> float:
     return math.nan
 
 
-def _seconds(text: str) -> float:
-    return datetime.fromisoformat(text).timestamp()
-
-
 def columns_of_file(path: Path) -> Columns:
-    """Return the columns of a CSV file.
+    """Return the columns of a CSV file in UTF-8 or Latin-1.
 
-    Names are those of its first line; numbers from 1 on where that line has numbers. The delimiter
-    is a semicolon, a tabulator or a comma. Lines that begin with `#` are left out.
+    The delimiter is a semicolon, a tabulator or a comma. Names are those of the first line that
+    has as many values as the last ones, and no empty one; numbers from 1 on where that line has
+    numbers. What stands before it, and lines that begin with `#`, are left out; units in brackets
+    may stand in a line below the names.
 
     Raises:
         IdentificationError: The file cannot be read, or a line has more or fewer values than the
             first one.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as problem:
-        raise IdentificationError(f"{path}: cannot be read: {reason_of(problem)}") from problem
-    except UnicodeDecodeError as problem:
-        raise IdentificationError(f"{path}: is no text in UTF-8: {problem.reason}") from problem
+    lines = _text(path).splitlines()
     kept = [n for n, one in enumerate(lines, 1) if one.strip() and not one.startswith("#")]
     if not kept:
         raise IdentificationError(f"{path}: has no rows")
-    first = lines[kept[0] - 1]
-    delimiter = next((one for one in _DELIMITERS if one in first), ",")
+    delimiter, width = _form([lines[n - 1] for n in kept[-_SEEN:]])
     rows = list(csv.reader((lines[n - 1] for n in kept), delimiter=delimiter))
+    comma = delimiter != ","
+    head = _head(rows, width, comma=comma)
+    kept, rows = kept[head:], rows[head:]
     for number, row in zip(kept, rows, strict=True):
-        if len(row) != len(rows[0]):
-            counts = f"{len(row)} values, where line {kept[0]} has {len(rows[0])}"
+        if len(row) != width:
+            counts = f"{len(row)} values, where line {kept[0]} has {width}"
             raise IdentificationError(f"{path}: line {number}: {counts}")
-    return _with_names(path, kept, rows, decimal_comma=delimiter != ",")
+    return _with_names(path, kept, rows, decimal_comma=comma)
+
+
+def _text(path: Path) -> str:
+    try:
+        content = path.read_bytes()
+    except OSError as problem:
+        raise IdentificationError(f"{path}: cannot be read: {reason_of(problem)}") from problem
+    if b"\0" in content:
+        raise IdentificationError(f"{path}: is no text in UTF-8 or Latin-1: it has a byte 0")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
+def _form(lines: Sequence[str]) -> tuple[str, int]:
+    """Return the delimiter that divides most lines alike, and into how many values."""
+    found = []
+    for delimiter in _DELIMITERS:
+        widths = Counter(map(len, csv.reader(lines, delimiter=delimiter)))
+        width, count = max(widths.items(), key=lambda one: (one[0] > 1) * one[1])
+        found.append(((width > 1) * count, delimiter, width))
+    _, delimiter, width = max(found, key=lambda one: one[0])
+    return delimiter, width
+
+
+def _head(rows: Sequence[Sequence[str]], width: int, *, comma: bool) -> int:
+    """Return which row has the names, or the first numbers where none has names."""
+    like = [n for n, row in enumerate(rows) if len(row) == width]
+
+    def counted(row: Sequence[str]) -> int:
+        return sum(math.isfinite(_number(one, comma=comma)) for one in row)
+
+    first = next((n for n in like if counted(rows[n]) > 1), len(rows))
+    above = [n for n in like if n < first]
+    whole = [n for n in above if all(one.strip() for one in rows[n])]
+    return next(iter([*whole, *above[-1:], *like]))
 
 
 def _with_names(
@@ -123,6 +192,9 @@ def _with_names(
     head = 0 if bare else 1
     if bare:
         names = [str(number) for number in range(1, len(names) + 1)]
+    elif rows[1:] and all(written_unit(one) is not None for one in rows[1]):
+        names = [f"{name} {unit.strip()}" for name, unit in zip(names, rows[1], strict=True)]
+        head = 2
     for name in names:
         if names.count(name) > 1:
             raise IdentificationError(f"{path}: two columns have the name {name!r}")

@@ -75,6 +75,27 @@ def read_stretches(
     Raises:
         IdentificationError: The drive did not run in there, or for less than a slow period.
     """
+    whole = [one for one in divided(session, begin_s, end_s) if one is not None]
+    if not whole:
+        raise IdentificationError(
+            f"{session.path}: too short: the drive ran for less than a slow period in that time"
+        )
+    return whole
+
+
+def divided(
+    session: Session, begin_s: float | None = None, end_s: float | None = None
+) -> list[Stretch | None]:
+    """Read the same, with None for each part that is shorter than a slow period.
+
+    Args:
+        session: The session.
+        begin_s: Seconds after its first tick, None for that tick.
+        end_s: Seconds after its first tick, None for its last one.
+
+    Raises:
+        IdentificationError: The drive did not run in there.
+    """
     rows = _running(session, begin_s or 0.0, math.inf if end_s is None else end_s)
     if len(rows["tick"]) < 2:
         raise IdentificationError(f"{session.path}: the drive did not run in that time")
@@ -84,15 +105,9 @@ def read_stretches(
     period = session.info.ticks_per_period
     # one for all: the line's frequency wanders by less than matters, and one grid needs one period
     period_s = stride * float(np.mean(rows["tick_period_s"]))
-    found = [
+    return [
         _stretch({n: v[part] for n, v in rows.items()}, stride, period, period_s) for part in parts
     ]
-    whole = [one for one in found if one is not None]
-    if not whole:
-        raise IdentificationError(
-            f"{session.path}: too short: the drive ran for less than a slow period in that time"
-        )
-    return whole
 
 
 def block_samples(stretches: list[Stretch]) -> int:

@@ -35,26 +35,29 @@ def as_text(found: RecordLoad) -> str:
         pairs = (value, load.simulated_parameters[name], found.online.get(name, _UNKNOWN))
         nominal = f"{found.nominal[name]:.5g}" if name in found.nominal else "-"
         rows.append(f"{name:<20}{''.join(f'{_pm(one):>24}' for one in pairs)}{nominal:>14}")
-    rows += ["", *checks(load, found.unit), *warnings(load), ""]
+    rows += ["", *checks(load, found.unit, found.left_out), *warnings(load), ""]
     rows += ["[load.model]  # proposed"] if found.nominal else []
     rows += [f"{name} = {one.value:.5g}  # ± {one.std:.2g}" for name, one in found.model.items()]
     return "\n".join(rows)
 
 
-def checks(load: IdentifiedLoad, unit: str) -> Iterator[str]:
+def checks(load: IdentifiedLoad, unit: str, left_out: int = 0) -> Iterator[str]:
     """Yield what judges a fit.
 
     Args:
         load: The fit.
         unit: Of the output.
+        left_out: Parts of the record that have too few samples.
     """
+    means = f"means of {load.block_s:.4g} s"
+    means += f", {left_out} parts of too few samples left out" if left_out else ""
     used_s = sum(len(part) for part in load.residuals) * load.block_s
     white = "white"
     if load.whiteness < _NOT_WHITE:
         white = "not white: the deviations are wider for it, and may still be too small"
     noise = f"{load.noise_std:.3g} {unit}".rstrip()
     rows = {
-        "data": f"{used_s:.6g} s in {len(load.residuals)} parts, means of {load.block_s:.4g} s",
+        "data": f"{used_s:.6g} s in {len(load.residuals)} parts, {means}",
         "fit": _percent(load.fit),
         "cross-check": f"{_percent(load.cross_fit)} of the last 30 % from the first 70 %",
         "residuals": f"{noise}, {white} (p = {load.whiteness:.2g})",
@@ -97,6 +100,8 @@ def as_json(found: RecordLoad) -> dict[str, Any]:
         "fit": _known(load.fit),
         "cross_fit": _known(load.cross_fit),
         "block_s": load.block_s,
+        "parts": len(load.residuals),
+        "left_out": found.left_out,
     }
 
 

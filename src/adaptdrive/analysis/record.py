@@ -11,13 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.columns import Columns
+from adaptdrive.analysis.headers import quantity_of
 from adaptdrive.config import Configuration
 from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
 
 Array = NDArray[np.float64]
 
-_TIMES = frozenset({"time", "t", "seconds", "timestamp", "datetime", "date", "utc", "monotonic"})
+_TIMES = frozenset(
+    {"time", "t", "seconds", "timestamp", "datetime", "date", "utc", "monotonic"}
+    | {"epoch", "unix", "minutes", "hours", "zeit", "datum", "zeitstempel"}
+)
 _INPUTS = frozenset(
     {"boost", "input", "u", "voltage", "command", "drive", "heater", "power", "pwm", "duty", "q1"}
 )
@@ -37,7 +41,7 @@ class RecordView:
     Attributes:
         input: Name of the column of the input.
         output: Name of the column of the output.
-        time: Name of the column of times, in seconds or as dates.
+        time: Name of the column of times, in the unit of its header, else in seconds, or as dates.
         sample_time_s: Time between two rows, where no column of times is to be read.
         before: Input before the first row, under which the load had come to rest.
         lags: Lags of the load, 1 or 2; two if the record shows a second one.
@@ -76,12 +80,6 @@ class InputOutputRecord:
     input: str
     output: str
 
-    def without_short(self, samples: int) -> InputOutputRecord:
-        """Return the record without parts of fewer samples, but for the only one."""
-        kept = [n for n, one in enumerate(self.excerpts) if len(one.output) >= samples] or [0]
-        excerpts = [self.excerpts[n] for n in kept]
-        return replace(self, excerpts=excerpts, begins_s=[self.begins_s[n] for n in kept])
-
 
 def read_record(columns: Columns, view: RecordView) -> InputOutputRecord:
     """Return the record that columns contain.
@@ -97,6 +95,10 @@ def read_record(columns: Columns, view: RecordView) -> InputOutputRecord:
     time_s, view = _times_s(columns, view)
     view = _chosen(columns, view)
     inputs, outputs = (columns.numbers(str(name)) for name in (view.input, view.output))
+    if isinstance(view.config, Configuration):
+        given, wanted = view.config.drive.manipulated.unit, view.config.load.output_unit
+        inputs = quantity_of(inputs, str(view.input), given, columns.source)
+        outputs = quantity_of(outputs, str(view.output), wanted, columns.source)
     if len(time_s) < 2:
         raise IdentificationError(f"{columns.source}: {len(time_s)} rows are no record")
     period_s = view.sample_time_s or float(np.median(np.diff(time_s)))
@@ -146,7 +148,7 @@ def _times_s(columns: Columns, view: RecordView) -> tuple[Array, RecordView]:
             )
     if name is None:
         return _counted_s(columns, view.sample_time_s), view
-    time_s = columns.numbers(name)
+    time_s = columns.times_s(name)
     back = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(back):
         row = int(back[0]) + 1

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from adaptdrive.analysis.curves import find_window, read_curves
-from adaptdrive.analysis.excerpts import Stretch, block_samples, read_stretches
+from adaptdrive.analysis.excerpts import Stretch, block_samples, divided, read_stretches
 from adaptdrive.analysis.record import InputOutputRecord
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration
@@ -17,7 +17,7 @@ from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Estimate
 from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
-from adaptdrive.identification.identify import FEWEST_IN_PART, identify_any
+from adaptdrive.identification.identify import identify_any
 from adaptdrive.identification.proposal import proposed_model, time_constants
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.reader import Session, read_session
@@ -38,6 +38,7 @@ class RecordLoad:
         online: Last estimates of the daemon; empty where there are none.
         nominal: Parameters of the configured model; empty where there is none.
         model: Keys of `[load.model]`; gain and time constants without a configuration.
+        left_out: Parts of the record that have too few samples.
     """
 
     name: str
@@ -47,6 +48,7 @@ class RecordLoad:
     online: dict[str, Estimate]
     nominal: dict[str, float]
     model: dict[str, Estimate]
+    left_out: int
 
 
 def identify_record(
@@ -67,29 +69,32 @@ def identify_record(
         IdentificationError: The record does not show its load.
     """
     block = math.ceil(sum(len(one.output) for one in record.excerpts) / _MOST_BLOCKS)
-    record = record.without_short(FEWEST_IN_PART * block)
-    ends_s = tuple(
-        begin_s + len(one.output) // block * block * one.period_s
-        for begin_s, one in zip(record.begins_s, record.excerpts, strict=True)
-    )
+    parts = list(zip(record.begins_s, record.excerpts, strict=True))
     if configuration is None:
         load = _plain(record, block, lags)
-        return RecordLoad(name, "", ends_s, load, {}, {}, time_constants(load))
+        ends_s, left_out = _used(parts, load, block)
+        return RecordLoad(name, "", ends_s, load, {}, {}, time_constants(load), left_out)
     if lags is not None:
         raise IdentificationError("lags and a configuration were given: it says how many there are")
-    return _of_drive(name, record.excerpts, ends_s, block, configuration)
+    return _of_drive(name, parts, block, configuration)
+
+
+def _used(
+    parts: list[tuple[float, Excerpt]], load: IdentifiedLoad, block: int
+) -> tuple[tuple[float, ...], int]:
+    """Return the time at the end of each part that a fit used, and how many it left out."""
+    used = [parts[place] for place in load.used]
+    ends_s = (begin_s + len(one.output) // block * block * one.period_s for begin_s, one in used)
+    return tuple(ends_s), len(parts) - len(used)
 
 
 def _of_drive(
-    name: str,
-    excerpts: list[Excerpt],
-    ends_s: tuple[float, ...],
-    block: int,
-    configuration: Configuration,
+    name: str, parts: list[tuple[float, Excerpt]], block: int, configuration: Configuration
 ) -> RecordLoad:
     """Return the load between the boost voltage and the output of a drive."""
-    structure = build_load(configuration)
+    structure, excerpts = build_load(configuration), [one for _, one in parts]
     load = identify_any(excerpts, candidate_loads(configuration), block=block)
+    ends_s, left_out = _used(parts, load, block)
     nominal = structure.physical(list(structure.numerator), list(structure.denominator))
     return RecordLoad(
         name=name,
@@ -99,6 +104,7 @@ def _of_drive(
         online={},
         nominal=dict(zip(structure.names, nominal, strict=True)),
         model=proposed_model(load, configuration.load),
+        left_out=left_out,
     )
 
 
@@ -153,16 +159,13 @@ def identify_session(
     session = read_session(path)
     configuration = reconfigured(session.config_text, path / "config.toml", ())
     stretches = read_stretches(session, begin_s, end_s)
-    block = block_samples(stretches)
-    long = [one for one in stretches if len(one.columns["output"]) >= FEWEST_IN_PART * block]
-    ends_s = tuple(
-        one.begin_s + len(one.columns["output"]) // block * block * one.period_s for one in long
-    )
-    excerpts = [one.excerpt for one in long]
-    found = _of_drive(session.path.name, excerpts, ends_s, block, configuration)
+    parts = [(one.begin_s, one.excerpt) for one in stretches]
+    found = _of_drive(session.path.name, parts, block_samples(stretches), configuration)
     known = {one.name: getattr(found, one.name) for one in fields(found)}
     known["online"] = _online(session, tuple(found.nominal), end_s)
-    return SessionLoad(**known, session=session, configuration=configuration, stretches=long)
+    known["left_out"] += divided(session, begin_s, end_s).count(None)
+    used = [stretches[place] for place in found.load.used]
+    return SessionLoad(**known, session=session, configuration=configuration, stretches=used)
 
 
 def _online(session: Session, names: tuple[str, ...], end_s: float | None) -> dict[str, Estimate]:

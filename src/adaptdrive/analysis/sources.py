@@ -48,7 +48,8 @@ def _identify(columns: Columns, name: str, view: RecordView) -> RecordLoad:
     config = view.config
     if isinstance(config, str | Path):
         config = load_configuration(Path(config))
-    return identify_record(read_record(columns, view), name, config, view.lags)
+    record = read_record(columns, replace(view, config=config))
+    return identify_record(record, name, config, view.lags)
 
 
 def _refuse_columns(view: RecordView, kind: str) -> None:

@@ -77,7 +77,7 @@ class FileView:
     Attributes:
         input: Name of the column of the input; guessed when left out, as are the next two.
         output: Name of the column of the output.
-        time: Name of the column of times, in seconds or as dates.
+        time: Name of the column of times, in the unit of its header, else in seconds, or as dates.
         sample_time_s: Seconds between two rows, where there is no such column.
         before: Input before the first row, under which the load had come to rest.
         lags: Lags of the load, 1 or 2; when left out two if the record shows a second one.

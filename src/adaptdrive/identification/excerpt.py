@@ -106,6 +106,19 @@ class Blocks:
         )
 
 
+def lost_of(excerpt: Excerpt, samples: int, lead: int) -> int:
+    """Return how many samples at the start only show what a delayed input was: whole blocks.
+
+    Args:
+        excerpt: Part of a record.
+        samples: Samples in a block.
+        lead: The longest dead time, in samples.
+    """
+    if excerpt.before_V is not None:
+        return 0
+    return -(-(lead + math.ceil(_late(excerpt, samples)) + 1) // samples) * samples
+
+
 def blocks_of(excerpts: Sequence[Excerpt], load: Load, samples: int, lead: int) -> list[Blocks]:
     """Average excerpts over blocks.
 
@@ -119,9 +132,8 @@ def blocks_of(excerpts: Sequence[Excerpt], load: Load, samples: int, lead: int) 
     made = []
     carried = 0.0
     for one in excerpts:
-        late = _late(one, samples)
+        late, lost = _late(one, samples), lost_of(one, samples, lead)
         before = lead + math.ceil(late) + 1
-        lost = 0 if one.before_V is not None else -(-before // samples) * samples
         volts = one.boost_voltage_V[max(0, lost - before) :]
         if one.before_V is not None:
             volts = np.concatenate((np.full(before, one.before_V), volts))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from adaptdrive.control.load import Load
 from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.dead_time import Fitted, scan, settle
-from adaptdrive.identification.excerpt import Blocks, Excerpt, blocks_of
+from adaptdrive.identification.excerpt import Blocks, Excerpt, blocks_of, lost_of
 from adaptdrive.identification.fit import Problem, require_excitation, split
 from adaptdrive.identification.noise_model import autoregression
 from adaptdrive.identification.result import IdentifiedLoad, result_of
@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 _LONGEST_DELAY = 10
 """Longest dead time that is tried, in blocks."""
 
-FEWEST_IN_PART = 15
-"""Blocks of an uninterrupted part below which it is left out."""
+_FEWEST_IN_PART = 15
+"""Blocks of an uninterrupted part, after what shows its delayed input, below which it is left out:
+more than the noise model has terms."""
 
 _FEWEST_BLOCKS = 30
 _ROUNDS = 3
@@ -50,8 +51,10 @@ def identify(
         IdentificationError: The data do not determine the load; the reason is the message.
     """
     lead = _LONGEST_DELAY * block if longest_delay is None else longest_delay
-    usable = [one for one in excerpts if len(one.output) >= FEWEST_IN_PART * block]
-    _require_data(usable, lead, block)
+    counts = [(len(one.output) - lost_of(one, block, lead)) // block for one in excerpts]
+    used = tuple(place for place, count in enumerate(counts) if count >= _FEWEST_IN_PART)
+    usable = [excerpts[place] for place in used]
+    _require_data(usable, sum(counts[place] for place in used), block, len(excerpts))
     problem = _problem(blocks_of(usable, load, block, lead), load)
     fitted = simulation = scan(problem)
     require_excitation(fitted.problem, fitted.solution)
@@ -65,7 +68,7 @@ def identify(
     fitted = settle(fitted.problem, fitted.solution.logarithms)
     white = replace(simulation.problem, drift=fitted.problem.drift)
     simulation = settle(white, simulation.solution.logarithms)
-    return result_of(load, fitted, simulation, usable[0].period_s)
+    return replace(result_of(load, fitted, simulation, usable[0].period_s), used=used)
 
 
 def identify_any(
@@ -113,13 +116,11 @@ def _problem(parts: list[Blocks], load: Load) -> Problem:
     return Problem(parts, load.order, load.input_powers, drift, noise=np.ones(1))
 
 
-def _require_data(excerpts: Sequence[Excerpt], lost: int, block: int) -> None:
-    heads = [math.ceil(lost / block) if one.before_V is None else 0 for one in excerpts]
-    counts = [len(one.output) // block for one in excerpts]
-    count = sum(counts) - sum(heads)
+def _require_data(excerpts: Sequence[Excerpt], count: int, block: int, parts: int) -> None:
     if count < _FEWEST_BLOCKS:
         raise IdentificationError(
-            f"{count} uninterrupted blocks of {block} samples; {_FEWEST_BLOCKS} are needed"
+            f"{count} uninterrupted blocks of {block} samples in {len(excerpts)} of {parts} parts; "
+            f"{_FEWEST_BLOCKS} are needed"
         )
     periods_s = [one.period_s for one in excerpts]
     if max(periods_s) > 1.001 * min(periods_s):

@@ -62,6 +62,7 @@ class IdentifiedLoad:
         residuals: Measured minus simulated output, as above.
         errors: White part of the residuals, as above; shorter by the order of the noise model.
         block_s: Length of a block.
+        used: Places of the excerpts that the fit used; the others have too few samples.
     """
 
     parameters: dict[str, Estimate]
@@ -81,6 +82,7 @@ class IdentifiedLoad:
     residuals: tuple[Array, ...]
     errors: tuple[Array, ...]
     block_s: float
+    used: tuple[int, ...] = (0,)
 
     @property
     def disputed(self) -> tuple[str, ...]:
