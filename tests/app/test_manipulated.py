@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
+from msgspec.structs import replace
+from rich.console import Console
 
 from adaptdrive.app.advice import advice
 from adaptdrive.app.examine import examine_text
@@ -13,10 +18,22 @@ from adaptdrive.app.interlocks import trip_limits
 from adaptdrive.app.ports import build_port, bus_kind
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.settings import daemon_settings
+from adaptdrive.cli.display import describe
+from adaptdrive.config import Configuration
+from adaptdrive.control.reach import Reach
+from adaptdrive.control.signals import Command
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Reading
+from adaptdrive.operation.home_assistant import discovery
+from adaptdrive.operation.listener import DriveStatus
+from adaptdrive.recording.tables import table_schema
+from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.runtime.trips import remedy
+from adaptdrive.watch.record import WatchRecord
+from adaptdrive.watch.view import screen
 from tests.config.modbus_documents import flaws, parse
+from tests.recording.material import INFO
 
 HZ: dict[str, str | None] = {
     "drive__manipulated__name": '"frequency"',
@@ -42,9 +59,65 @@ def test_texts_have_its_name_and_unit() -> None:
     configuration = parse(**HZ)
     reading = Reading(0.0, 0.0, None, 56.0, math.nan, math.nan, 1.0, 0, bridge=True)
     cause = find_cause(reading, 0.01, trip_limits(configuration), 0.05)
-    assert cause == "over-voltage: frequency = 56.0 Hz, limit 55 Hz"
+    assert cause == "drive above its limit: frequency = 56.0 Hz, limit 55 Hz"
+    assert "scale" in remedy(cause)
     with pytest.raises(RefusedError, match=r"60 Hz is outside 0…50 Hz"):
         daemon_settings(configuration).machine.require_voltage(60.0, None)
+
+
+UNTRUE = re.compile(r"V_c|v_bst|boost voltage|(?<!_)\bV\b|/V\b")
+
+
+def leaving(configuration: Configuration) -> Iterator[str]:
+    """Yield what operators, figures, records and other programs are told of a drive."""
+    machine, profile = daemon_settings(configuration).machine, operator_profile(configuration)
+    for refuse in (
+        lambda: machine.require_voltage(1e3, None),
+        lambda: machine.require_reach("setpoint", 1e3, Reach(0.0, 5.0)),
+        lambda: Guard(daemon_settings(configuration).fast.command).check(
+            Command(0, math.nan, True)
+        ),
+    ):
+        with pytest.raises((RefusedError, ValueError)) as refusal:
+            refuse()
+        yield str(refusal.value)
+    yield machine.precharge_cause(1.0)
+    broken = Reading(0.0, 0.0, None, 1e3, math.nan, math.nan, 1.0, 0, bridge=True)
+    yield find_cause(broken, 0.01, trip_limits(configuration), 0.05) or ""
+    for component in discovery(profile, "homeassistant")[1]["components"].values():
+        yield f"{component['name']} in {component.get('unit_of_measurement')}"
+    state = {"manipulated": msgspec.to_builtins(profile.manipulated)}
+    load = {"estimates": {"gain": {"value": 1.0}, "input_offset": {"value": 1.0}}}
+    status = DriveStatus("online", state, {"load": load, "drive": {}}, live=True)
+    yield describe("bench", status)
+    record = WatchRecord("bench", lambda: 0.0)
+    record.take("state", state)
+    record.take("telemetry/load", load)
+    console = Console(width=120, height=40)
+    with console.capture() as capture:
+        console.print(screen(record, (120, 40)))
+    yield capture.get()
+    yield from (f"{one.place}: {one.message}" for one in advice(configuration))
+    yield profile.manipulated.axis
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"), [("frequency", "Hz"), ("torque", "Nm"), ("opening", "%"), ("share", "")]
+)
+def test_no_value_leaves_as_a_voltage_that_is_none(name: str, unit: str) -> None:
+    named = {**HZ, "drive__manipulated__name": f'"{name}"', "drive__manipulated__unit": f'"{unit}"'}
+    for register in ("voltage", "wanted"):
+        written = str(HZ[f"bus__registers__{register}"])
+        named[f"bus__registers__{register}"] = written.replace("'Hz'", f"'{unit}'")
+    configuration = parse(**named, load__output_unit='"rad/s"')
+    told = list(leaving(configuration))
+    assert [text for text in told if UNTRUE.search(text.replace("line_voltage", ""))] == []
+    assert name in told[0]
+    info = replace(INFO, manipulated=configuration.drive.given)
+    for table in ("ticks", "slow"):
+        for field in table_schema(table, info):
+            if field.name.endswith("_V") and field.name != "line_voltage_V":
+                assert field.metadata[b"unit"].decode() in {unit, "unit of the load's input"}
 
 
 def test_a_drive_without_a_switch_is_stopped_by_its_set_point() -> None:

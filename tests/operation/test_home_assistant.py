@@ -16,6 +16,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.operation.commands import Payload
 from adaptdrive.operation.home_assistant import discovery
 from adaptdrive.operation.messages import Output, encode
+from adaptdrive.quantity import Given
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from tests.operation.contract import validators
 from tests.operation.memory_broker import MemoryBroker
@@ -53,9 +54,11 @@ CLASS_UNITS: dict[
     "current": {"A", "mA"},
     "temperature": {"°C", "°F", "K"},
     "temperature_delta": {"°C", "°F", "K"},
+    "power": {"W", "kW", "mW", "MW"},
+    "frequency": {"Hz", "kHz", "MHz", "GHz"},
     "enum": {None},
     "problem": {None},
-    None: {None, "rad/s", "%"},
+    None: {None, "rad/s", "%", "Nm"},
 }
 COMMANDS = [
     ("setpoint", "3.1", SetSetpoint(3.1)),
@@ -137,11 +140,14 @@ async def test_what_home_assistant_shows_is_in_the_messages(
         drive = await ear.on(bench.topic("telemetry/drive"))
         bench.host.trip("over-voltage: v_bst = 431 V, limit 430 V")
         tripped = await ear.until(lambda message: '"tripped"' in message.payload)
+        refused = await ask(bench, "setpoint", '{"id": "ha-1", "value": 9}')
+    contents = {one.topic: one.content for one in (load, drive, tripped)}
+    contents[bench.topic("reply")] = refused
     shown = {}
     for name, component in payload["components"].items():
         if "state_topic" in component:
-            message = {one.topic: one for one in (load, drive, tripped)}[component["state_topic"]]
-            shown[name] = rendered(component["value_template"], value_json=message.content)
+            content = contents[component["state_topic"]]
+            shown[name] = rendered(component["value_template"], value_json=content)
     assert shown == {
         "output": "3.1",
         "boost_reference": "302.0",
@@ -151,6 +157,7 @@ async def test_what_home_assistant_shows_is_in_the_messages(
         "tripped": "ON",
         "mode": "fixed",
         "setpoint": "0.0",
+        "refused": f"setpoint: {refused['reason']}",
         "last_trip": "over-voltage: v_bst = 431 V, limit 430 V",
     }
     attributes = payload["components"]["last_trip"]["json_attributes_template"]
@@ -158,9 +165,9 @@ async def test_what_home_assistant_shows_is_in_the_messages(
     assert rendered(attributes, value_json={"last_trip": None}) == "{}"
 
 
-@pytest.mark.parametrize("unit", ["V", "A", "°C", "K", "rad/s", "%", ""])
+@pytest.mark.parametrize("unit", ["V", "A", "°C", "K", "rad/s", "%", "Hz", "Nm", "kW", ""])
 def test_each_key_is_one_that_home_assistant_documents(unit: str) -> None:
-    known = replace(profile("x"), output=Output("output", unit))
+    known = replace(profile("x"), output=Output("output", unit), manipulated=Given("drawn", unit))
     message = json.loads(encode(discovery(known, "homeassistant")[1]))
     assert message.keys() == {"device", "origin", "availability_topic", "qos", "components"}
     assert message["device"].keys() == {"identifiers", "name", "manufacturer", "sw_version"}
@@ -172,6 +179,21 @@ def test_each_key_is_one_that_home_assistant_documents(unit: str) -> None:
             assert component.get("unit_of_measurement") in CLASS_UNITS[kind]
             assert ("options" in component) == (kind == "enum")
             assert not ("options" in component and "state_class" in component)
+
+
+def test_the_answer_to_another_client_changes_no_refusal() -> None:
+    template = discovery(profile("x"), "homeassistant")[1]["components"]["refused"][
+        "value_template"
+    ]
+    refused = {"id": "ha-1", "verb": "enable", "accepted": False, "reason": "tripped"}
+    before = {"state": "enable: tripped"}
+    for answer, shown in (
+        (refused, "enable: tripped"),
+        (refused | {"accepted": True}, "none"),
+        (refused | {"id": 7, "accepted": True}, before["state"]),
+        (refused | {"id": None, "verb": "mode"}, before["state"]),
+    ):
+        assert rendered(template, value_json=answer, this=before) == shown
 
 
 def test_a_narrow_range_has_a_step_that_home_assistant_takes() -> None:

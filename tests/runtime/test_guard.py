@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -82,6 +83,13 @@ def test_after_a_stop_the_current_rises_from_zero_again() -> None:
 def test_a_low_voltage_passes_as_it_is() -> None:
     command = Command(0.0, 0.5, bridge=True)
     assert Guard(UNIDIRECTIONAL).check(command) == command
+
+
+def test_a_drive_that_runs_both_ways_is_commanded_backwards() -> None:
+    guard = Guard(replace(UNIDIRECTIONAL, boost_reference_min_V=-100.0))
+    for asked, sent in ((-5.0, -5.0), (-100.0, -100.0), (-101.0, -100.0)):
+        assert guard.check(Command(0.0, asked, bridge=True)).boost_reference_V == sent
+    assert guard.limited == 1
 
 
 def test_a_negative_voltage_becomes_none_and_is_counted() -> None:

@@ -13,6 +13,7 @@ from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
+from adaptdrive.quantity import Given
 from adaptdrive.runtime.machine_limits import MachineLimits
 from adaptdrive.runtime.manual import ManualVoltage
 from adaptdrive.runtime.reports import State
@@ -328,6 +329,25 @@ def test_a_precharge_that_fails_names_voltage_time_and_remedy(*, needs_bridge: b
     assert cause.startswith("precharge: v_bst = 171.0 V after 5 s, needs 200 V")
     assert ("with its enable bit on" in cause) is needs_bridge
     assert ("drive.enable_bit = 'bridge-and-boost'" in cause) is not needs_bridge
+
+
+@pytest.mark.parametrize(
+    ("name", "one_bit", "state"),
+    [
+        ("v_bst", False, State.STARTING),
+        ("v_bst", True, State.STARTING),
+        ("frequency", False, State.RUNNING),
+        ("frequency", True, State.STARTING),
+    ],
+)
+def test_only_a_boost_stage_and_what_is_switched_on_are_waited_for(
+    name: str, one_bit: bool, state: State
+) -> None:
+    desk = Desk(boost_needs_bridge=one_bit, given=Given(name, "Hz"))
+    desk.ask(Enable())
+    for tick in range(2):
+        desk.machine.advance(tick, 0.0)
+    assert desk.machine.state is state
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -21,8 +21,9 @@ clocks when the row was flushed. Each column carries `unit`, `description` and `
 metadata of its Arrow field.
 
 Unit `y` is that of the output, and `u` that of the load's input; both depend on the load
-([control.md](proof/control.md)). Estimates are in SI. An unknown number is NaN on disk and `null`
-in a message.
+([control.md](proof/control.md)). Unit `v` is that of `[drive.manipulated]`, V where nothing
+else is named; what it names is meant by boost voltage, v_bst and V_c then. Estimates are in SI. An
+unknown number is NaN on disk and `null` in a message.
 """
 _TABLES = (
     ("## A slow step: `telemetry/load` and `slow-….parquet`", SLOW_COLUMNS),

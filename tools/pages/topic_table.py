@@ -235,6 +235,7 @@ def _kind(kind: Any) -> Any:
 
 def _column(column: Column) -> Member:
     unit = {"y": f", {_OUTPUT_UNIT}", "u": ", unit of the load's input", "": ""}
+    unit["v"] = ", unit of `manipulated` in `state`"
     text = column.meaning + unit.get(column.unit, f", {column.unit}")
     return column.name, Annotated[_KINDS.get(column.kind, column.kind), _meaning(text)]
 

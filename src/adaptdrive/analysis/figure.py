@@ -16,6 +16,7 @@ from adaptdrive.analysis import style
 from adaptdrive.analysis.curves import Curves
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
+from adaptdrive.quantity import Given
 from adaptdrive.recording.marks import read_marks
 from adaptdrive.recording.reader import Session
 
@@ -66,7 +67,7 @@ def draw_session(session: Session, configuration: Configuration, curves: Curves)
         span_s = curves.window.end_s - curves.window.begin_s
         scale_s, unit = next((s, u) for most, s, u in _UNITS_OF_TIME if span_s <= most)
         _draw_output(axes[0], session, curves, scale_s)
-        _draw_voltages(axes[1], curves, scale_s)
+        _draw_given(axes[1], session.info.manipulated, curves, scale_s)
         _draw_estimates(axes[2], configuration, curves, scale_s)
         _draw_strip(axes[3], curves, scale_s)
         axes[3].set_xlim(0.0, span_s / scale_s)
@@ -96,17 +97,17 @@ def _draw_output(axes: Axes, session: Session, curves: Curves, scale_s: float) -
     style.legend_above(axes, columns=2)
 
 
-def _draw_voltages(axes: Axes, curves: Curves, scale_s: float) -> None:
+def _draw_given(axes: Axes, given: Given, curves: Curves, scale_s: float) -> None:
     time_s, boost_V = curves.ticks["boost_voltage_V"].line
-    axes.plot(time_s / scale_s, boost_V, label=r"$v_{bst}$", **(style.FIXED | {"linewidth": 0.6}))
+    axes.plot(time_s / scale_s, boost_V, label=given.name, **(style.FIXED | {"linewidth": 0.6}))
     if len(curves.slow_s):
         slow = curves.broken(curves.slow_s / scale_s)
         asked = curves.broken(curves.slow["boost_reference_V"])
         applied = curves.broken(curves.slow["applied_V"])
-        axes.step(slow, asked, where="post", label=r"$V_c$ asked", **style.REFERENCE)
+        axes.step(slow, asked, where="post", label=given.asked, **style.REFERENCE)
         axes.plot(slow, applied, label="applied, mean", **style.ADAPTIVE)
-    axes.set_title("Voltage of the drive")
-    axes.set_ylabel("voltage (V)")
+    axes.set_title(f"{given.title.capitalize()} of the drive")
+    axes.set_ylabel(given.axis)
     style.legend_above(axes, columns=3)
 
 

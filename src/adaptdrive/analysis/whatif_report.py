@@ -18,20 +18,22 @@ _ROWS = (
     ("settling to 5 %, median", "settling_s", 1.0, "s"),
     ("steps not settled", "unsettled", 1.0, ""),
     ("rms error", "error", 1.0, "y"),
-    ("rms change of v_bst", "effort_V", 1.0, "V"),
-    ("highest v_bst", "highest_V", 1.0, "V"),
+    ("rms change of {}", "effort_V", 1.0, "v"),
+    ("highest {}", "highest_V", 1.0, "v"),
 )
 
 
 def as_text(comparison: Comparison) -> str:
     """Return the comparison as a table."""
-    unit = comparison.found.session.info.output_unit
+    info = comparison.found.session.info
+    units = {"y": info.output_unit, "v": info.manipulated.unit}
     courses = (comparison.recorded, comparison.repeated, comparison.changed)
     rows = [f"{'':<28}{'recorded':>12}{'simulated':>12}{'changed':>12}"]
     for name, key, factor, quantity in _ROWS:
         values = (factor * getattr(one.quality, key) for one in courses)
         texts = ("-" if math.isnan(value) else f"{value:.4g}" for value in values)
-        label = f"{name} {quantity.replace('y', unit)}".rstrip()
+        named = name.format(info.manipulated.name)
+        label = f"{named} {units.get(quantity, quantity)}".rstrip()
         rows.append(f"{label:<28}" + "".join(f"{text:>12}" for text in texts))
     time_s = comparison.recorded.time_s
     rows.append(
@@ -83,11 +85,12 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
             **style.TRUTH,
         )
         _draw(volts, comparison, "boost_voltage_V")
-        unit = comparison.found.session.info.output_unit
+        info = comparison.found.session.info
+        unit, given = info.output_unit, info.manipulated
         output.set_ylabel(f"output ({unit})" if unit else "output")
         output.set_title(", ".join(settings) or "recorded settings")
-        volts.set_title(r"$v_{bst}$, means over slow periods")
-        volts.set_ylabel("voltage (V)")
+        volts.set_title(f"{given.name}, means over slow periods")
+        volts.set_ylabel(given.axis)
         volts.set_xlabel("time since the first tick (s)")
         style.legend_above(output, columns=4)
         figure.align_ylabels([output, volts])

@@ -68,8 +68,9 @@ def _paper(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:
-    """The highest voltage reaches the highest set-point."""
+    """The highest command reaches the highest set-point."""
     section, limits = configuration.load, configuration.drive.limits
+    given = configuration.drive.given
     if section.traits.charges:
         return
     highest = load.gain * to_input(
@@ -79,7 +80,8 @@ def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     if section.reference_max - highest > _REACH_SHARE * span:
         text = (
             f"{section.reference_max:g} {section.output_unit} cannot be reached: "
-            f"{limits.boost_reference_max_V:g} V gives {highest:.4g} {section.output_unit}"
+            f"{given.text(limits.boost_reference_max_V, 'g')} gives {highest:.4g} "
+            f"{section.output_unit}"
         )
         yield Flaw("load.reference_max", text)
 
@@ -100,7 +102,8 @@ def _absent(configuration: Configuration) -> Iterator[Flaw]:
         text = "is absent: drive.limits.load_power_max_W holds nothing back"
         yield Flaw("signals.load_power_W", f"{text}; the drive must limit its own power")
     if "boost_voltage_V" in absent:
-        text = "is absent: V_c stands for it, and interlocks.boost_voltage_max_V can trip nothing"
+        text = f"is absent: {drive.given.asked} stands for it, and"
+        text += " interlocks.boost_voltage_max_V can trip nothing"
         yield Flaw("signals.boost_voltage_V", text)
 
 

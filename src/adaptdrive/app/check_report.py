@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,9 @@ def tables(configuration: Configuration, source: Path) -> str:
     limits = limits_table(time_limits(configuration, source), tick_s(configuration))
     response = response_table(response_limits(configuration))
     watched, capacitor = _watched(configuration), _capacitor(configuration)
-    reach = _reach(configuration)
-    return "\n".join((limits, *watched, *capacitor, *reach, pole_line(configuration), response))
+    start, reach = _start(configuration), _reach(configuration)
+    poles = pole_line(configuration)
+    return "\n".join((limits, *watched, *start, *capacitor, *reach, poles, response))
 
 
 def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
@@ -109,13 +111,24 @@ def _capacitor(configuration: Configuration) -> Iterator[str]:
         yield _fact(f"highest v_bst, its report {report}", f"{voltage_V:.0f} V", key)
 
 
+def _start(configuration: Configuration) -> Iterator[str]:
+    """Yield what a drive gives before its load is fed, and whether its enable bit is on then."""
+    machine, given = daemon_settings(configuration).machine, configuration.drive.given
+    if machine.precharges:
+        bit = "on" if machine.boost_needs_bridge else "off"
+        reached, keys = given.text(machine.floor_V, "g"), "drive.limits.boost_reference_min_V"
+        yield _fact(
+            f"starts at {given.name} of", reached, f"{keys}; its enable bit is {bit} before"
+        )
+
+
 _FACTOR = "interlocks.response_factor"
 
 
 def _reach(configuration: Configuration) -> Iterator[str]:
     """Yield the reachable set-points."""
     load, reach = configuration.load, daemon_settings(configuration).machine.reach
-    held = "set-points held by V_c"
+    held = f"set-points held by {configuration.drive.given.symbol}"
     if not reach.is_known:
         yield _fact(held, "found while running", "the battery's EMF, which no key states")
         return
@@ -188,6 +201,7 @@ def sound_report(configuration: Configuration, source: Path) -> Report:
         "warnings": [str(one) for one in advice(configuration)],
         "drive": configuration.drive.name,
         "output": {"name": load.output_name, "unit": load.output_unit},
+        "manipulated": asdict(configuration.drive.given),
         "reach": [machine.reach.low, machine.reach.high],
         "poles": [machine.pole_min, machine.pole_max],
         "time_limits": [

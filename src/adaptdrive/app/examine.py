@@ -126,10 +126,11 @@ def _reach_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
         return
     if reach.low <= section.reference_max and reach.high >= section.reference_min:
         return
-    unit = section.output_unit
+    unit, given = section.output_unit, configuration.drive.given
     yield Flaw(
         "load.model",
-        f"V_c = {limits.boost_reference_min_V:g}…{limits.boost_reference_max_V:g} V gives "
+        f"{given.symbol} = {limits.boost_reference_min_V:g}…"
+        f"{given.text(limits.boost_reference_max_V, 'g')} gives "
         f"{section.output_name} = {reach.low:g}…{reach.high:g} {unit}, which "
         f"misses every set-point of {section.reference_min:g}…{section.reference_max:g} {unit}: "
         "compare the model's gain, load.reference_min and _max, and [drive.limits]",

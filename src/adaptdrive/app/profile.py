@@ -13,12 +13,11 @@ from adaptdrive.operation.messages import Output, Profile
 def operator_profile(configuration: Configuration) -> Profile:
     """Return names, units and limits of a drive, which operators need in addition to its state."""
     load, drive = configuration.load, configuration.drive.limits
-    quantity = configuration.drive.manipulated
     trips, machine = trip_limits(configuration), daemon_settings(configuration).machine
     return Profile(
         drive=configuration.drive.name,
         output=Output(load.output_name, load.output_unit),
-        manipulated=Output(quantity.name, quantity.unit),
+        manipulated=configuration.drive.given,
         limits={
             "setpoint": (load.reference_min, load.reference_max),
             "output_trip": (trips.output_min, trips.output_max),

@@ -129,5 +129,6 @@ def _info(configuration: Configuration, learnt: Learnt) -> SessionInfo:
         prior=learnt.values,
         resolution=learnt.resolution,
         output_unit=configuration.load.output_unit,
+        manipulated=configuration.drive.given,
         sensors=sensor_columns(configuration),
     )

@@ -9,12 +9,14 @@ from typing import Any
 
 from adaptdrive.operation.listener import LIVE_S, DriveStatus
 from adaptdrive.operation.payloads import (
+    given_in,
     number,
     part,
     printable,
     quantity_and_unit,
     unconfirmed_stop,
 )
+from adaptdrive.quantity import Given
 from adaptdrive.runtime.trips import remedy
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")
@@ -33,7 +35,7 @@ def describe(drive: str, status: DriveStatus) -> str:
         status: The messages that it published.
     """
     lines = [f"{drive} is {_SILENT if status.silent else printable(status.availability)}"]
-    unit, given = _unit(status.state or {}), _manipulated(status.state or {})
+    unit, given = _unit(status.state or {}), given_in(status.state or {})
     if status.state is not None:
         lines += _state(status.state, unit, live=status.online and status.live)
     if "load" in status.telemetry:
@@ -142,32 +144,26 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
     return [row, *([("remedy", str(last["remedy"]))] if last.get("remedy") else [])]
 
 
-def _manipulated(state: dict[str, Any]) -> tuple[str, str]:
-    """Return name and unit of what the drive is commanded, and gives."""
-    found = part(state, "manipulated")
-    unit = printable(found.get("unit", "V"))
-    return (printable(found.get("name")) if unit != "V" else "boost"), unit
-
-
-def _load(load: dict[str, Any], unit: str, given: tuple[str, str]) -> list[str]:
+def _load(load: dict[str, Any], unit: str, given: Given) -> list[str]:
     found = part(load, "estimates")
-    estimates = ", ".join(_estimate(name, part(found, name), found, unit) for name in found)
+    units = unit, given.unit
+    estimates = ", ".join(_estimate(name, part(found, name), found, units) for name in found)
     voltages = (
-        f"asked {_number(load.get('boost_reference_V'), given[1])}, "
-        f"applied {_number(load.get('applied_V'), given[1])}"
+        f"asked {_number(load.get('boost_reference_V'), given.unit)}, "
+        f"applied {_number(load.get('applied_V'), given.unit)}"
     )
     return [
         _row("slow step", f"{load.get('k')} at {_moment(load.get('time'))}"),
         _row("reference", _number(load.get("reference"), unit)),
-        _row(given[0], voltages),
+        _row(given.name, voltages),
         _row("estimates", estimates or "none"),
     ]
 
 
-def _drive(drive: dict[str, Any], unit: str, given: tuple[str, str]) -> list[str]:
+def _drive(drive: dict[str, Any], unit: str, given: Given) -> list[str]:
     return [
         _row(str(drive.get("output_name") or "output"), _number(drive.get("output"), unit)),
-        _row(f"{given[0]} now", _number(drive.get("boost_voltage_V"), given[1])),
+        _row(f"{given.name} now", _number(drive.get("boost_voltage_V"), given.unit)),
         _row("load power", _number(drive.get("load_power_W"), "W")),
         _row("age", _milliseconds(drive.get("age_s"))),
         _row("ticks", f"{drive.get('ticks')}, missed {drive.get('missed')}"),
@@ -190,10 +186,10 @@ def _setpoint(state: dict[str, Any], unit: str) -> str:
 
 
 def _estimate(
-    name: str, estimate: dict[str, Any], names: Mapping[str, Any], output_unit: str
+    name: str, estimate: dict[str, Any], names: Mapping[str, Any], units: tuple[str, str]
 ) -> str:
     """Return an estimate with its standard deviation and its unit."""
-    quantity, unit = quantity_and_unit(name, names, output_unit)
+    quantity, unit = quantity_and_unit(name, names, *units)
     spread = number(estimate.get("std"))
     doubt = "" if math.isnan(spread) else f" ± {spread:.2g}"
     return f"{quantity} {_number(estimate.get('value'))}{doubt} {unit}".rstrip()

@@ -127,6 +127,7 @@ def _show_json(
         "age_s": age_s,
         "reading": reading,
         "output": {"name": configuration.load.output_name, "unit": configuration.load.output_unit},
+        "manipulated": configuration.drive.given,
         "frames": port.statistics,
         "sensors": sensor_reports(port, now_s)(),
         "refused": list(port.details()),
@@ -194,9 +195,9 @@ def _line(configuration: Configuration, port: Port, reading: Reading | None) -> 
     if reading is None:
         return f"no reading yet ({counts or 'no frames'})"
     age_ms = (now_s() - reading.oldest_s) * 1e3
-    load, quantity = configuration.load, configuration.drive.manipulated
+    load, given = configuration.load, configuration.drive.given
     return (
-        f"{quantity.name} {reading.boost_voltage_V:7.2f} {quantity.unit}  "
+        f"{given.name} {given.text(reading.boost_voltage_V, '7.2f')}  "
         f"line {_shown(reading.line_voltage_V, '6.1f')} V  "
         f"load {_shown(reading.load_power_W, '7.1f')} W  {load.output_name} {reading.output:9.5f} "
         f"{load.output_unit}  bridge {'on' if reading.bridge else 'off'}  "

@@ -108,8 +108,9 @@ class Climb:
             growth = _SLOW_GROWTH if self._retreats else _GROWTH
             step = max(step, self._allowed(growth * step))
         raise CommissionError(
-            f"{_LONGEST_CLIMB} steps of V_c did not show one that moves {target.name} by "
-            f"{target.move:.3g} {target.unit}: ask for a longer wait with --patience"
+            f"{_LONGEST_CLIMB} steps of {target.given.symbol} did not show one that moves "
+            f"{target.name} by {target.move:.3g} {target.unit}: ask for a longer wait with "
+            "--patience"
         )
 
     def _follow(self, moved: float) -> None:
@@ -137,8 +138,8 @@ class Climb:
                 return moved
             if moved < -course.margin(_FALL):
                 raise CommissionError(
-                    f"{target.name} fell by {-moved:.3g} {target.unit} when V_c rose to "
-                    f"{voltage_V:.4g} V: is its sensor reversed?"
+                    f"{target.name} fell by {-moved:.3g} {target.unit} when {target.given.symbol} "
+                    f"rose to {target.given.text(voltage_V)}: is its sensor reversed?"
                 )
             yield True
         moved = self._rest.output - self._before
@@ -178,11 +179,12 @@ class Climb:
         return step * min(max(least, share), largest)
 
     def _no_response(self, moved: float, raised_V: float) -> CommissionError:
-        target = self._course.target
+        target, given = self._course.target, self._course.target.given
         return CommissionError(
-            f"no response: {target.name} moved by {moved:.3g} {target.unit} when V_c rose "
-            f"from {self._base_V:.4g} V to {raised_V:.4g} V; wanted {target.move:.3g} "
-            f"{target.unit}: look at sensor and load, or ask for a smaller movement"
+            f"no response: {target.name} moved by {moved:.3g} {target.unit} when {given.symbol} "
+            f"rose from {given.text(self._base_V)} to {given.text(raised_V)}; wanted "
+            f"{target.move:.3g} {target.unit}: look at sensor and load, or ask for a smaller "
+            "movement"
         )
 
     def _time_to_rest(self) -> float:

@@ -99,7 +99,9 @@ class ExperimentCourse:
             CommissionError: It is not finite.
         """
         if not (math.isfinite(boost_voltage_V) and math.isfinite(output)):
-            raise CommissionError(f"output = {output}, v_bst = {boost_voltage_V} is not finite")
+            raise CommissionError(
+                f"output = {output}, {self.target.given.name} = {boost_voltage_V} is not finite"
+            )
         self.time_s = time_s
         self.record.append(time_s, boost_voltage_V, output)
 
@@ -143,8 +145,9 @@ class ExperimentCourse:
         output = self.recent(self.smooth_s)
         if output > target.output_max + self.margin(0.0):
             raise CommissionError(
-                f"{target.name} = {output:.4g} {target.unit} at V_c = {self.voltage_V:.4g} V is "
-                f"above load.reference_max = {target.output_max:g} {target.unit}"
+                f"{target.name} = {output:.4g} {target.unit} at {target.given.symbol} = "
+                f"{target.given.text(self.voltage_V)} is above load.reference_max = "
+                f"{target.output_max:g} {target.unit}"
             )
 
     def look_at_terminals(self, voltage_V: float, output: float) -> None:

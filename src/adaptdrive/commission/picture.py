@@ -103,7 +103,9 @@ def screen(picture: Picture, size: tuple[int, int]) -> Layout:
 def _header(picture: Picture, points: list[PlotPoint]) -> Table:
     phase = "the drive starts" if picture.phase is None else str(picture.phase)
     output = points[-1].output if points else math.nan
-    values = f"V_c {figure(picture.voltage_V)} V   {picture.target.name} {figure(output)}"
+    given = picture.target.given
+    asked = f"{given.symbol} {figure(picture.voltage_V)} {given.unit}"
+    values = f"{asked}   {picture.target.name} {figure(output)}"
     grid = Table.grid(expand=True)
     grid.add_row(cut(Text.assemble((f" {picture.drive} ", "bold reverse"), f" {phase}")))
     line = Table.grid(padding=(0, 1))
@@ -197,4 +199,5 @@ class PhaseLines:
             output = f"output {reading.output:.4g}"
             left_s = self._experiment.course.remaining_s
             left = "" if math.isnan(left_s) else f" for {left_s:.0f} s"
-            tell(f"V_c {voltage_V:.4g} V  {output}  {phase}{left}")
+            given = self._experiment.course.target.given
+            tell(f"{given.symbol} {given.text(voltage_V)}  {output}  {phase}{left}")

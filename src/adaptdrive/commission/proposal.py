@@ -176,7 +176,7 @@ def propose(
             return Proposal(tried, model, configuration, margins)
     raise CommissionError(
         f"no pole up to load.pole_max = {present.load.pole_max:g} gives a gain margin of "
-        f"{_LEAST_GAIN:g}, a delay margin of half a slow period, and steps within the range of V_c"
+        f"{_LEAST_GAIN:g}, a delay margin of half a slow period, and steps within [drive.limits]"
     )
 
 

@@ -54,11 +54,11 @@ def as_text(found: Commissioned) -> str:
 
 def _checks(found: Commissioned) -> Iterator[str]:
     sensor, outcome, load = found.sensor, found.outcome, found.load
-    unit = found.before.load.output_unit
+    unit, given = found.before.load.output_unit, found.before.drive.given
     noise, resolution = f"noise {sensor.noise:.3g} {unit}", f"{sensor.resolution:.3g} {unit}"
     yield f"sensor          {noise}, resolution {resolution}"
     yield (
-        f"test            V_c {outcome.low_V:.4g}…{outcome.high_V:.4g} V from "
+        f"test            {given.symbol} {outcome.low_V:.4g}…{given.text(outcome.high_V)} from "
         f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
     )
     yield from checks(load, unit)
@@ -85,7 +85,8 @@ def _loop(found: Commissioned) -> Iterator[str]:
     overshoot, settling_s = 100.0 * quality.overshoot, quality.settling_s
     yield f"predicted overshoot {overshoot:.1f} %, settling {settling_s:.4g} s"
     yield f"gain margin {margins.gain:.3g}, delay margin {margins.delay_s:.3g} s"
-    yield f"largest v_bst after the step {quality.highest_V:.4g} V"
+    given = found.before.drive.given
+    yield f"largest {given.name} after the step {given.text(quality.highest_V)}"
     if found.refusal:
         yield f"not to be applied: {found.refusal}"
 
@@ -116,7 +117,7 @@ def draw(found: Commissioned) -> bytes:
         response.set_title("predicted response of the fixed controller to a step")
         response.set_ylabel(label)
         volts.plot(prediction.time_s, prediction.boost_voltage_V, **style.ADAPTIVE)
-        volts.set_ylabel(r"$v_{bst}$ (V)")
+        volts.set_ylabel(found.before.drive.given.axis)
         volts.set_xlabel("time since the step (s)")
         return as_png(figure)
 

@@ -103,7 +103,7 @@ def find_onset(course: ExperimentCourse) -> Steps[float]:
         if voltage_V >= target.high_V:
             raise CommissionError(
                 f"no current: {target.name} = {course.recent(wait_s):.3g} {target.unit} at "
-                f"{voltage_V:.4g} V, the highest V_c"
+                f"{target.given.text(voltage_V)}, the highest {target.given.symbol}"
             )
         voltage_V = min(voltage_V + target.onset_step_V, target.high_V)
         course.voltage_V = voltage_V

@@ -67,11 +67,12 @@ def announcement(wanted: CommissionRequest, drive: str) -> str:
     """
     configuration = _configuration_of(drive, read_text(wanted.path), wanted.path)
     target = build_target(configuration, wanted.move_share, wanted.patience_s)
-    onset = "" if target.onset is None else ", until a current flows,"
+    given, onset = target.given, "" if target.onset is None else ", until a current flows,"
     return (
-        f"{drive} is enabled in mode manual. V_c rises from {target.low_V:g} V{onset} until "
-        f"{target.name} has moved by {target.move:.3g} {target.unit}, then switches between the "
-        "two for many minutes. The key q ends it, as do Ctrl-C, disable, a trip, and "
+        f"{drive} is enabled in mode manual. {given.symbol} rises from "
+        f"{given.text(target.low_V, 'g')}{onset} until {target.name} has moved by "
+        f"{target.move:.3g} {target.unit}, then switches between the two for many minutes. The key "
+        "q ends it, as do Ctrl-C, disable, a trip, and "
         f"{HOLD_S:g} s without this program; the drive is then off."
     )
 

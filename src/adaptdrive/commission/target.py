@@ -8,6 +8,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.config.load import BatterySection
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.load import to_input, to_voltage
+from adaptdrive.quantity import BOOST, Given
 
 """Shortest wait for a load of the kind to respond."""
 
@@ -53,6 +54,7 @@ class Target:
         name: Name of the output, for people.
         unit: Its unit.
         onset: For a battery: its terminals.
+        given: Name and unit of what the drive is commanded, and gives.
     """
 
     low_V: float
@@ -66,6 +68,7 @@ class Target:
     name: str
     unit: str
     onset: Onset | None = None
+    given: Given = BOOST
 
     def to_input(self, voltage_V: float) -> float:
         """Return the load's input at a boost voltage."""
@@ -112,6 +115,7 @@ def build_target(
         name=section.output_name,
         unit=section.output_unit,
         onset=_onset(configuration),
+        given=configuration.drive.given,
     )
 
 

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from adaptdrive.config.section import FiniteFloat, NonNegativeFloat, PositiveFloat, Section, key
 from adaptdrive.errors import Flaw
+from adaptdrive.quantity import BOOST_VOLTAGE, Given
 
 BROKER_USERS = frozenset({"operator", "viewer"})
 """Users of `deploy/mosquitto/adaptdrive.acl` that are operators, not drives."""
@@ -35,8 +36,13 @@ class Manipulated(Section):
     All keys and topics that end in `_V` are then in its unit.
     """
 
-    name: str = key("v_bst", pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$")
+    name: str = key(BOOST_VOLTAGE, pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$")
     unit: str = key("V", max_length=16)
+
+    @property
+    def given(self) -> Given:
+        """The words for it."""
+        return Given(self.name, self.unit)
 
 
 class DriveSection(Section):
@@ -50,6 +56,11 @@ class DriveSection(Section):
     enable_bit: Literal["bridge", "bridge-and-boost"] = "bridge"
     limits: DriveLimits = Field(default_factory=DriveLimits)
     manipulated: Manipulated = Field(default_factory=Manipulated)
+
+    @property
+    def given(self) -> Given:
+        """The words for what it is commanded, and gives."""
+        return self.manipulated.given
 
     @property
     def half_cycle_s(self) -> float:

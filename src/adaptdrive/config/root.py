@@ -145,7 +145,7 @@ _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
     reference_flaws: "bus signals",
     link_flaws: "bus sensor_bus",
     pace_flaws: "drive bus signals load interlocks voltage_loop",
-    supply_flaws: "bus signals sensor_bus derived load voltage_loop",
+    supply_flaws: "drive bus signals sensor_bus derived load voltage_loop",
     _lowest_flaws: "drive voltage_loop load",
     voltage_flaws: "drive voltage_loop interlocks sensor_bus derived",
     _command_flaws: "bus signals voltage_loop drive",

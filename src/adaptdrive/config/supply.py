@@ -72,7 +72,8 @@ def in_order(derived: Mapping[str, Derived]) -> list[str]:
 
 def _derived_flaws(whole: Configuration, given: Collection[str]) -> Iterator[Flaw]:
     """Yield units and rules that do not fit, and values made of nothing or of themselves."""
-    wanted = {**WANTED, "output": whole.load.output_unit}
+    unit = whole.drive.manipulated.unit
+    wanted = {**WANTED, "boost_voltage_V": unit, "output": whole.load.output_unit}
     for name, one in whole.derived.items():
         place = f"derived.{name}"
         if problem := stated_problem(one, wanted.get(name, "")):

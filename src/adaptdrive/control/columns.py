@@ -22,7 +22,8 @@ class Quantity:
 
     Attributes:
         unit: Unit: a symbol, `y` for the unit of the output, `u` for that of the load's input,
-            or an empty string for a plain number or a text.
+            `v` for that of what the drive is commanded, and gives, or an empty string for a plain
+            number or a text.
         meaning: What the value is.
         name: Name of the column where the field's own is not unique.
     """

@@ -37,7 +37,7 @@ class Measurement:
 
     tick: Annotated[int, Quantity("", "half-cycle counter of the drive, unwrapped")]
     tick_period_s: Annotated[float, Quantity("s", "measured length of one half line cycle")]
-    boost_voltage_V: Annotated[float, Quantity("V", "voltage of the boost capacitor, v_bst")]
+    boost_voltage_V: Annotated[float, Quantity("v", "voltage of the boost capacitor, v_bst")]
     line_voltage_V: Annotated[float, Quantity("V", "line voltage, rms")]
     load_power_W: Annotated[float, Quantity("W", "power drawn from the boost capacitor")]
     output: Annotated[float, Quantity("y", "the regulated quantity")]
@@ -56,7 +56,7 @@ class Order:
     pole: Annotated[
         float, Quantity("", "closed-loop pole asked for, in the z-plane of the slow rate")
     ]
-    manual_V: Annotated[float, Quantity("V", "V_c asked for in mode manual, 0 in every other")] = (
+    manual_V: Annotated[float, Quantity("v", "V_c asked for in mode manual, 0 in every other")] = (
         0.0
     )
     steady: Annotated[
@@ -82,7 +82,7 @@ class Command:
     boost_reference_V: Annotated[
         float,
         Quantity(
-            "V", "V_c, for drives that hold their own boost voltage", "command_boost_reference_V"
+            "v", "V_c, for drives that hold their own boost voltage", "command_boost_reference_V"
         ),
     ]
     bridge: Annotated[bool, Quantity("", "true when the dc/dc bridge may feed the load")]
@@ -108,7 +108,7 @@ class Snapshot:
     input_filtered: Annotated[
         tuple[float, ...], Quantity("u", "[u, λu, λ²u, …], means over the same window")
     ]
-    applied_V: Annotated[float, Quantity("V", "mean boost voltage over the elapsed slow period")]
+    applied_V: Annotated[float, Quantity("v", "mean boost voltage over the elapsed slow period")]
     followed: Annotated[
         bool, Quantity("", "false where a limit kept the boost voltage from following V_c")
     ]
@@ -117,7 +117,7 @@ class Snapshot:
     ]
     held_V: Annotated[
         float,
-        Quantity("V", "V_c in force where the operator set it in the elapsed period, else unknown"),
+        Quantity("v", "V_c in force where the operator set it in the elapsed period, else unknown"),
     ] = math.nan
     resolution: Annotated[
         float, Quantity("y", "step of the sensor: as configured, else as found; 0 for none")
@@ -141,7 +141,7 @@ class Decision:
     """Result of the slow half for snapshot k."""
 
     k: int
-    boost_reference_V: Annotated[float, Quantity("V", "V_c decided now, after limits")]
+    boost_reference_V: Annotated[float, Quantity("v", "V_c decided now, after limits")]
     controller: Annotated[
         Mode,
         Quantity("", "source of V_c in force; fixed until the estimates are trusted"),

@@ -16,12 +16,22 @@ _SMALLEST_STEP = 1e-3
 
 _DEVICE_CLASSES = {
     "V": "voltage",
+    "mV": "voltage",
     "A": "current",
+    "mA": "current",
+    "W": "power",
+    "kW": "power",
+    "Hz": "frequency",
     "°C": "temperature",
     "K": "temperature_delta",  # a rise above the inflow; `temperature` would be converted to °C
 }
 _LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
     "{{ value_json.last_trip.text[:255] if value_json.last_trip else 'none' }}"
+)
+_ANSWER = (  # to a command of Home Assistant; that to another client's leaves it as it is
+    "{% if (value_json.id | string).startswith('ha-') %}"
+    "{{ 'none' if value_json.accepted else (value_json.verb ~ ': ' ~ value_json.reason)[:255] }}"
+    "{% else %}{{ this.state if this is defined else 'none' }}{% endif %}"
 )
 _ID = '"id": "ha-{{ now().timestamp() }}"'
 _EXPIRING = (  # a sum in local time is an hour wrong in the hour that autumn repeats
@@ -56,16 +66,20 @@ def discovery(profile: Profile, prefix: str) -> tuple[str, Payload]:
 
 
 def _sensors(profile: Profile, topics: Topics) -> dict[str, Payload]:
-    output, drive = profile.output, topics.drive_telemetry  # published in standby, too
+    output, given = profile.output, profile.manipulated
+    drive = topics.drive_telemetry  # published in standby, too
     return {
         "output": _measured(output.name, drive, "output", output.unit),
-        "boost_reference": _measured("V_c", topics.load_telemetry, "boost_reference_V", "V"),
-        "applied": _measured("boost voltage", drive, "boost_voltage_V", "V"),
+        "boost_reference": _measured(
+            given.asked, topics.load_telemetry, "boost_reference_V", given.unit
+        ),
+        "applied": _measured(given.title, drive, "boost_voltage_V", given.unit),
         "state": _shown("state", topics.state, "{{ value_json.state }}")
         | {"device_class": "enum", "options": [state.value for state in State]},
         "controller": _shown("controller in force", topics.state, "{{ value_json.controller }}"),
         "tripped": _shown("trip", topics.state, "{{ 'ON' if value_json.trip else 'OFF' }}")
         | {"platform": "binary_sensor", "device_class": "problem"},
+        "refused": _shown("refused command", topics.reply, _ANSWER),
         "last_trip": _shown("last trip", topics.state, _LAST_TRIP)
         | {
             "json_attributes_topic": topics.state,

@@ -18,6 +18,7 @@ from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
 from adaptdrive.operation.clock import Synchronisation
 from adaptdrive.operation.commands import STOP
+from adaptdrive.quantity import BOOST, Given
 from adaptdrive.runtime.reports import (
     SLOW_COLUMNS,
     DriveReport,
@@ -66,7 +67,7 @@ class Profile:
     limits: Mapping[str, Range] | None = None
     modes: tuple[Mode, ...] = tuple(Mode)
     version: str = ""
-    manipulated: Output = Output("v_bst", "V")
+    manipulated: Given = BOOST
 
 
 if TYPE_CHECKING:

@@ -7,6 +7,8 @@ import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from adaptdrive.quantity import BOOST, Given
+
 _LARGEST = 1e100
 """Least number that no quantity has: sums and differences of smaller ones are numbers still."""
 
@@ -32,6 +34,12 @@ def printable(value: object) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in str(value))
 
 
+def given_in(state: Mapping[str, Any]) -> Given:
+    """Return what a drive is commanded, and gives, from the payload of `state`."""
+    found = part(state, "manipulated")
+    return Given(*(printable(found.get(name, getattr(BOOST, name))) for name in ("name", "unit")))
+
+
 def unconfirmed_stop(state: Mapping[str, Any]) -> str:
     """Return the value of `stop` for a stop that the drive has not confirmed, empty for none.
 
@@ -49,18 +57,22 @@ _WRITTEN = (("_per_", "/"), ("2", "²"), ("Ohm", "Ω"))
 _BATH = "resistance_K_per_W"
 
 
-def quantity_and_unit(name: str, names: Collection[str], output_unit: str) -> tuple[str, str]:
+def quantity_and_unit(
+    name: str, names: Collection[str], output_unit: str, given_unit: str = "V"
+) -> tuple[str, str]:
     """Return the quantity that an estimate is, and its unit.
 
     Args:
         name: Name of the estimate, such as `tau_sum_s`.
         names: Names of all estimates of the load: an offset has the unit of the load's input.
-        output_unit: Unit of the output, of which a gain is so much for each volt.
+        output_unit: Unit of the output, of which a gain is so much for each unit of the input.
+        given_unit: Unit of what the drive gives, which is the input of a motor.
     """
     if name == "gain":
-        return name, f"({output_unit})/V" if "/" in output_unit else f"{output_unit or '1'}/V"
+        one = f"({output_unit})" if "/" in output_unit else output_unit or "1"
+        return name, f"{one}/{given_unit}" if given_unit else output_unit
     if name == "input_offset":
-        return "input offset", "W" if _BATH in names else "V"
+        return "input offset", "W" if _BATH in names else given_unit
     match = _UNIT.fullmatch(name)
     if match is None:
         return name.replace("_", " "), ""

@@ -90,11 +90,13 @@ const Contract = (() => {
   }
 
   /** The name of an estimate without its unit, and the unit as it is written; that of an offset is
-   * the unit of the load's input, that of a gain is so much of the output for each volt.
-   * @param {string} name @param {string[]} names of all estimates @param {string} outputUnit */
-  function named(name, names, outputUnit) {
-    if (name === "gain") return { text: name, unit: outputUnit.includes("/") ? `(${outputUnit})/V` : `${outputUnit || "1"}/V` };
-    if (name === "input_offset") return { text: "input offset", unit: names.includes("resistance_K_per_W") ? "W" : "V" };
+   * the unit of the load's input, that of a gain is so much of the output for each unit of that.
+   * @param {string} name @param {string[]} names of all estimates @param {string} outputUnit
+   * @param {string} givenUnit of what the drive gives */
+  function named(name, names, outputUnit, givenUnit) {
+    const one = outputUnit.includes("/") ? `(${outputUnit})` : outputUnit || "1";
+    if (name === "gain") return { text: name, unit: givenUnit ? `${one}/${givenUnit}` : outputUnit };
+    if (name === "input_offset") return { text: "input offset", unit: names.includes("resistance_K_per_W") ? "W" : givenUnit };
     const match = /^(.+?)_((?:s|V|A|W|K|S|J|F|Ohm|rad)\d?(?:_per_(?:s|V|A|W|K)\d?)?)$/.exec(name);
     if (!match) return { text: name, unit: "" };
     return { text: match[1].replaceAll("_", " "), unit: match[2].replace("_per_", "/").replace("2", "²").replace("Ohm", "Ω") };

@@ -91,7 +91,7 @@ const Controls = (() => {
     const low = field(`low${unit()}`), high = field(`high${unit()}`), period = field("period, s");
     const shape = /** @type {HTMLSelectElement} */ (Dom.make("select", { "aria-label": "shape" },
       ...["square", "sine", "triangle"].map((name) => Dom.make("option", {}, name))));
-    const voltage = field(`${drive.given.name}, ${drive.given.unit}`);
+    const voltage = field([drive.given.name, drive.given.unit].filter(Boolean).join(", "));
     const pole = field("pole, per slow period", { min: "0", max: "1" });
     const modes = drive.state?.modes ?? ["fixed", "adaptive"];
     const reset = button("Reset trip", (place) => send(place, "reset", undefined));
@@ -104,7 +104,7 @@ const Controls = (() => {
         form("Start", (place) => send(place, "waveform", { shape: shape.value, low: low.input.valueAsNumber, high: high.input.valueAsNumber, period_s: period.input.valueAsNumber }),
           Dom.make("label", {}, "shape", shape), low.row, high.row, period.row),
         button("Hold the present value", (place) => send(place, "waveform", "off"))),
-      Dom.make("details", {}, Dom.make("summary", {}, `${drive.given.unit === "V" ? "Voltage" : drive.given.name} by hand, in mode manual`), form("Set", (place) => send(place, "voltage", voltage.input.valueAsNumber), voltage.row)),
+      Dom.make("details", {}, Dom.make("summary", {}, `${drive.given.name === "boost voltage" ? "Voltage" : drive.given.name} by hand, in mode manual`), form("Set", (place) => send(place, "voltage", voltage.input.valueAsNumber), voltage.row)),
       Dom.make("details", {}, Dom.make("summary", {}, "Pole"), form("Set", (place) => send(place, "pole", pole.input.valueAsNumber), pole.row)),
     );
     const viewer = Dom.make("p.viewer", { hidden: true });

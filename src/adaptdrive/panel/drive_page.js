@@ -121,7 +121,7 @@ const DrivePage = (() => {
       marginRow(given, fast?.boost_voltage_V, state?.limits?.boost_trip_V, unit),
       marginRow("load power", fast?.load_power_W, state?.limits?.power_W, "W"),
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
-      ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each), drive.unit)),
+      ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each), drive.unit, unit)),
       ["pole", Dom.number(state?.pole), `per slow period; ${limitText(state?.limits?.pole, "")}`],
       ["lateness of a tick", milliseconds(lateness?.p99), lateness ? `99 %; longest ${milliseconds(lateness.max)}` : ""],
       ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${Dom.number(fast.missed)} missed, ${Dom.number(fast.held)} held` : ""],
@@ -142,9 +142,10 @@ const DrivePage = (() => {
     return [`${name} to trip`, Dom.number(left, unit, 3), limitText(limits, unit).replace("limits ", "within "), near ? "near" : ""];
   }
 
-  /** @param {string} name @param {Estimate} one @param {string[]} names @param {string} outputUnit */
-  function estimateRow(name, one, names, outputUnit) {
-    const { text, unit } = Contract.named(name, names, outputUnit);
+  /** @param {string} name @param {Estimate} one @param {string[]} names @param {string} outputUnit
+   * @param {string} givenUnit */
+  function estimateRow(name, one, names, outputUnit, givenUnit) {
+    const { text, unit } = Contract.named(name, names, outputUnit, givenUnit);
     const doubt = one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, unit, 2)} (2 σ)`;
     return [text, Dom.number(one.value, unit), doubt];
   }

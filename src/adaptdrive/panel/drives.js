@@ -75,8 +75,8 @@ const Drives = (() => {
 
     /** What the drive applies. */
     get given() {
-      const { name, unit } = this.state?.manipulated ?? { name: "", unit: "V" };
-      return { name: unit === "V" ? "boost voltage" : name, unit };
+      const { name, unit } = this.state?.manipulated ?? { name: "v_bst", unit: "V" };
+      return { name: name === "v_bst" ? "boost voltage" : name, unit };
     }
 
     /** What a page of the drive is built from; the page is built again when it changes. */

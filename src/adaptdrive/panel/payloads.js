@@ -54,7 +54,7 @@ const Payloads = (() => {
       stop: textOrNull(raw.stop), trip: textOrNull(raw.trip), last_trip: trip(raw.last_trip), enabled: raw.enabled === true,
       setpoint: number(raw.setpoint), pole: number(raw.pole), waveform: waveform(raw.waveform),
       output: { name: text(output.name) || "output", unit: text(output.unit) },
-      manipulated: { name: text(manipulated.name) || "v_bst", unit: text(manipulated.unit) || "V" },
+      manipulated: { name: text(manipulated.name) || "v_bst", unit: textOrNull(manipulated.unit) ?? "V" },
       modes: Array.isArray(raw.modes) ? raw.modes.slice(0, 10).map(text) : ["fixed", "adaptive"],
       limits: map(raw.limits, range), reach: [number(reach.low), number(reach.high)],
     };

@@ -144,7 +144,7 @@ const Plots = (() => {
       { label: drive.outputName, colour: "--series-1" },
     ], owner, () => drive.state?.limits.setpoint);
     const given = drive.given;
-    const voltage = plot(parent, `${given.name}, ${given.unit}`, [
+    const voltage = plot(parent, [given.name, given.unit].filter(Boolean).join(", "), [
       { label: "asked for", colour: "--series-2", step: true, dash: [6, 4] },
       { label: "applied", colour: "--series-1" },
     ], owner, () => drive.state?.limits.boost_V);
@@ -186,7 +186,7 @@ const Plots = (() => {
     function drawEstimate(name, rows, window) {
       let own = estimates.get(name);
       if (!own) {
-        const { text, unit } = Contract.named(name, Object.keys(drive.load?.estimates ?? {}), drive.unit);
+        const { text, unit } = Contract.named(name, Object.keys(drive.load?.estimates ?? {}), drive.unit, drive.given.unit);
         own = plot(parent, `estimate: ${text}${unit ? `, ${unit}` : ""}, ± 2 σ`, [
           { label: "high", colour: "--series-1", band: true },
           { label: "low", colour: "--series-1", band: true },

@@ -22,6 +22,7 @@ import msgspec
 
 from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
 from adaptdrive.files import read_regular, replace_regular
+from adaptdrive.quantity import BOOST, Given
 
 FORMAT = 1
 
@@ -111,6 +112,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
         prior: Estimates of an earlier run that its controller started from.
         histograms: Counts of the times of its ticks by bin, up to the last segment that is closed.
         output_unit: Unit of the regulated quantity.
+        manipulated: What the drive is commanded, and gives.
         segments: Number of the last segment that is closed.
         resolution: Step of the output that an earlier run had found, 0 for none.
         rows: Rows of its tables up to that segment.
@@ -132,6 +134,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     prior: tuple[float, ...] | None = None
     histograms: dict[str, tuple[int, ...]] = {}
     output_unit: str = ""
+    manipulated: Given = BOOST
     segments: int = 0
     resolution: float = 0.0
     rows: dict[str, int] = {}

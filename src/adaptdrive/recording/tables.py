@@ -15,6 +15,7 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.control.columns import Column
+from adaptdrive.quantity import BOOST
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
 from adaptdrive.recording.session import SensorColumn, SessionInfo, TableName
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
@@ -66,7 +67,8 @@ def table_schema(table: str, info: SessionInfo | None = None) -> pa.Schema:
         sensors = (_MONOTONIC, *(info.sensors if info else ()))
         fields = [_field(one, pa.float64(), one.unit) for one in sensors]
     else:
-        units = {"y": info.output_unit if info else "", "u": INPUT_UNIT}
+        given = info.manipulated if info else BOOST
+        units = {"y": info.output_unit if info else "", "u": INPUT_UNIT, "v": given.unit}
         columns = TICK_COLUMNS if table == TableName.TICKS else SLOW_COLUMNS
         fields = [_field(one, _TYPES[one.kind], units.get(one.unit, one.unit)) for one in columns]
     return pa.schema([_UTC_FIELD, *fields])

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.quantity import BOOST, Given
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,13 +17,17 @@ class CommandLimits:
         current_scale_min_S: Lowest k.
         current_scale_max_S: Highest k.
         current_scale_slew_S: Largest change of k from one tick to the next.
-        boost_reference_max_V: Highest V_c; the lowest is 0, the safe command's.
+        boost_reference_max_V: Highest V_c.
+        boost_reference_min_V: Lowest V_c where that is negative; else 0, the safe command's.
+        given: Name and unit of V_c, for texts.
     """
 
     current_scale_min_S: float
     current_scale_max_S: float
     current_scale_slew_S: float
     boost_reference_max_V: float
+    boost_reference_min_V: float = 0.0
+    given: Given = BOOST
 
 
 class Guard:
@@ -45,9 +50,11 @@ class Guard:
         """
         scale_S, reference_V = command.current_scale_S, command.boost_reference_V
         if not (math.isfinite(scale_S) and math.isfinite(reference_V)):
+            given = self._limits.given
             raise ValueError(
-                f"the controller gave k = {scale_S:g} S, V_c = {reference_V:g} V, which is not "
-                "finite; keep the session for a report, then reset"
+                f"the controller gave k = {scale_S:g} S, {given.symbol} = "
+                f"{given.text(reference_V, 'g')}, which is not finite; keep the session "
+                "for a report, then reset"
             )
         if not (command.bridge or scale_S or reference_V):
             self._last_scale_S = 0.0
@@ -56,7 +63,8 @@ class Guard:
         low_S = max(limits.current_scale_min_S, last_S - limits.current_scale_slew_S)
         high_S = min(limits.current_scale_max_S, last_S + limits.current_scale_slew_S)
         self._last_scale_S = min(max(scale_S, low_S), high_S)
-        limited_V = min(max(reference_V, 0.0), limits.boost_reference_max_V)
+        lowest_V = min(limits.boost_reference_min_V, 0.0)
+        limited_V = min(max(reference_V, lowest_V), limits.boost_reference_max_V)
         if self._last_scale_S == scale_S and limited_V == reference_V:
             return command
         self.limited += 1

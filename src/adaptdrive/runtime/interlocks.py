@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from adaptdrive.config.bus import MEASURED
-from adaptdrive.config.drive import Manipulated
 from adaptdrive.control.load import to_input
 from adaptdrive.hardware.fault_latch import describe_fault
 from adaptdrive.hardware.port import Reading
+from adaptdrive.quantity import BOOST, Given
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Limits:
         output_name: Name of the output, as above.
         output_min: Lowest output.
         absent: Quantities that nobody measures.
-        manipulated: Name and unit of what the drive gives, for the text of the trip.
+        given: Name and unit of what the drive gives, for the text of the trip.
     """
 
     boost_voltage_max_V: float
@@ -38,7 +38,7 @@ class Limits:
     output_name: str = "output"
     output_min: float = -math.inf
     absent: frozenset[str] = frozenset()
-    manipulated: Manipulated = field(default_factory=Manipulated)
+    given: Given = BOOST
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,10 +150,11 @@ def _unhealthy(reading: Reading, absent: frozenset[str]) -> str | None:
 
 def _exceeded(reading: Reading, limits: Limits) -> str | None:
     if abs(reading.boost_voltage_V) > limits.boost_voltage_max_V:
-        name, unit = limits.manipulated.name, limits.manipulated.unit
+        given = limits.given
         return (
-            f"over-voltage: {name} = {reading.boost_voltage_V:.1f} {unit}, limit "
-            f"{limits.boost_voltage_max_V:g} {unit}"
+            f"{'over-voltage' if given.is_boost_voltage else 'drive above its limit'}: "
+            f"{given.name} = {given.text(reading.boost_voltage_V, '.1f')}, limit "
+            f"{given.text(limits.boost_voltage_max_V, 'g')}"
         )
     if reading.output > limits.output_max:
         values = _compared(reading.output, limits.output_max, limits)

@@ -86,19 +86,21 @@ class Machine:
         """Return the reason why V_c cannot hold the set-point, empty where it can."""
         if not self.energised:
             return ""
-        reach, unit = self.reach, self._limits.output_unit
+        reach, unit, given = self.reach, self._limits.output_unit, self._limits.given
         within = f"{reach.low:g}…{reach.high:g} {unit}".rstrip()
         if self.coasting:
             known = f" within {within}" if reach.is_known else ""
-            awaited = "voltage" if self.mode is Mode.MANUAL else f"set-point{known}"
+            awaited = given.by_hand if self.mode is Mode.MANUAL else f"set-point{known}"
             return f"coasting with the bridge off until a {awaited}"
         if self.mode is Mode.MANUAL or self._is_within(reach):
             return ""
         if self._limits.govern:
-            return f"set-point is governed: V_c can hold {within}, and more is asked for"
+            return f"set-point is governed: {given.symbol} can hold {within}, and more is asked for"
         if self.waveform is not None:
             return ""
-        return f"set-point {self.setpoint:g} {unit} is outside {within}, which V_c can hold"
+        return (
+            f"set-point {self.setpoint:g} {unit} is outside {within}, which {given.symbol} can hold"
+        )
 
     def _is_within(self, reach: Reach) -> bool:
         """Say whether V_c can hold every set-point that is asked for."""

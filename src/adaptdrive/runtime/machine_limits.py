@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from adaptdrive.config.drive import Manipulated
 from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.errors import RefusedError
+from adaptdrive.quantity import BOOST, Given
 from adaptdrive.runtime.manual import ManualVoltage
 
 _LONGEST_HOLD_S = 86_400.0
@@ -45,7 +45,7 @@ class MachineLimits:
         boost_needs_bridge: Whether the bridge is on in `starting` already.
         reach: What V_c can hold by the nominal model.
         govern: Whether a set-point out of reach is moved to its edge, not refused.
-        manipulated: Name and unit of V_c and what it leads to, for texts.
+        given: Name and unit of V_c and what it leads to.
     """
 
     reference_min: float
@@ -63,12 +63,17 @@ class MachineLimits:
     boost_needs_bridge: bool = False
     reach: Reach = UNKNOWN
     govern: bool = False
-    manipulated: Manipulated = field(default_factory=Manipulated)
+    given: Given = BOOST
 
     @property
     def rest_V(self) -> float:
         """V_c from which each run begins: 0 where it may be negative, else the lowest."""
         return max(self.floor_V, 0.0)
+
+    @property
+    def precharges(self) -> bool:
+        """True where the lowest V_c is waited for, unlike a frequency of a drive that is off."""
+        return self.floor_V > 0.0 and (self.boost_needs_bridge or self.given.is_boost_voltage)
 
     def require_reference(self, what: str, value: float) -> None:
         """Refuse a set-point that the configuration does not allow.
@@ -88,7 +93,7 @@ class MachineLimits:
         Arguments as of `require_reference`.
         """
         if not self.govern:
-            unit, why = f" {self.output_unit}", ", which V_c can hold"
+            unit, why = f" {self.output_unit}", f", which {self.given.symbol} can hold"
             _require(what, value, reach.low, reach.high, unit, why)
 
     def require_period(self, what: str, value: float) -> None:
@@ -102,16 +107,17 @@ class MachineLimits:
 
     def require_voltage(self, value: float, hold_s: float | None) -> None:
         """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
-        _require("voltage", value, self.floor_V, self.ceiling_V, f" {self.manipulated.unit}")
+        given = self.given
+        _require(given.by_hand, value, self.floor_V, self.ceiling_V, f" {given.unit}".rstrip())
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
             raise RefusedError(
                 f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
             )
 
     def is_reached(self, boost_voltage_V: float) -> bool:
-        """Return whether the lowest V_c is there; one of 0 or below needs no precharge."""
+        """Return whether the lowest V_c is there, as far as it comes before the load is fed."""
         reached = boost_voltage_V >= FLOOR_REACHED * self.floor_V
-        return reached or (self.floor_V <= 0.0 and math.isfinite(boost_voltage_V))
+        return reached or (not self.precharges and math.isfinite(boost_voltage_V))
 
     def nearest_reference(self, output: float) -> float:
         """Return the allowed set-point that is nearest to an output."""
@@ -124,7 +130,7 @@ class MachineLimits:
 
     def precharge_cause(self, boost_voltage_V: float) -> str:
         """Return the cause of a trip in state `starting`, with the likeliest remedy."""
-        passed_s, unit = self.starting_ticks * self.tick_s, self.manipulated.unit
+        passed_s, given = self.starting_ticks * self.tick_s, self.given
         hint = (
             ", with its enable bit on"
             if self.boost_needs_bridge
@@ -132,8 +138,8 @@ class MachineLimits:
             "'bridge-and-boost'"
         )
         return (
-            f"precharge: {self.manipulated.name} = {boost_voltage_V:.1f} {unit} after "
-            f"{passed_s:g} s, needs {self.floor_V:g} {unit}{hint}; else the "
+            f"precharge: {given.name} = {given.text(boost_voltage_V, '.1f')} after "
+            f"{passed_s:g} s, needs {given.text(self.floor_V, 'g')}{hint}; else the "
             "drive refuses the commands (checksum, counter, local instead of remote mode), or line "
             "or precharge circuit is open"
         )

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adaptdrive.operation.payloads import (
+    given_in,
     number,
     part,
     printable,
@@ -173,14 +174,12 @@ def _drive(record: WatchRecord, *, ranges: bool) -> Table:
     limits, wave = part(state, "limits"), part(state, "waveform")
     reference = load.get("reference") if wave else state.get("setpoint")
     wanted = printable(wave.get("shape")) if wave else _range(limits.get("setpoint"))
-    given = part(state, "manipulated")
-    held, manipulated = str(given.get("unit", "V")), str(given.get("name", "v_bst"))
-    asked = "V_c" if held == "V" else f"{manipulated} asked"
+    given = given_in(state)
     found = (
         (record.output_name, fast.get("output"), record.unit, ""),
         ("set-point", reference, record.unit, wanted),
-        (asked, load.get("boost_reference_V"), held, _range(limits.get("boost_V"))),
-        (manipulated, fast.get("boost_voltage_V"), held, ""),
+        (given.asked, load.get("boost_reference_V"), given.unit, _range(limits.get("boost_V"))),
+        (given.name, fast.get("boost_voltage_V"), given.unit, ""),
         ("power", fast.get("load_power_W"), "W", _range(limits.get("power_W"))),
     )
     table = rows("l", "r", "r") if ranges else rows("l", "r")
@@ -193,13 +192,14 @@ def _drive(record: WatchRecord, *, ranges: bool) -> Table:
 def _estimates(record: WatchRecord, *, wide: bool) -> Table:
     """Return each estimate with its spread, and the truth where a simulator knows it."""
     found, truth = part(record.load, "estimates"), record.truth
+    given = given_in(record.state)
     table = rows("l", "r", "r", "r") if truth else rows("l", "r", "r")
     accepted = "accepted" if record.load.get("accepted") else "not accepted" if found else ""
     head = (accepted, "learned", "± 2 σ", "truth")
     table.add_row(*head[: 4 if truth else 3], style=DIM)
     for name in list(found)[: _ROWS - 1]:
         estimate = part(found, name)
-        quantity, unit = quantity_and_unit(name, found, record.unit)
+        quantity, unit = quantity_and_unit(name, found, record.unit, given.unit)
         named = f"{quantity}, {unit}" if unit and wide else quantity
         spread = figure(2.0 * number(estimate.get("std")), 2)
         real = (figure(number(truth.get(name))),) if truth else ()
