@@ -9,7 +9,6 @@ from adaptdrive.control.charging import (
     ChargeState,
     Charging,
     begin_anew,
-    highest_boost_voltage,
     is_complete,
     is_disconnected,
     is_too_long,
@@ -53,12 +52,6 @@ def test_it_charges_with_the_set_point_then_at_the_limit_of_the_voltage_and_ends
     assert trace[full][1] == pytest.approx(58.0, rel=0.01)
 
 
-@pytest.mark.parametrize(("current_A", "boost_V"), [(10.0, 272.0), (0.0, 232.0), (-5.0, 232.0)])
-def test_a_voltage_puts_the_terminals_at_their_limit(current_A: float, boost_V: float) -> None:
-    assert highest_boost_voltage(LIMITS, current_A) == boost_V
-    assert terminal_voltage(LIMITS, boost_V, max(current_A, 0.0)) == pytest.approx(58.0)
-
-
 @pytest.mark.parametrize(("reads_A", "proven_A"), [(9.0, 9.0), (10.0, 10.0), (15.0, 10.0)])
 def test_no_current_lowers_the_terminals_that_the_power_cannot_carry(
     reads_A: float, proven_A: float
@@ -66,14 +59,6 @@ def test_no_current_lowers_the_terminals_that_the_power_cannot_carry(
     """280 V at the boost capacitor are 70 V behind the transformer: 700 W are 10 A."""
     assert proven_current(LIMITS, reads_A, 280.0, 700.0) == proven_A
     assert proven_current(LIMITS, reads_A, 0.0, 0.0) == 0.0
-
-
-def test_the_current_falls_by_a_twentieth_of_what_the_resistance_asks_for() -> None:
-    state = ChargeState(10.0)
-    assert taper(LIMITS, state, 20.0, 58.4, 10.0) == pytest.approx(10.0 - 0.05 * 0.4 / 0.2)
-    assert taper(LIMITS, state, 20.0, 57.6, 10.0) == pytest.approx(10.0)
-    assert taper(LIMITS, state, 9.0, 57.6, 10.0) == 9.0
-    assert taper(LIMITS, state, 9.0, 1000.0, 10.0) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -99,21 +84,6 @@ def test_the_end_is_near_the_voltage_with_both_currents_below_the_last(
     assert state.current_A == pytest.approx(min(max(allowed_A, 0.0), setpoint_A))
     assert state.ending_periods == expected
     assert [is_complete(LIMITS, replace(state, ending_periods=n)) for n in (9, 10)] == [False, True]
-
-
-def ended(currents_A: list[float], setpoint_A: float = 10.0) -> tuple[bool, bool]:
-    """Whether a charge at the limit is complete, and whether its battery is gone."""
-    state = ChargeState(currents_A[0])
-    for current_A in currents_A:
-        state.current_A = min(state.current_A, 1.5 * current_A + 0.1)
-        taper(LIMITS, state, setpoint_A, 58.1, current_A)
-    return is_complete(LIMITS, state), is_disconnected(LIMITS, state)
-
-
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.9, 0.99])
-def test_a_current_that_tapers_is_complete_however_fast(share: float) -> None:
-    currents_A = [10.0 * share**k for k in range(600)]
-    assert ended(currents_A) == (True, False)
 
 
 @pytest.mark.parametrize(
@@ -194,11 +164,6 @@ def test_below_its_emf_a_battery_is_raised_by_what_the_set_point_needs_at_once(
         before_V = now_V
     assert max(raised) == pytest.approx(current_A)
     assert before_V <= HIGHEST_V
-
-
-def test_a_battery_is_never_raised_above_the_highest_input() -> None:
-    state = below_the_emf(395.0)
-    assert slow_step(SETTINGS, BATTERY, state, sample(0.0, 20.0, 395.0, 0.0)) == HIGHEST_V
 
 
 @pytest.mark.parametrize(("high_V", "unresponsive"), [(HIGHEST_V, False), (250.0, True)])

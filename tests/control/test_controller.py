@@ -199,17 +199,6 @@ def test_the_gains_shown_are_those_of_the_law_in_force(learnt: Bench) -> None:
     assert shown[0] != pytest.approx(nominal, rel=0.1)
 
 
-def test_adaptive_control_waits_for_the_warm_up_and_says_so() -> None:
-    bench = Bench(replace(EXACT, jacket=replace(EXACT.jacket, warm_up_periods=20)))
-    for second in range(40):
-        bench.run(1.0, order(square_wave(second), Mode.ADAPTIVE))
-    modes = [d.controller for d in bench.decisions]
-    assert modes[:20] == [Mode.FIXED] * 20
-    assert modes[-1] is Mode.ADAPTIVE
-    assert "warming up" in bench.decisions[5].reason
-    assert bench.decisions[-1].reason == ""
-
-
 # what it never does
 
 SMALL = Rates(ticks_per_period=4, latency_ticks=1, samples=2, nominal_tick_s=TICK_s)
@@ -283,16 +272,3 @@ def test_whatever_was_measured_nothing_of_it_outlives_off(
     fresh = [((ticks + 1, *off[0][1:]), off[1]), *plain]
     experienced = list(drive(kind, [*frames_, off, *plain]))
     assert experienced[-40:] == list(drive(kind, fresh))[-40:]
-
-
-def test_what_was_known_last_of_the_reach_stays_while_the_trusted_gains_wait() -> None:
-    bench = Bench(EXACT)
-    bench.run(2.0, order())
-    nominal = bench.decisions[-1].reach_low, bench.decisions[-1].reach_high
-    known = replace(bench.controller._reach, low=1.9, high=4.1)
-    for trusted, expected in ((True, (1.9, 4.1)), (False, nominal)):
-        bench.controller._reach = known
-        bench.controller._slow.supervisor.trusted = trusted
-        bench.run(1.0, order())
-        assert not bench.controller._slow.accepted
-        assert (bench.decisions[-1].reach_low, bench.decisions[-1].reach_high) == expected

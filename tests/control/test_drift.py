@@ -10,11 +10,8 @@ import pytest
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import in_force
-from adaptdrive.control.branch import Branch, Datum
 from adaptdrive.control.certainty import deviations_of
-from adaptdrive.control.drift import OFFSET_WALK, learn_sample
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.ud_factors import covariance
 from tests.control.learning import (
     BATH,
     BATH_LEARNING,
@@ -26,7 +23,7 @@ from tests.control.learning import (
     bath_values,
     learn_course,
 )
-from tests.control.systems import Array, row_norms
+from tests.control.systems import Array
 
 SECONDS = 21600
 SEEDS = range(700, 704)
@@ -88,23 +85,6 @@ def middle_error(courses: list[Course]) -> float:
     return float(np.median([np.median(one.relative) for one in courses]))
 
 
-def test_an_inflow_that_stands_leaves_the_estimate_right() -> None:
-    assert np.max(course(DRIFTS, 0.0).relative) < 0.005
-    assert np.max(course(DRIFTS, 0.0, 0.02).relative) < 0.04
-
-
-@pytest.mark.parametrize("drifts", [False, True])
-def test_an_offset_that_drifts_is_less_certain_by_its_walk(*, drifts: bool) -> None:
-    """A sample of it alone leaves 1/(1/p + 1), and the walk adds its variance."""
-    learning = replace(DRIFTS, drifts=drifts, forgetting=1.0)
-    branch = Branch([0.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.25, 0.5])
-    learn_sample(branch, Datum([0.0, 1.0], 0.3), learning, 0.0)
-    variances = np.diag(np.array(covariance(branch.upper, branch.diagonal)).reshape(2, 2))
-    walked = OFFSET_WALK**2 if drifts else 0.0
-    assert variances == pytest.approx([0.25, 0.5 / 1.5 + walked])
-    assert branch.theta == pytest.approx([0.0, 0.3 / 3.0])
-
-
 TIMES_s = np.arange(0.0, 14400.0, BATH_TICK_s)
 POWER_W = 520.0 + 60.0 * np.sign(np.sin(2.0 * math.pi * TIMES_s / 2400.0))
 
@@ -136,26 +116,3 @@ def test_it_leaves_a_bias_that_rests_to_the_other_estimate(seed: int, noise_K: f
     state = learnt(np.zeros_like(TIMES_s), noise_K, seed)
     assert not state.integrated.in_force
     assert in_force.in_force(state) is state.estimate
-
-
-def test_what_is_in_force_is_what_is_shown() -> None:
-    state = learnt(0.5 * np.sin(2.0 * math.pi * TIMES_s / 900.0))
-    branch = state.integrated.branch
-    assert state.innovation == branch.innovation * BATH_LEARNING.output_scale
-    assert in_force.in_force(state) is branch
-    deviations = row_norms(
-        in_force.parameter_root(state, BATH_LEARNING, BATH, bath_values(branch.theta))
-    )
-    assert np.all(np.array(deviations) > 0.0)
-    est.begin_anew(state, BATH_LEARNING, BATH)
-    assert not state.integrated.in_force
-    assert state.integrated.samples == 0
-
-
-@pytest.mark.parametrize("excitation", [0.0, 0.5, 30.0])
-def test_the_residual_is_the_noise_that_would_make_such_an_innovation(excitation: float) -> None:
-    """ε² has the mean σ² (1 + rᵀPr/ρ)."""
-    state, sigma = est.new_estimator(BATH_LEARNING, BATH, 2), 0.01
-    spread = sigma * math.sqrt(1.0 + excitation / BATH_LEARNING.forgetting)
-    state.innovation, state.excitation = spread * BATH_LEARNING.output_scale, excitation
-    assert in_force.own_residual(state, BATH_LEARNING) == pytest.approx(sigma**2)

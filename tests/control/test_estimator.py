@@ -150,17 +150,6 @@ def taught(learning: Learning, count: int = 40, *, noise: float = 0.01) -> est.E
     return state
 
 
-def test_the_residual_is_that_of_batch_least_squares() -> None:
-    learning = replace(PLAIN_LEARNING, forgetting=1.0, initial_covariance=1e8)
-    state = taught(learning)
-    regressors = random_regressors(40)
-    draws = np.random.default_rng(6).normal(size=40)
-    targets = regressors @ [1.0, -0.5, 0.01] + 0.01 * draws
-    _, squares, *_ = np.linalg.lstsq(regressors, targets)
-    assert state.residual_power == pytest.approx(squares[0], rel=1e-4)
-    assert in_force.residual_noise(state) == pytest.approx(math.sqrt(squares[0] / 37.0), rel=1e-4)
-
-
 def test_the_error_bars_are_what_many_experiments_show() -> None:
     learning = replace(PLAIN_LEARNING, forgetting=1.0, initial_covariance=1e9)
     voltages, outputs = simulate(2, 150)
@@ -232,12 +221,6 @@ def test_a_sample_that_is_not_usable_is_predicted_but_not_learnt() -> None:
     )
 
 
-def test_the_first_periods_are_not_learnt_from() -> None:
-    learning = replace(PLAIN_LEARNING, settle_periods=30)
-    assert taught(learning, 30).estimate.theta == [0.0, 0.0, 0.0]
-    assert taught(learning, 31).estimate.theta != [0.0, 0.0, 0.0]
-
-
 def test_the_gate_keeps_out_what_teaches_nothing() -> None:
     learning = replace(PLAIN_LEARNING, gate=2.0)
     state = taught(learning)
@@ -251,12 +234,6 @@ def test_the_gate_keeps_out_what_teaches_nothing() -> None:
         assert (memory(state) != before) == learns
 
 
-def test_an_estimate_that_starts_at_the_nominal_model_is_the_nominal_model() -> None:
-    state = est.new_estimator(SCALED_LEARNING, MOTOR, 3)
-    assert physical(state, SCALED_LEARNING) == pytest.approx([0.011, 21.7, 117.0], rel=1e-12)
-    assert est.new_estimator(PLAIN_LEARNING, MOTOR, 3).estimate.theta == [0.0] * 3
-
-
 def test_scales_change_the_units_of_the_parameters_and_nothing_else() -> None:
     voltages, outputs = simulate(2, 120)
     plain = replace(PLAIN_LEARNING, forgetting=1.0, initial_covariance=1e9)
@@ -267,23 +244,6 @@ def test_scales_change_the_units_of_the_parameters_and_nothing_else() -> None:
 
 SHORT_S = 0.3
 SHORT = replace(SCALED_LEARNING, short_lag_s=SHORT_S, bias=True, gate=0.0, tau_lambda_s=8.0)
-
-
-@given(st.floats(1e-3, 1.0), st.floats(0.0, 0.5), st.floats(5.0, 30.0))
-def test_the_input_behind_a_short_lag_replaces_a_power_of_lambda(
-    rad_s: float, lag_s: float, tau_s: float
-) -> None:
-    """Of a sine e^(iωt), λ^n u is 1/(1 + iωτ_λ)^n, and the lag 1/(1 + iωτ)."""
-    learning = replace(PLAIN_LEARNING, short_lag_s=lag_s, tau_lambda_s=tau_s)
-    lowpass = 1.0 / (1.0 + 1j * rad_s * tau_s)
-    behind = lowpass / (1.0 + 1j * rad_s * lag_s) if lag_s else lowpass**2
-    for part in (np.real, np.imag):
-        powers = [float(part(lowpass**n)) for n in range(3)]
-        regressor = [0.0] * reg.filtered_count(learning, MOTOR)
-        reg.fill_filtered_regressor(regressor, learning, MOTOR, powers[1:], powers)
-        error = rad_s * lag_s * lag_s / tau_s  # of the first order in the lag
-        assert regressor[0] == pytest.approx(-part(lowpass), abs=1e-12)
-        assert regressor[-1] == pytest.approx(part(behind), abs=error + 1e-12)
 
 
 @pytest.mark.parametrize(("samples", "disks"), [(1, 1), (15, 2), (15, 3)])

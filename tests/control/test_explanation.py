@@ -7,17 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.signal import lsim
 
-from adaptdrive.control import doubt, in_force
+from adaptdrive.control import doubt
 from adaptdrive.control import estimator as est
 from adaptdrive.control import regression as reg
-from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
 from adaptdrive.control.regression import theta_of
-from adaptdrive.control.rivals import is_possible
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.learning import fill_sample
 from tests.control.systems import Array
@@ -158,16 +154,6 @@ def test_a_spike_is_an_alarm_of_nothing_and_is_hardly_learnt(spike: Seen) -> Non
     assert error(spike.values[-1], 2.0) < 0.05
 
 
-def test_a_disturbance_that_was_found_is_remembered_in_its_size_and_forgotten(
-    torque: Seen, other_load: Seen
-) -> None:
-    """25 V of 280 V; a load that was found is none."""
-    periods = END_s - 1 - torque.settled_after(CHANGE_s)
-    left = (1.0 - 1.0 / 150.0) ** periods
-    assert math.sqrt(torque.state.rivals.moved / left) == pytest.approx(25.0 / 280.0, rel=0.1)
-    assert other_load.state.rivals.moved == 0.0
-
-
 def test_what_a_disturbance_may_have_moved_is_part_of_what_is_shown(torque: Seen) -> None:
     """Each value by the disturbance over the scale of the input, beside its own deviation."""
     state, values = torque.state, torque.values[-1]
@@ -177,16 +163,6 @@ def test_what_a_disturbance_may_have_moved_is_part_of_what_is_shown(torque: Seen
     own = np.array(doubt.doubted_deviations(state, LEARNING, MOTOR, values))
     assert shown**2 - own**2 == pytest.approx((share * np.array(values)) ** 2, rel=1e-6)
     assert share > 0.03
-
-
-@pytest.mark.parametrize("name", ["other_load", "torque", "spike"])
-def test_the_variance_is_that_of_the_noise_again_in_the_end(
-    name: str, request: pytest.FixtureRequest
-) -> None:
-    seen: Seen = request.getfixturevalue(name)
-    noise = (NOISE / LEARNING.output_scale) ** 2
-    assert 0.3 * noise < seen.state.surprise.power < 5.0 * noise
-    assert in_force.residual_noise(seen.state) ** 2 < 20.0 * noise
 
 
 def test_while_it_is_explained_the_load_is_in_doubt_and_shown_so(other_load: Seen) -> None:
@@ -230,52 +206,4 @@ def test_what_a_change_leaves_follows_from_the_change(
 # doubt
 
 
-def settled() -> est.EstimatorState:
-    """An estimate of the nominal motor whose last sample moved a lot."""
-    state = est.new_estimator(LEARNING, MOTOR, 2)
-    state.surprise.power = 1e-6
-    reg.fill_filtered_regressor(
-        state.sample.regressor, LEARNING, MOTOR, [3.0, 2.9], [280.0, 290.0, 300.0]
-    )
-    ud.open_up(state.estimate.upper, state.estimate.diagonal, 1e-3)
-    state.residual_power, state.residual_weight = 30.0 * 1e-6, 36.0
-    return state
-
-
-def propagated(state: est.EstimatorState, covariance: Array, noise: float) -> Array:
-    """√(Jᵀ P J) σ, with the derivatives of the parameters by numpy."""
-    jacobian = np.empty((3, 6))
-    for j in range(6):
-        moved = [list(state.estimate.theta), list(state.estimate.theta)]
-        moved[0][j] += 1e-5
-        moved[1][j] -= 1e-5
-        values = [MOTOR.physical(*reg.filtered_model(one, LEARNING, MOTOR)) for one in moved]
-        jacobian[:, j] = (np.array(values[0]) - values[1]) / 2e-5
-    return np.asarray(noise * np.sqrt(np.diag(jacobian @ covariance @ jacobian.T)))
-
-
-def test_shown_deviations_are_those_of_p_with_noise_floor_and_rounding() -> None:
-    state, values = settled(), list(truth(1.0))
-    state.sample.rounding = 2e-3
-    noise = math.sqrt(30.0 * 1e-6 / (36.0 - 6.0) + 1e-8 + 60.0 * 4e-6)
-    expected = propagated(state, 1e-3 * np.eye(6), noise)
-    shown = doubt.doubted_deviations(state, LEARNING, MOTOR, values)
-    assert shown == pytest.approx(expected, rel=1e-3)
-    state.residual_weight = 1.0
-    assert all(map(math.isnan, doubt.doubted_deviations(state, LEARNING, MOTOR, values)))
-
-
 """The least variance: a ten-thousandth of the scale, squared."""
-
-
-@given(st.floats(0.3, 2.0), st.floats(1.0, 100.0))
-def test_a_load_is_possible_where_it_is_damped_as_is_asked_for(
-    damping: float, tau_s: float
-) -> None:
-    model = [0.0, 0.0, 0.011 / tau_s**2], [1.0, 2.0 * damping / tau_s, 1.0 / tau_s**2]
-    values = [*theta_of(LEARNING, MOTOR, *model), 0.0, 0.0, 0.0]
-    assert is_possible(values, replace(LEARNING, damping_min=0.0), MOTOR)
-    for least in (0.9, 1.2):
-        if abs(damping - least) > 1e-3:
-            learning = replace(LEARNING, damping_min=least)
-            assert is_possible(values, learning, MOTOR) is (damping > least)

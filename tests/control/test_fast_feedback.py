@@ -186,18 +186,6 @@ def test_the_gain_is_what_a_noisy_loop_shows() -> None:
     assert noise_gain(equation(a, b), a, b, loop) == pytest.approx(float(np.std(u)), rel=0.02)
 
 
-@pytest.mark.parametrize("count", [4, 6, 9])
-def test_a_norm_that_rounding_hides_is_not_taken_for_a_small_one(count: int) -> None:
-    assert impulse_norm([1.0], desired_polynomial(0.9999, count)) > 1e4
-
-
-@pytest.mark.parametrize("noise", [1e-4, 0.01, 1.0, 100.0])
-def test_poles_close_to_one_give_a_loop_at_any_noise(noise: float) -> None:
-    a, b = model(3)
-    found = np.roots(quiet_loop(equation(a, b), a, b, MOTOR.order, 0.999, noise, 15.0))
-    assert np.all(np.isfinite(found))
-
-
 @pytest.mark.parametrize(("noise", "limit"), [(1e-4, 15.0), (0.0, 15.0), (1.0, 0.0)])
 def test_poles_are_as_asked_while_the_noise_is_within_its_limit(noise: float, limit: float) -> None:
     a, b = model(3)
@@ -258,13 +246,6 @@ def test_no_noise_makes_the_poles_slower_than_a_quarter_of_the_asked_speed(noise
     assert distance(found, [slowest] * 4 + [OBSERVER_POLE] * (len(found) - 4)) < 5e-3
 
 
-def test_a_zero_that_is_cancelled_stays_a_pole_of_the_loop() -> None:
-    a, b = [1.0, -0.9565], [0.0, 0.208, -0.208 * 0.9674]
-    found = np.roots(quiet_loop(equation(a, b), a, b, 1, POLE, 1.0, 1.0))
-    assert np.min(np.abs(found - 0.9674)) < 1e-9
-    assert np.max(np.abs(found)) == pytest.approx(0.9674, abs=1e-9)
-
-
 REST, FAR = 3.0, 3.8
 REST_V = REST / 0.011
 SYSTEM = motor_system(3)
@@ -315,16 +296,6 @@ def test_the_response_to_the_reference_is_the_one_asked_for(slowness: float) -> 
     assert response(slowness, 3.2) == pytest.approx(ideal(3.2), abs=1e-6)
 
 
-def test_a_loop_with_the_asked_poles_gets_the_reference_itself() -> None:
-    state = designed(0.0)
-    given = np.random.default_rng(1).uniform(2.0, 4.0, 50)
-    found = []
-    for reference in given:
-        found.append(filter_reference(state, float(reference)))
-        condition_reference(state, -20.0, 5e3)
-    assert found == pytest.approx(given.tolist(), rel=1e-9)
-
-
 @pytest.mark.parametrize("slowness", [0.5, 1.0, 2.0])
 def test_after_a_limit_the_output_arrives_as_soon_as_in_the_loop_that_was_asked_for(
     slowness: float,
@@ -334,25 +305,6 @@ def test_after_a_limit_the_output_arrives_as_soon_as_in_the_loop_that_was_asked_
     near = 0.05 * (FAR - REST)
     arrival, earliest = (int(np.argmax(y > FAR - near)) for y in (slowed, asked))
     assert arrival <= 1.1 * earliest
-
-
-@pytest.mark.parametrize("slowness", [0.0, 1.0, 2.0])
-def test_the_course_after_a_limit_is_the_one_that_asks_for_no_more(slowness: float) -> None:
-    state = designed(slowness)
-    asked = filter_reference(state, FAR)
-    course = list(state.course)
-    condition_reference(state, -40.0, 0.0)
-    assert state.course == course
-    condition_reference(state, -40.0, 5e3)
-    assert np.dot(state.loop, state.course) / sum(state.loop) == pytest.approx(asked - 40.0 / 5e3)
-
-
-def test_a_filter_that_has_its_design_before_its_first_reference_begins_there() -> None:
-    """Gains that were trusted last act from the first slow period on: the course starts at rest."""
-    state = new_reference_filter(2, 5)
-    state.asked[:], state.loop[:] = [1.0, -0.9, 0.2, 0.0, 0.0], [1.0, -1.0, 0.3, *[0.0] * 5]
-    assert filter_reference(state, 3.0) == 3.0
-    assert filter_reference(state, 3.0) == pytest.approx(3.0)
 
 
 def test_a_reference_that_is_not_a_number_leaves_no_trace() -> None:

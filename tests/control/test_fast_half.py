@@ -6,18 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.signal import lsim
 
 from adaptdrive.control import fast_half as fast
-from adaptdrive.control.rounding import rounding_error
 from adaptdrive.control.signals import Measurement
 from tests.closed_loop.bench import EXACT, MOTOR, RATES, STAGE, TICKS, TICK_s
 from tests.control.systems import Array
-
-plausible = st.floats(-10.0, 400.0)
 
 
 def bank(output: float = 3.0, voltage: float = 280.0) -> fast.FilterBank:
@@ -54,17 +49,6 @@ def test_missed_ticks_are_bridged_by_a_straight_line(missed: int) -> None:
         assert filters.inputs[order - 1] == pytest.approx(expected, abs=1e-10)
 
 
-@given(st.lists(st.tuples(plausible, plausible), min_size=1, max_size=20))
-def test_means_are_means_and_the_window_starts_again(samples: list[tuple[float, float]]) -> None:
-    filters, seen = bank(), []
-    for output, load_input in samples:
-        fast.filter_sample(filters, output, load_input, 1)
-        fast.accumulate(filters)
-        seen.append([output, *filters.outputs, load_input, *filters.inputs])
-    assert fast.take_means(filters) == pytest.approx(np.mean(seen, axis=0), abs=1e-9)
-    assert fast.take_means(filters) == pytest.approx(seen[-1], abs=1e-9)  # an empty window
-
-
 def regulate(
     books: fast.FastState,
     voltage: float = 300.0,
@@ -73,27 +57,6 @@ def regulate(
     reference: float = 300.0,
 ) -> float:
     return fast.regulate_voltage(books, STAGE, reference, voltage, line, power, TICK_s)
-
-
-def test_without_feed_forward_the_load_power_is_not_looked_at() -> None:
-    blind = replace(STAGE, feed_forward=False)
-    scales = {
-        fast.regulate_voltage(state(), blind, 300.0, 290.0, 120.0, power, TICK_s)
-        for power in (0.0, 500.0)
-    }
-    assert len(scales) == 1
-
-
-@given(st.floats(-1e9, 1e9), st.floats(0.0, 500.0), st.floats(0.0, 300.0), st.floats(-1e4, 1e4))
-def test_the_scale_is_within_limits_and_the_limit_is_told(
-    error_sum: float, voltage: float, line: float, power: float
-) -> None:
-    books = state(error_sum=error_sum)
-    scale = regulate(books, voltage, line, power)
-    low, high = STAGE.current_scale_min_S, STAGE.current_scale_max_S
-    assert low <= scale <= high
-    if books.limit:
-        assert scale == (high if books.limit > 0 else low)
 
 
 def test_a_weak_line_is_divided_by_only_down_to_its_lowest_voltage() -> None:
@@ -213,16 +176,6 @@ def test_too_much_power_holds_the_voltage_back_and_lets_it_rise_slowly() -> None
     assert fast.limit_power(at_just_its_power, STAGE, 310.0, STAGE.load_power_max_W) > 300.0
 
 
-@given(st.lists(st.tuples(st.floats(0.0, 500.0), st.floats(-1e4, 1e5)), max_size=50))
-def test_the_reference_in_force_never_leaves_its_limits(
-    samples: list[tuple[float, float]],
-) -> None:
-    books = state(boost_reference_V=400.0)
-    for voltage, power in samples:
-        held = fast.limit_power(books, STAGE, voltage, power)
-        assert STAGE.boost_reference_min_V <= held <= STAGE.boost_reference_max_V
-
-
 @pytest.mark.parametrize(("limited", "followed"), [(0, True), (30, True), (31, False)])
 def test_a_quarter_of_a_period_at_a_limit_is_still_followed(limited: int, followed: bool) -> None:
     books = state()
@@ -297,20 +250,3 @@ def test_the_window_is_the_last_samples_of_a_period_with_its_end(samples: int) -
         if ends:
             assert bank.count == samples
             assert fast.take_means(bank)[0] == pytest.approx(tick - (samples - 1) / 2)
-
-
-def test_the_rounding_error_counts_the_changes_of_each_period_anew() -> None:
-    bank = fast.new_filter_bank(MOTOR, TICK_s, 10.0, 3.0, 280.0)
-    settings = replace(EXACT, learning=replace(EXACT.learning, resolution=0.01))
-    shares = []
-    for changes in (30, 60, 0):
-        bank.grid.changes = changes
-        shares.append(changes / TICKS)
-        expected = rounding_error(0.01, sum(shares) / len(shares))
-        assert fast.take_rounding(settings, bank) == pytest.approx((0.01, expected))
-        assert bank.grid.changes == 0
-
-
-def test_a_new_screen_is_as_wide_as_the_larger_of_present_and_expected_output() -> None:
-    for output, largest in ((3.5, 3.5), (-3.5, 3.5), (1.0, 0.011 * 280.0)):
-        assert bank(output).screen.deviation == pytest.approx(0.01 * largest)

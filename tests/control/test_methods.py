@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from adaptdrive.config.load import Estimator
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control import in_force
 from adaptdrive.control import regression as reg
 from adaptdrive.control import ud_factors as ud
-from adaptdrive.control.estimator import EstimatorState
-from adaptdrive.control.lambda_method import LambdaMethod
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.method import Method
@@ -28,7 +25,6 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
 from adaptdrive.control.vectors import shift_in
-from adaptdrive.pure import build_name
 from tests.closed_loop.bench import (
     AT_REST,
     EXACT,
@@ -43,18 +39,6 @@ from tests.closed_loop.bench import (
 from tests.control.systems import Array, held_polynomials, motor_system
 
 
-@dataclass(frozen=True, slots=True)
-class Projection(LambdaMethod):
-    """The projection algorithm (Goodwin and Sin 1984, 3.3.1) on the regressor of the λ-method."""
-
-    step: float = 1.0
-
-    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
-        power = sum(r * r for r in state.sample.regressor)
-        for i, r in enumerate(state.sample.regressor):
-            state.estimate.theta[i] += self.step * r * state.estimate.innovation / power
-
-
 def innovations(method: Method) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     bench = Bench(replace(EXACT, learning=replace(EXACT.learning, method=method)))
     bench.motor.disks = 2
@@ -63,17 +47,6 @@ def innovations(method: Method) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.array([decision.innovation for decision in bench.decisions])
 
 
-@pytest.mark.skipif(
-    build_name() == "compiled", reason="a class in Python cannot inherit from a compiled one"
-)
-def test_a_third_method_learns_in_the_same_controller() -> None:
-    assert get_args(Estimator.model_fields["method"].annotation) == tuple(METHODS)
-    learnt, frozen = innovations(Projection()), innovations(Projection(step=0.0))
-    last = slice(-120, None)
-    assert np.sqrt(np.mean(learnt[last] ** 2)) < 0.2 * np.sqrt(np.mean(frozen[last] ** 2))
-
-
-BATTERY = battery_load(0.25, 1.2, 0.4, 30.0)
 MEASURED = replace(
     AT_REST,
     output=3.3,
@@ -105,27 +78,6 @@ def test_the_regressor_of_a_motor_is_equation_29_and_the_initial_state_since_the
     expected = [-3.2 / 3.0, -3.1 / 3.0, 285.0 / 280.0]
     expected += [math.exp(-ratio), ratio * math.exp(-ratio), 1.0]
     assert found == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_charge_is_beside_the_bias_and_its_rate_in_the_lowered_regressor() -> None:
-    """(τ_λ p + 1) q/τ_λ is y + q/τ_λ."""
-    learning = replace(SCALED_LEARNING, bias=True, charge=True)
-    estimator = filled(learning, BATTERY).estimator
-    assert estimator.sample.regressor[-2:] == [0.7, 1.0]
-    assert estimator.rivals.lowered[-2:] == pytest.approx([0.7 + 3.3 / 3.0, 1.0], rel=1e-12)
-
-
-def test_an_emf_wanders_along_the_bias_and_its_rise_along_both() -> None:
-    """0.2 σ of the bias, and 0.1 σ of a rise that is zero at the present charge of 0.7."""
-    learning = replace(SCALED_LEARNING, bias=True, charge=True)
-    fresh = new_slow_state(replace(EXACT, learning=learning), BATTERY, 3.0, 280.0).estimator
-    widened = covariance(filled(learning, BATTERY).estimator) - covariance(fresh)
-    rise, bias = len(fresh.estimate.theta) - 2, len(fresh.estimate.theta) - 1
-    expected = np.zeros_like(widened)
-    expected[rise, rise] = 0.1**2
-    expected[rise, bias] = expected[bias, rise] = -(0.1**2) * 0.7
-    expected[bias, bias] = 0.2**2 + (0.1 * 0.7) ** 2
-    np.testing.assert_allclose(widened, expected, atol=1e-9 * SCALED_LEARNING.initial_covariance)
 
 
 @pytest.mark.parametrize(

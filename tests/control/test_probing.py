@@ -10,13 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control.charging import Charging
-from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.probing import EXCURSIONS, half_periods, probe
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
-from adaptdrive.control.watch import Fallback
 from tests.closed_loop.bench import AT_REST, EXACT, LOW, MOTOR
 
 PROBING = Probing(amplitude=0.09, stale_periods=300, lowest=0.0, highest=4.5)
@@ -41,13 +39,6 @@ def probing() -> SlowState:
     state = unknown_load()
     assert shifts(state, HALF + 5)[-1] == pytest.approx(PROBING.amplitude)
     return state
-
-
-def test_the_times_follow_from_the_response_asked_for() -> None:
-    delay = sum(0.7**k for k in range(1, 200))
-    assert half_periods(MOTOR, 0.7, 1.0) == pytest.approx(2.0 * 4.0 * delay, abs=0.5)
-    bath = bath_load(0.02, 80.0, 0.25, 1.0, 7.87)
-    assert half_periods(bath, 0.8, 20.0) == 16
 
 
 def test_a_load_that_is_not_found_is_not_probed_for_ever() -> None:
@@ -80,32 +71,6 @@ def test_another_request_ends_it_at_once(other: SlowSample) -> None:
     state = probing()
     assert not any(shifts(state, PROBING.stale_periods, other))
     assert state.probe.age_periods == 0
-
-
-def test_a_limit_or_a_fallback_ends_it_at_once() -> None:
-    limited, latched = probing(), probing()
-    limited.saturated, latched.watch.fallback = True, Fallback.ERROR
-    assert not any(shifts(limited, 1000))
-    assert not any(shifts(latched, 1000))
-
-
-def test_without_an_amplitude_nothing_is_probed_nor_counted() -> None:
-    state = unknown_load()
-    off = replace(PROBING, amplitude=0.0)
-    assert [probe(off, MOTOR, state, ASKED, LOW) for _ in range(5 * HALF)] == [LOW] * (5 * HALF)
-    assert state.probe.age_periods == 0
-
-
-def test_the_course_is_known_to_the_period() -> None:
-    """At rest on the same set-point for half an excursion after the first look, then moved."""
-    found = shifts(unknown_load(), 500)
-    assert shifts(unknown_load(), 500, replace(ASKED, lowest=math.nan, highest=math.nan)) == found
-    excursion = [0.09] * HALF + [0.0] * HALF + [-0.09] * HALF + [0.0] * HALF
-    course = [0.0] * (HALF + 1) + excursion * 2
-    assert found[: len(course)] == pytest.approx(course)
-    pause = found[len(course) :]
-    assert pause[: PROBING.stale_periods] == [0.0] * PROBING.stale_periods
-    assert any(pause)
 
 
 def test_a_load_that_is_known_in_the_middle_of_an_excursion_is_brought_back_first() -> None:
@@ -147,11 +112,6 @@ def test_it_goes_where_there_is_room(lowest: float, highest: float, levels: set[
         state = unknown_load()
         found = {probe(limits[0], MOTOR, state, limits[1], LOW) for _ in range(8 * HALF)}
         assert {round(level - LOW, 9) for level in found} == levels
-
-
-@pytest.mark.parametrize(("off", "rests"), [(0.0899, True), (-0.0899, True), (-0.0901, False)])
-def test_an_output_within_the_amplitude_rests(off: float, rests: bool) -> None:
-    assert any(shifts(unknown_load(), 5 * HALF, replace(ASKED, output=LOW + off))) is rests
 
 
 def test_a_charging_current_is_lowered_only_for_the_time_constant_of_the_battery() -> None:

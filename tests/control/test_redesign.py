@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from adaptdrive.control import assurance, redesign
+from adaptdrive.control import redesign
 from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
-from adaptdrive.control.methods import METHODS
 from adaptdrive.control.noise_limit import noise_gain
 from adaptdrive.control.pole_placement import equation
 from adaptdrive.control.regression import theta_of
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
-from adaptdrive.pure import build_name
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
 from tests.control.systems import distance
 
@@ -69,47 +66,6 @@ def test_an_estimate_that_is_trusted_becomes_gains_and_the_trusted_model() -> No
     assert state.reference_filter.asked == pytest.approx(asked)
     padded = [*asked, *[0.0] * (len(state.reference_filter.loop) - len(asked))]
     assert state.reference_filter.loop == pytest.approx(padded)
-
-
-@pytest.mark.parametrize(
-    ("noise", "limit", "found"), [(1e-6, 8.0, None), (1.0, 8.0, 8.0), (1.0, 0.0, 0.0)]
-)
-def test_the_noise_of_the_input_in_force_is_known(
-    noise: float, limit: float, found: float | None
-) -> None:
-    state = known()
-    state.estimator.surprise.noise = noise * noise
-    settings = replace(CAREFUL, jacket=replace(JACKET, noise_max=limit))
-    assert adapted(state, settings) == Verdict.TRUSTED
-    a, b = model(2.0)
-    asked = [*asked_loop(b, 2, POLE), *[0.0] * (len(state.new_loop) - 5)]
-    least = 1e-4 * settings.learning.output_scale * noise_gain(equation(a, b), a, b, asked)
-    assert state.input_noise == pytest.approx(least if found is None else found, rel=1e-6)
-    fast = (
-        noise * settings.learning.output_scale * noise_gain(equation(a, b), a, b, state.fast_loop)
-    )
-    assert state.fast_noise == pytest.approx(fast if found is None else found, rel=1e-6)
-
-
-@pytest.mark.skipif(build_name() == "compiled", reason="compiled calls do not see a patch")
-def test_the_fast_law_is_the_quiet_one_where_the_covariance_leaves_it_unsure(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    settings = replace(CAREFUL, jacket=replace(JACKET, noise_max=8.0, spread_max=0.05))
-    sure, unsure = known(), known()
-    for state in (sure, unsure):
-        state.estimator.surprise.noise = 1e-12
-    adapted(sure, settings)
-    assert sure.fast_gains != sure.adaptive_gains
-    found = assurance.response_spread
-
-    def spread(*given: Any) -> float:
-        return found(*given) if given[2] == sure.adaptive_gains else 0.06
-
-    monkeypatch.setattr(redesign, "response_spread", spread)
-    adapted(unsure, settings)
-    assert unsure.fast_gains == unsure.adaptive_gains == sure.adaptive_gains
-    assert unsure.fast_loop == unsure.new_loop
 
 
 @pytest.mark.parametrize(
@@ -244,40 +200,8 @@ def test_only_periods_in_a_row_that_teach_another_load_count() -> None:
     assert lost(known(30.0, plain), plain, 70) == [0] * 70
 
 
-@pytest.mark.parametrize(
-    ("confidence", "verdict"), [(1.0, Verdict.TRUSTED), (100.0, Verdict.UNCERTAIN)]
-)
-def test_gains_that_the_uncertainty_makes_unstable_are_refused(
-    confidence: float, verdict: Verdict
-) -> None:
-    """Parameters with deviations of 3 to 4 %: the loop holds two of them, not a hundred."""
-    settings = replace(CAREFUL, jacket=replace(JACKET, confidence=confidence))
-    state = known(2.0, settings)
-    state.estimator.estimate.diagonal[:] = [100.0] * len(state.estimator.estimate.diagonal)
-    assert adapted(state, settings) == verdict
-
-
 def test_a_loop_that_is_asked_to_grow_is_refused() -> None:
     state = known()
     redesign.adapt(CAREFUL, MOTOR, state, replace(AT_REST, pole=1.02))
     assert state.supervisor.verdict == Verdict.UNSTABLE_LOOP
     assert not state.accepted
-
-
-def test_without_gains_in_force_the_reference_filter_takes_another_pole_at_once() -> None:
-    settings = replace(CAREFUL, jacket=replace(JACKET, gain_slew=0.25))
-    state, plain, slower = known(2.0, settings), known(2.0), replace(AT_REST, pole=0.8)
-    adapted(state, settings)
-    before = list(state.reference_filter.loop)
-    redesign.adapt(settings, MOTOR, state, slower)
-    redesign.adapt(CAREFUL, MOTOR, plain, slower)
-    assert not state.adaptive
-    assert state.reference_filter.loop == pytest.approx(plain.reference_filter.loop)
-    assert before != pytest.approx(plain.reference_filter.loop, rel=0.1)
-
-
-def test_no_noise_of_direct_least_squares_is_known() -> None:
-    settings = replace(CAREFUL, learning=replace(LEARNING, method=METHODS["rls"]))
-    state = new_slow_state(settings, MOTOR, 3.0, REST_V)
-    state.estimator.surprise.noise = 1.0
-    assert redesign._output_noise(settings, state) == 0.0

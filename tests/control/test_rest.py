@@ -6,18 +6,17 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import cont2discrete, dlsim
+from scipy.signal import cont2discrete
 
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.methods import METHODS
-from adaptdrive.control.reach import UNKNOWN, Reach, estimated_reach, nominal_reach
-from adaptdrive.control.rest import believed_offset, distance_from_rest
+from adaptdrive.control.reach import Reach, estimated_reach, nominal_reach
+from adaptdrive.control.rest import distance_from_rest
 from adaptdrive.control.slow_state import SlowState, new_slow_state
 from tests.closed_loop.bench import EXACT, MOTOR, REST_V, STAGE
-from tests.control.systems import System, motor_system, polynomials
+from tests.control.systems import motor_system, polynomials
 
 BATH = bath_load(0.021, 200.0, 0.25, 1.0, 7.87)
 CHARGED = battery_load(0.25, 0.3, 0.05, 60.0, Charging(0.25, 0.05, 0.25, 58.0, 1.0))
@@ -38,13 +37,6 @@ def trusts(state: SlowState, gain: float) -> None:
     held = polynomials(cont2discrete(motor_system(2, gain).state_space(), 1.0, "zoh"))
     state.trusted_a, state.trusted_b = (part.tolist() for part in held)
     state.supervisor.trusted = True
-
-
-@pytest.mark.parametrize("load", [MOTOR, BATH, CHARGED], ids=["motor", "bath", "battery"])
-def test_the_nominal_gain_is_where_a_step_ends(load: Load) -> None:
-    system = System(list(load.numerator), list(load.denominator)).state_space()
-    _, response, _ = dlsim(cont2discrete(system, 20.0, "zoh"), [[1.0]] * 2000)
-    assert load.gain == pytest.approx(float(response[-1, 0]), rel=1e-6)
 
 
 @given(st.floats(-60.0, 60.0), st.floats(-1.0, 8.0))
@@ -81,15 +73,6 @@ def test_a_battery_takes_no_current_below_its_own_voltage() -> None:
     assert distance_from_rest(BIASED, CHARGED, state, 0.0) == 0.0
 
 
-def test_an_offset_that_is_not_estimated_or_no_number_is_none() -> None:
-    state = state_with(MOTOR, 40.0)
-    assert believed_offset(BIASED, MOTOR, state) == pytest.approx(40.0)
-    assert believed_offset(replace(BIASED, bias=False), MOTOR, state) == 0.0
-    assert believed_offset(replace(BIASED, method=METHODS["rls"]), MOTOR, state) == 0.0
-    state.estimator.estimate.theta[-1] = math.inf
-    assert believed_offset(BIASED, MOTOR, state) == 0.0
-
-
 def test_the_nominal_reach_is_the_gain_times_both_limits() -> None:
     assert nominal_reach(MOTOR, STAGE) == Reach(2.2, 4.4)
     watts = [(0.25 * volts / (1.0 + 7.87)) ** 2 * 7.87 for volts in (200.0, 400.0)]
@@ -119,11 +102,6 @@ def test_a_battery_reaches_from_nothing_to_what_its_resistance_lets_through() ->
     assert found.high == pytest.approx((100.0 - 54.0) / 0.35, rel=5e-3)
 
 
-def test_what_is_shown_has_three_digits() -> None:
-    stage = replace(STAGE, boost_reference_min_V=201.23, boost_reference_max_V=398.76)
-    assert nominal_reach(MOTOR, stage) == Reach(2.21, 4.39)
-
-
 @given(st.floats(-5.0, 5.0), st.floats(0.0, 5.0), st.floats(-20.0, 20.0))
 def test_the_nearest_within_reach_is_held_and_moves_only_what_is_not(
     low: float, width: float, value: float
@@ -136,10 +114,3 @@ def test_the_nearest_within_reach_is_held_and_moves_only_what_is_not(
     assert reach.holds(low)
     assert reach.holds(low + width)
     assert abs(nearest - value) <= min(abs(low - value), abs(low + width - value))
-
-
-@pytest.mark.parametrize("reach", [Reach(math.nan, 3.0), Reach(1.0, math.nan), UNKNOWN])
-def test_half_a_reach_is_not_known(reach: Reach) -> None:
-    assert not reach.is_known
-    assert UNKNOWN.holds(1e9)
-    assert UNKNOWN.nearest(7.0) == 7.0

@@ -138,16 +138,6 @@ def test_p_stays_positive_definite_and_finite_without_excitation(kind: str) -> N
     assert recursive.theta == pytest.approx(target, rel=1e-6)
 
 
-@pytest.mark.parametrize("information", [0.0, 1e-6, 0.01, 10.0])
-def test_bound_adds_information_about_every_parameter(information: float) -> None:
-    recursive = Recursive(4)
-    for r, y in zip(*data(4, 50), strict=True):
-        recursive.take(r, y, 0.97)
-    expected = np.linalg.inv(np.linalg.inv(recursive.covariance) + information * np.eye(4))
-    ud.bound(recursive.upper, recursive.diagonal, information)
-    assert np.allclose(recursive.covariance, expected, rtol=1e-9)
-
-
 @pytest.mark.parametrize("kind", POOR)
 def test_bound_after_every_update_keeps_p_below_its_limit_for_ever(kind: str) -> None:
     recursive = Recursive(3)
@@ -211,33 +201,6 @@ def test_p_stays_positive_definite_after_ten_million_poor_updates_compiled() -> 
     assert lowest > 0.0
     assert diagonal.max() <= rls.COVARIANCE_CEILING
     assert np.isfinite(np.concatenate([theta, upper])).all()
-
-
-def test_a_normalised_square_is_the_error_before_times_the_error_after_the_update() -> None:
-    theta, upper, diagonal = [0.1, -0.2], [1.0, 0.3, 0.0, 1.0], [2.0, 0.5]
-    regressor, target, forgetting = [0.7, -1.1], 0.9, 0.95
-    excitation = ud.excitation(upper, diagonal, regressor)
-    before = target - rls.predict(theta, regressor)
-    found = rls.normalised(excitation, before, forgetting)
-    rls.update(theta, upper, diagonal, regressor, target, forgetting)
-    assert found == pytest.approx(before * (target - rls.predict(theta, regressor)), rel=1e-12)
-
-
-@given(
-    st.lists(st.floats(-1.0, 1.0), min_size=16, max_size=16),
-    st.lists(st.floats(0.01, 9.0), min_size=4, max_size=4),
-)
-def test_a_transformed_covariance_is_that_of_numpy(
-    entries: list[float], diagonal: list[float]
-) -> None:
-    matrix = np.array(entries).reshape(4, 4) + 4.5 * np.eye(4)  # loses no direction
-    upper = np.triu(np.ones((4, 4)) * 0.3, 1) + np.eye(4)
-    expected = matrix @ upper @ np.diag(diagonal) @ upper.T @ matrix.T
-    factors, weights = upper.ravel().tolist(), list(diagonal)
-    ud.transform(factors, weights, matrix.ravel().tolist())
-    found = np.array(ud.covariance(factors, weights)).reshape(4, 4)
-    np.testing.assert_allclose(found, expected, atol=1e-9 * max(1.0, np.abs(expected).max()))
-    assert min(weights) > 0.0
 
 
 def test_directional_forgetting_forgets_only_along_the_sample() -> None:

@@ -10,8 +10,7 @@ import pytest
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.methods import METHODS
-from adaptdrive.control.settings import ControllerSettings, Probing, Rates
+from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Measurement, Mode, Order, Snapshot, Stage
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import (
@@ -149,17 +148,6 @@ def test_a_charge_that_lasts_too_long_is_a_fault_in_every_mode(mode: Mode) -> No
     assert [fault for _, fault in faults] == sorted(fault for _, fault in faults)
 
 
-def test_the_step_of_the_sensor_is_found_in_its_samples_and_kept_by_the_next_run() -> None:
-    controller = Controller(EXACT, MOTOR)
-    assert controller.resolution == 0.0
-    for tick in range(1, 10 * TICKS):
-        controller.tick(measured(tick, 3.0 + 0.05 * (tick * tick // 7 % 3)), order())
-    assert controller.resolution == pytest.approx(0.05)
-    controller.tick(measured(10 * TICKS), order(stage=Stage.OFF))
-    controller.tick(measured(10 * TICKS + 1), order())
-    assert controller.resolution == pytest.approx(0.05)
-
-
 def test_the_filters_follow_the_measured_line_frequency() -> None:
     """λy of a step of 0.3 V, the mean over the second half of a period on a line of 50 Hz."""
     controller = Controller(EXACT, MOTOR)
@@ -200,30 +188,6 @@ def test_a_load_that_does_not_answer_is_a_fault_and_named(reference: float) -> N
     assert faults[:6] == [""] * 6
 
 
-UNSURE = replace(  # no motor is damped so well: its estimate stays in doubt
-    EXACT,
-    rates=SMALL,
-    jacket=replace(EXACT.jacket, warm_up_periods=0, damping_min=2.0),
-    probing=Probing(amplitude=0.09, stale_periods=5, lowest=0.0, highest=9.0),
-)
-
-
-@pytest.mark.parametrize(
-    ("level", "shift"), [(4.35, -0.09), (4.25, 0.09), (2.25, 0.09), (2.35, 0.09)]
-)
-def test_a_probe_stays_where_V_c_reaches(level: float, shift: float) -> None:
-    """The motor rests between 0.011 · 200 V and 0.011 · 400 V; upwards is tried first."""
-    controller, found = Controller(UNSURE, MOTOR), []
-    wanted = replace(order(level, mode=Mode.ADAPTIVE), steady=True)
-    for tick in range(201):
-        controller.tick(measured(tick, level, boost_V=level / 0.011, period_s=1.0), wanted)
-        if (snapshot := controller.take_snapshot()) is not None:
-            found.append(controller.decide(snapshot).probe)
-    moved = [one for one in found if math.isfinite(one) and one != 0.0]
-    assert moved[0] == pytest.approx(shift)
-    assert all(2.2 <= level + one <= 4.4 for one in moved)
-
-
 THREE_DISKS = (0.011, 45.1, 351.0)
 JACKET = replace(
     EXACT.jacket,
@@ -257,28 +221,6 @@ def test_the_gains_of_what_an_earlier_run_has_learnt_act_at_once_and_stay() -> N
     assert first_adaptive(None, 3)[0] >= 90
 
 
-def test_while_nothing_is_learnt_the_gains_fit_the_noise_as_it_becomes_known() -> None:
-    limited = replace(CAREFUL, jacket=replace(JACKET, noise_max=8.0))
-    slow = replace(limited, learning=replace(limited.learning, settle_periods=30))
-    bench = Bench(slow, noise=NoiseParameters(sigma=0.05 * STEP), seed=1)
-    bench.motor.disks = 3
-    bench.controller = Controller(slow, MOTOR, THREE_DISKS)
-    bench.run(30.0, order(3.0, Mode.ADAPTIVE))
-    first, last = bench.decisions[0].gains, bench.decisions[28].gains
-    assert bench.decisions[28].controller is Mode.ADAPTIVE
-    assert max(map(abs, last)) < 0.7 * max(map(abs, first))
-
-
-def test_the_trusted_values_are_those_of_the_last_accepted_estimate() -> None:
-    assert Controller(CAREFUL, MOTOR, THREE_DISKS).trusted is None
-    _, bench = first_adaptive(THREE_DISKS, 3)
-    assert bench.controller.trusted == pytest.approx(THREE_DISKS, rel=0.01)
-    accepted = [d for d in bench.decisions if d.accepted][-1]
-    assert bench.controller.trusted == tuple(accepted.estimates[name].value for name in MOTOR.names)
-    assert all(0.0 < accepted.estimates[name].std < 0.1 * value
-               for name, value in zip(MOTOR.names, THREE_DISKS, strict=True))  # fmt: skip
-
-
 def test_gains_for_a_load_that_is_another_one_by_now_do_not_stay() -> None:
     """Three disks became one while the drive was off: the first edges show it."""
     bench, outputs = Bench(CAREFUL), []
@@ -290,12 +232,6 @@ def test_gains_for_a_load_that_is_another_one_by_now_do_not_stay() -> None:
     assert modes[0] is Mode.ADAPTIVE
     assert modes.index(Mode.FIXED) < 40
     assert 2.99 < min(outputs) < max(outputs) < 3.21
-
-
-def test_a_prior_changes_nothing_of_direct_least_squares() -> None:
-    direct = replace(EXACT, learning=replace(EXACT.learning, method=METHODS["rls"]))
-    found = [first_adaptive(prior, 3, direct)[1].commands for prior in (None, THREE_DISKS)]
-    assert found[0] == found[1]
 
 
 def test_trusted_estimates_survive_a_trip_and_act_at_once() -> None:

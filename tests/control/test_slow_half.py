@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.design import (
@@ -190,17 +189,6 @@ def test_noise_that_a_limit_cuts_off_moves_the_output_less() -> None:
     assert abs(remembered) < 0.4 * cut_off
 
 
-@pytest.mark.parametrize("adaptive", [True, False])
-def test_the_history_goes_beyond_a_limit_by_the_noise_of_the_law_in_force(adaptive: bool) -> None:
-    a, b = discrete_model(EXACT, MOTOR, list(MOTOR.numerator), list(MOTOR.denominator), 1.0)
-    jacket = replace(EXACT.jacket, patience_periods=10**6, confidence=2.0, blend_periods=1)
-    settings, state = replace(EXACT, jacket=jacket), in_force(a, b, 0.0)
-    state.input_noise = state.fast_noise = 8.0
-    far = sample(reference=4000.0, adaptive=adaptive)
-    assert slow_step(settings, MOTOR, state, far) == state.sent == 400.0
-    assert state.inputs[0] == (416.0 if adaptive else 400.0)
-
-
 FIXED = replace(AT_REST, adaptive=False)
 
 
@@ -239,19 +227,6 @@ def test_an_input_by_hand_at_a_limit_shows_a_load_that_does_not_answer(
     for _ in range(400):
         slow_step(settings, MOTOR, state, replace(FIXED, manual=True, held=held_V))
     assert state.unresponsive is unresponsive
-
-
-@pytest.mark.parametrize(
-    ("outputs", "teaches"), [((3.125,), True), ((3.0625,), False), ((2.75, 2.75), False)]
-)
-def test_a_dead_band_begins_at_the_output_of_the_last_period(
-    outputs: tuple[float, ...], *, teaches: bool
-) -> None:
-    settings = replace(EXACT, learning=replace(PLAIN_LEARNING, dead_band=0.125))
-    state = at_rest(settings)
-    for output in outputs:
-        slow_step(settings, MOTOR, state, replace(FIXED, output=output))
-    assert (state.estimator.idle_periods == 0) is teaches
 
 
 POLE = 0.7
@@ -341,32 +316,6 @@ def test_a_law_that_is_not_a_number_repeats_the_newest_input() -> None:
     assert slow_step(SETTINGS, MOTOR, state, asked) == 290.0
 
 
-@pytest.mark.parametrize("manual", [False, True])
-def test_the_response_asked_for_has_four_equal_poles_or_is_what_the_operator_has_made(
-    *, manual: bool
-) -> None:
-    state = known()
-    references = 3.0 + 0.1 * np.random.default_rng(5).normal(size=30)
-    for number, reference in enumerate(references):
-        output = 3.0 + 0.001 * number
-        asked = replace(SAMPLE, output=output, reference=float(reference), manual=manual,
-                        adaptive=not manual, held=REST_V if manual else math.nan)  # fmt: skip
-        slow_step(SETTINGS, MOTOR, state, asked)
-    ideal = references - 3.0
-    for _ in range(4):
-        ideal = lfilter([1.0 - POLE], [1.0, -POLE], ideal)
-    assert state.expected[-1] == pytest.approx(3.029 if manual else 3.0 + ideal[-1], abs=1e-9)
-
-
-def test_the_charge_is_the_sum_of_the_output_over_time() -> None:
-    state = known()
-    for output, period_s in ((3.0, 1.0), (3.3, 2.0)):
-        slow_step(SETTINGS, MOTOR, state, replace(SAMPLE, output=output, period_s=period_s))
-    scale, tau_s = SETTINGS.learning.output_scale, SETTINGS.learning.tau_lambda_s
-    assert state.estimator.charge == pytest.approx((3.0 + 6.6) / scale / tau_s)
-    assert state.estimator.sample.time_s == 3.0
-
-
 def cycling(state: SlowState, sample: SlowSample, periods: int = 70) -> bool:
     """Whether an output that swings across the set-point is called a limit cycle."""
     settings = replace(SETTINGS, jacket=replace(JACKET, swing_min=0.1))
@@ -376,15 +325,6 @@ def cycling(state: SlowState, sample: SlowSample, periods: int = 70) -> bool:
         swinging = replace(sample, output=3.0 + 20.0 * (-1.0) ** number)
         slow_step(settings, MOTOR, state, swinging)
     return state.cycling
-
-
-def test_the_fixed_law_alone_can_be_in_a_limit_cycle() -> None:
-    fixed = replace(SAMPLE, adaptive=False)
-    assert cycling(known(), fixed)
-    assert not cycling(known(), fixed, 40)
-    assert not cycling(known(), replace(fixed, manual=True, held=REST_V))
-    assert not cycling(known(), SAMPLE)
-    assert not cycling(known(), replace(fixed, low=REST_V, high=REST_V))  # no range, no limit
 
 
 def charged(state: SlowState, terminal_V: float, **changes: object) -> float:
@@ -411,11 +351,3 @@ def test_an_operator_leads_the_current_of_a_battery_by_hand() -> None:
     state.charge.ending_periods = 5
     assert charged(state, 58.4, manual=True, held=250.0) == 250.0
     assert (state.charge.current_A, state.charge.ending_periods) == (10.0, 0)
-
-
-def test_a_battery_without_its_voltage_rests_at_the_input_over_its_dc_impedance() -> None:
-    """0.25 · 240 V over 1.2 Ohm + 0.3 Ohm."""
-    watch = new_slow_state(SETTINGS, BATTERY, 10.0, 240.0).watch
-    assert (watch.fast, watch.slow) == pytest.approx((40.0, 40.0))
-    watch = new_slow_state(SETTINGS, MOTOR, 2.5, REST_V).watch
-    assert (watch.fast, watch.slow) == (2.5, 2.5)

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.app.settings import controller_settings
 from adaptdrive.control.cycling import CyclingState, watch_cycling
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.watch import (
@@ -18,7 +17,6 @@ from adaptdrive.control.watch import (
     watch_loop,
     watch_response,
 )
-from tests.config.documents import parse
 
 JACKET = Jacket(
     warm_up_periods=0,
@@ -112,40 +110,6 @@ def test_six_swings_that_grow_fall_back(errors: list[float], expected: int | Non
     assert first(reasons, Fallback.OSCILLATING) == expected
 
 
-def test_a_step_over_the_whole_range_is_settled_before_it_falls_back() -> None:
-    """Four equal poles at 0.7 need 6.7 time constants, 22 periods, to a tenth of a step."""
-    state = WatchState()
-    whole = 4.5  # the limit is a tenth of it
-    waits = [(1.0 - 0.7) * k for k in range(200)]
-    errors = [whole * math.exp(-x) * sum(x**i / math.factorial(i) for i in range(4)) for x in waits]
-    jacket = replace(JACKET, error_limit=0.1 * whole)
-    assert sum(error > jacket.error_limit for error in errors) in {22, 23}
-    assert not any(look(state, error=error, jacket=jacket) for error in errors)
-
-
-@pytest.mark.parametrize("pole", [0.75, 0.5])
-def test_an_error_may_last_ten_time_constants(pole: float) -> None:
-    state = WatchState()
-    reasons = [watch_loop(state, JACKET, 0.5, 0.5, 0.0, pole, 0.0, False) for _ in range(60)]
-    assert first(reasons) == round(10.0 / (1.0 - pole))
-
-
-def test_the_shortest_wait_is_one_period() -> None:
-    hasty, state = replace(JACKET, saturated_periods=1, response_periods=1), WatchState()
-    assert first([look(state, rest=1.0, saturated=True, jacket=hasty) for _ in range(9)]) == 1
-    state = WatchState()
-    found = [watch_response(state, hasty, 90.0, LAG, 0.0, saturated=True) for _ in range(9)]
-    assert found == [False] + [True] * 8
-
-
-def test_without_limits_nothing_is_watched_but_the_measurements() -> None:
-    off = replace(JACKET, saturated_periods=0, error_limit=0.0, swing_min=math.inf)
-    state = WatchState()
-    course = [9.0 * (-1.2) ** k for k in range(50)]
-    assert not any(look(state, error=e, rest=e, saturated=True, jacket=off) for e in course)
-    assert not any(look(WatchState(), error=9.0, jacket=off) for _ in range(50))
-
-
 @pytest.mark.parametrize(("held", "expected"), [(0.5, 0), (0.51, Fallback.BLIND)])
 def test_failed_measurements_fall_back(held: float, expected: int) -> None:
     assert look(WatchState(), held=held) == expected
@@ -200,17 +164,6 @@ def test_what_is_left_of_a_cause_keeps_the_fallback(left: str) -> None:
     assert state.fallback == Fallback.SATURATED
 
 
-@pytest.mark.parametrize("lag_periods", [0.0, 0.5, 20.0])
-def test_both_lags_follow_the_input_as_such_loads_do(lag_periods: float) -> None:
-    state = WatchState(fast=1.0, slow=1.0)
-    for k in range(1, 30):
-        watch_response(state, JACKET, 4.0, lag_periods, 1.0, saturated=False)
-        for found, ratio in ((state.fast, 0.2), (state.slow, 6.0)):
-            lag = ratio * lag_periods
-            left = math.exp(-k / lag) if lag else 0.0
-            assert found == pytest.approx(4.0 - 3.0 * left)
-
-
 def response(
     lag_s: float,
     gain: float,
@@ -246,11 +199,6 @@ def test_a_movement_of_the_response_distance_is_an_answer(moved: float, trips: b
     outputs = [0.0, moved, *[0.0] * 300]
     found = [watch_response(state, JACKET, 4.4, LAG, y, saturated=True) for y in outputs]
     assert found == [False] * 120 + [trips] * 182
-
-
-def test_no_response_is_waited_for_without_a_time() -> None:
-    off, state = replace(JACKET, response_periods=0), WatchState(fast=0.0, slow=0.0)
-    assert not any(watch_response(state, off, 4.4, LAG, 0.0, saturated=True) for _ in range(999))
 
 
 @pytest.mark.parametrize(("step", "trips"), [(0.3205, False), (0.3215, True)])
@@ -345,11 +293,3 @@ def test_the_adaptive_controller_begins_the_count_anew() -> None:
     assert not any(seen[:50])
     # at the period of the other controller the input arrives at a limit already
     assert seen.index(True) == 50 + WAYS
-
-
-def test_the_papers_controller_is_not_watched() -> None:
-    state = CyclingState()
-    step = controller_settings(parse(load__design='"paper"')).jacket.swing_min
-    course = [0.0, 1.0] * WAYS
-    seen = [watch_cycling(state, position, 1.0, step, BETTER, True) for position in course]
-    assert seen == [False] * len(course)
