@@ -65,6 +65,7 @@ _UNITS = {
     "ALPHA": "1/tick",
     "GAMMA": "1/tick",
     "WIDE": "1",
+    "LASTING": "samples",
     "_HELD_SHARE": "1",
     "DRIFT": "σ²",
     "THRESHOLD": "σ²",
