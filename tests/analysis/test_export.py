@@ -11,7 +11,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pandas as pd
-import polars as pl
 import pytest
 from asammdf import MDF
 from mcap.reader import make_reader
@@ -25,7 +24,6 @@ from tests.operation.peers import load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 UTC_OFFSET_S = INFO.started.timestamp() - 50.0
-NAME = "20261121T012209Z_motor"
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +40,6 @@ def test_csv_opens_in_pandas(session_path: Path, output: list[float], tmp_path: 
     estimates = pd.read_csv(slow)
     assert np.isfinite(estimates["estimate_gain"]).all()
     assert {"gains_0", "estimate_gain_std"} <= set(estimates.columns)
-
-
-def test_parquet_opens_in_polars(session_path: Path, output: list[float], tmp_path: Path) -> None:
-    ticks, _ = export(session_path, "parquet", tmp_path)
-    assert pl.read_parquet(ticks)["output"].to_list() == output
 
 
 def test_mat_opens_in_scipy(session_path: Path, output: list[float], tmp_path: Path) -> None:

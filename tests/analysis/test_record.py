@@ -97,20 +97,6 @@ def test_lags_and_dead_time_of_a_table_are_found(delay: float, taus_s: tuple[flo
     assert found.load.disputed == ()
 
 
-@pytest.mark.parametrize("first", sample([0, 1, 3], 1))
-def test_one_bare_step_is_enough(first: int) -> None:
-    inputs = np.full(60, 100.0)
-    inputs[:first] = 20.0
-    output = 5.0 + response(lag(0.3, 17.0), inputs, before=20.0)
-    found = identify({"u": inputs, "y": output}, sample_time_s=PERIOD_s, before=20.0)
-    assert found.model["tau_s"].value == pytest.approx(17.0, rel=0.01)
-    assert found.model["gain"].value == pytest.approx(0.3, rel=0.01)
-    assert found.load.delay_s == pytest.approx(0.0, abs=0.05)
-    if first:  # then the rows show what was before
-        bare = identify({"u": inputs, "y": output}, sample_time_s=PERIOD_s)
-        assert bare.model["tau_s"].value == pytest.approx(17.0, rel=0.01)
-
-
 def slow_record(seed: int) -> tuple[Array, Array]:
     """A heater whose body warms up behind it: a lag of half a minute, and one of ten."""
     random = np.random.default_rng([seed, 33])
@@ -167,13 +153,6 @@ def test_a_file_is_read_as_a_table(tmp_path: Path, capsys: pytest.CaptureFixture
     simulated_s = same.load.simulated_parameters["tau_s"].value
     assert f"{tau_s:.5g} ± " in text
     assert f"and {simulated_s:.5g} ± " in text
-
-
-def test_semicolons_and_decimal_commas_and_no_names(tmp_path: Path) -> None:
-    inputs, output = steps(3, 100), response(lag(0.5, 20.0), steps(3, 100))
-    rows = [f"{2.0 * n};{inputs[n]};{output[n]:.6f}".replace(".", ",") for n in range(len(inputs))]
-    found = identify(written(tmp_path / "bare.csv", "\n".join(rows)), time="1", lags=1)
-    assert found.model["tau_s"].value == pytest.approx(20.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["polars", "pandas", "arrow", "structured"])

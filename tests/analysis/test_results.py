@@ -132,12 +132,3 @@ def test_a_figure_is_whole_or_not_there(
     line = refused([command, str(session_path), "--into", str(tmp_path)], capfd)
     assert str(tmp_path / result) in line
     assert not list(tmp_path.iterdir())
-
-
-def test_a_first_configuration_is_whole_or_not_there(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    with full_disk():
-        assert main(["init", "motor", "--bus", "can", "--directory", str(tmp_path)]) == 2
-    assert str(tmp_path / "motor.toml") in capfd.readouterr().err
-    assert not list(tmp_path.iterdir())

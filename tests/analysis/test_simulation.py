@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from typing import Any
 
-import numpy as np
 import pytest
 
 from adaptdrive.analysis.closed_loop import BoostStage
@@ -39,18 +37,6 @@ class Broken:
         return math.nan, 0.0 * boost_voltage_V * duration_s
 
 
-class InNumpy(ReferenceMotor):
-    """The same motor as the plant of a user who counts in numpy."""
-
-    def __init__(self, disks: int, number: type[np.floating]) -> None:
-        super().__init__(disks)
-        self._number = number
-
-    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[Any, Any]:
-        output, power_W = super().step(boost_voltage_V, duration_s)
-        return self._number(output), self._number(power_W)
-
-
 def square(time_s: float) -> float:
     return 3.2 if time_s % 120.0 < 60.0 else 3.0
 
@@ -67,22 +53,9 @@ def test_the_controller_learns_the_plant_it_is_given() -> None:
     assert run.fault == ""
 
 
-def test_the_voltage_is_held_by_the_drives_own_loop_too() -> None:
-    run = simulate(EXAMPLES / "motor-modbus-tcp.toml", ReferenceMotor(1), 3.0, 120.0, "fixed")
-    assert run.ticks["output"][-1] == pytest.approx(3.0, abs=1e-3)
-    steps_s = run.ticks["time_s"].diff().drop_nulls()
-    assert steps_s.max() == pytest.approx(steps_s.min())
-
-
 def test_a_plant_that_returns_no_number_is_named() -> None:
     with pytest.raises(IdentificationError, match=r"step 0 of the plant returned output nan"):
         simulate(EXAMPLES / "motor.toml", Broken(), 3.0, 1.0)
-
-
-@pytest.mark.parametrize("number", sample([np.float32, np.float64], 1))
-def test_a_plant_may_return_numbers_of_numpy(number: type[np.floating]) -> None:
-    run = simulate(EXAMPLES / "motor.toml", InNumpy(1, number), 3.0, 120.0, "fixed")
-    assert run.ticks["output"][-1] == pytest.approx(3.0, abs=1e-3)
 
 
 class AtOwnStep(ReferenceMotor):

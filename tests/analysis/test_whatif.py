@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import pytest
 from adaptdrive.analysis.steps import quality_of
 from adaptdrive.analysis.whatif import Comparison, what_if
 from adaptdrive.analysis.whatif_report import as_text
-from adaptdrive.cli import main
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import IdentificationError
 from adaptdrive.recording.records import Header
@@ -67,15 +65,6 @@ def test_a_part_begins_with_what_the_controller_had_learnt(stepped: Path) -> Non
 def test_a_setting_that_acts_on_no_loop_is_named(stepped: Path) -> None:
     found = what_if(stepped, ["mqtt.port=1884", "load.pole=0.8"], None, 60.0)
     assert found.idle == ("mqtt.port=1884",)
-
-
-def test_the_command_draws_and_prints(
-    stepped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--set", "load.pole=0.9", "--into", str(tmp_path), "--json", "--to", "130"]
-    assert main(["whatif", str(stepped), *words]) == 0
-    assert json.loads(capsys.readouterr().out)["changed"]["fault"] == ""
-    assert (tmp_path / "whatif.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_quality_is_that_of_a_known_response() -> None:

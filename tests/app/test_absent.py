@@ -9,14 +9,12 @@ import pytest
 from adaptdrive.app.advice import advice
 from adaptdrive.app.interlocks import trip_limits
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.ports import build_whole_port
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.drive import DriveLimits
 from adaptdrive.config.root import consistency_flaws
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Measurement, Mode, Order, Stage
 from adaptdrive.hardware.port import Reading
-from adaptdrive.hardware.sensors import SensoredPort
 from adaptdrive.runtime.interlocks import find_cause
 from tests.config import documents
 from tests.config.modbus_documents import flaws, parse
@@ -71,20 +69,6 @@ def test_an_absent_value_trips_nothing_and_a_lost_one_does(name: str) -> None:
     cause = find_cause(reading(**other), 0.01, trip_limits(parse()), 0.05)
     assert cause is not None
     assert f"invalid: {name} = nan" in cause
-
-
-def test_a_stated_value_is_in_each_reading() -> None:
-    given: dict[str, str | None] = {"signals__stated__line_voltage_V": "230.0"}
-    assert (
-        "given by signals.line_voltage_V already" in flaws(**given)["signals.stated.line_voltage_V"]
-    )
-    configuration = parse(**ABSENT, **given)
-    port = build_whole_port(configuration, lambda: 0.0, "bench.toml")
-    assert isinstance(port, SensoredPort)
-    whole = port.completed(reading())
-    assert whole.line_voltage_V == 230.0
-    assert math.isnan(whole.load_power_W)
-    assert trip_limits(configuration).absent == {"load_power_W"}
 
 
 @pytest.mark.parametrize(("lowest_V", "target"), [(0.0, 0.5), (-300.0, -3.0)])

@@ -59,10 +59,6 @@ def test_what_was_written_is_read_to_the_last_bit(record: bytes) -> None:
     assert recall_all(record)[0] == cp.Learnt(VALUES, RESOLUTION)
 
 
-def test_a_sensor_without_steps_leaves_no_resolution() -> None:
-    assert set(json.loads(recorded(cp.Learnt(VALUES)))) == {"key", "estimates"}
-
-
 @pytest.mark.parametrize("resolution", [-0.01, 6.0, 1e300, "1e400"])
 def test_a_resolution_that_cannot_be_is_ignored_with_its_estimates(
     record: bytes, resolution: float | str
@@ -131,15 +127,6 @@ def test_another_input_map_of_a_bath_does_not_take_it() -> None:
     assert len({text, other, slower}) == 3
     keys = [cp.configuration_key(parse_configuration(one, source)) for one in (text, other, slower)]
     assert keys[0] == keys[2] != keys[1]
-
-
-def test_the_limits_of_a_charge_have_nothing_to_do_with_its_battery() -> None:
-    source = EXAMPLES / "battery.toml"
-    text = source.read_text(encoding="utf-8")
-    longer = re.sub("longest_h = .*", "longest_h = 8.5", text)
-    assert longer != text
-    keys = {cp.configuration_key(parse_configuration(one, source)) for one in (text, longer)}
-    assert len(keys) == 1
 
 
 @pytest.mark.parametrize(

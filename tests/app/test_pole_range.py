@@ -74,28 +74,10 @@ def test_a_pole_too_slow_for_an_error_of_the_model_is_refused(
         ask(configuration, slowest + 0.01)
 
 
-def test_a_load_that_any_pole_suits_may_be_asked_for_each_of_the_file() -> None:
-    for name in ("bath", "battery"):
-        machine = daemon_settings(configured(name)).machine
-        assert (machine.pole_min, machine.pole_max) == (0.5, 0.98)
-
-
-def test_the_file_limits_the_poles_further() -> None:
-    machine = daemon_settings(
-        configured("motor", "load.pole_min=0.655", "load.pole_max=0.705")
-    ).machine
-    assert (machine.pole_min, machine.pole_max) == (0.655, 0.705)
-
-
 def test_a_file_whose_pole_does_not_stand_is_refused_with_those_that_do() -> None:
     flaws = list(implausible(configured("motor-modbus-tcp", "load.pole=0.98")))
     assert [one.place for one in flaws] == ["load.pole"]
     assert "poles of 0.5…0.97 do" in flaws[0].message
-
-
-def test_a_file_without_a_pole_that_stands_says_so() -> None:
-    flaws = list(implausible(configured("motor", "load.pole=0.98", "load.pole_min=0.98")))
-    assert "no pole of load.pole_min…load.pole_max does" in flaws[0].message
 
 
 def test_check_and_operators_see_the_poles_that_may_be_asked_for() -> None:

@@ -26,11 +26,6 @@ def test_the_drives_own_lag_enters_the_design() -> None:
     assert rates.lag_ticks == pytest.approx(60.0)
 
 
-def test_without_a_lag_nine_ticks_are_counted() -> None:
-    assert controller_settings(parse()).rates.lag_ticks == 9.0
-    assert controller_settings(parse(**HELD)).rates.lag_ticks == 9.0
-
-
 @pytest.mark.parametrize(
     ("changes", "noise_V"),
     [({}, 8.0), ({"load__noise_V": "12.5"}, 12.5), ({"load__noise_V": "0.0"}, 0.0)],
@@ -50,11 +45,6 @@ def test_in_watts_of_a_bath() -> None:
     assert load.input_exponent == 2
     expected_W = 0.04 * (high_V - low_V) * slope_W_per_V
     assert controller_settings(configuration).jacket.noise_max == pytest.approx(expected_W)
-
-
-def test_the_resolution_is_found_where_none_is_configured() -> None:
-    assert controller_settings(parse()).learning.resolution == 0.0
-    assert controller_settings(parse(load__resolution="0.012")).learning.resolution == 0.012
 
 
 STRICT = {
@@ -112,13 +102,6 @@ def test_one_smallest_damping_holds_for_estimates_and_for_explanations() -> None
     for text, expected in (("0.9", 0.9), ("0.5", 0.5), ("0", 0.0)):
         settings = controller_settings(parse(supervisor__damping_min=text))
         assert settings.jacket.damping_min == settings.learning.damping_min == expected
-
-
-def test_the_inflow_of_a_bath_may_drift_and_a_torque_steps() -> None:
-    for name, drifts in (("bath", True), ("motor", False), ("battery", False)):
-        path = EXAMPLES / f"{name}.toml"
-        tables = tomllib.loads(path.read_text("utf-8"))
-        assert controller_settings(validate_configuration(tables, path)).learning.drifts is drifts
 
 
 @pytest.mark.parametrize(

@@ -65,8 +65,3 @@ def test_a_file_that_is_not_utf_8_is_one_error(tmp_path: Path, named: bytes) -> 
     place = len(named) + 5
     assert str(problem.value).startswith(f"{path}: ")
     assert str(problem.value).endswith(f"in position {place}: invalid start byte")
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"missing\.toml: .*No such file"):
-        read_campaign(tmp_path / "missing.toml")

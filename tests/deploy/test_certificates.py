@@ -52,11 +52,3 @@ def test_a_renewal_keeps_the_authority(tmp_path: Path) -> None:
     assert (tmp_path / "ca.crt").read_bytes() == authority
     assert (tmp_path / "broker.crt").read_bytes() != first
     assert verified(tmp_path, "-verify_hostname", "new.lab")
-
-
-def test_without_a_directory_it_says_what_it_wants() -> None:
-    answer = subprocess.run(
-        [SHIPPED / "make-certificates"], check=False, capture_output=True, text=True
-    )
-    assert answer.returncode == 2
-    assert "make-certificates DIRECTORY" in answer.stderr

@@ -46,25 +46,6 @@ def broken(page: Path) -> Iterator[str]:
             yield f"{path}#{anchor}" if anchor else path
 
 
-@pytest.mark.parametrize(
-    ("heading", "anchor"),
-    [
-        (
-            "## A slow step: `telemetry/load` and `slow-….parquet`",
-            "a-slow-step-telemetryload-and-slow-parquet",
-        ),
-        ("### Past the *paper*", "past-the-paper"),
-        ('## `[bus]` with `type = "can"`', "bus-with-type--can"),
-        ("# Drift\n# Drift", "drift-1"),
-    ],
-)
-def test_an_anchor_is_made_as_github_makes_it(tmp_path: Path, heading: str, anchor: str) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(f"```sh\n# a comment\n```\n{heading}\n", encoding="utf-8")
-    assert anchor in anchors(page)
-    assert "a-comment" not in anchors(page)
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_link_leads_to_a_file_and_a_heading(page: Path) -> None:
     assert list(broken(page)) == []

@@ -68,11 +68,3 @@ def test_every_command_of_a_page_is_understood(page: Path) -> None:
         except CycloptsError as problem:
             if not (named and isinstance(problem, MissingArgumentError)):
                 pytest.fail(f"{command}: {problem}")
-
-
-def test_a_command_that_is_none_would_be_found(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("```sh\n$ adaptdrive plot session --colour red  # none\n```\n")
-    (command,) = commands(page)
-    with pytest.raises(CycloptsError, match="--colour"):
-        build_app().parse_args(words_of(command)[1:], exit_on_error=False, print_error=False)

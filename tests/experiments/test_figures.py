@@ -65,19 +65,3 @@ def test_nothing_is_cut(figure: Figure) -> None:
                 values = np.asarray(one.get_ydata(), dtype=float)
                 assert low <= values.min(), one.get_label()
                 assert values.max() <= high, one.get_label()
-
-
-def test_the_model_errors_are_those_of_the_cycles(
-    outcome: ExperimentOutcome, figure: Figure
-) -> None:
-    errors = line(figure.axes[7], "adaptive")
-    expected = [100.0 * one.model_error_rms for one in outcome.cycles["adaptive"]]
-    assert errors[:-1] == pytest.approx(expected)
-
-
-def test_no_legend_covers_a_title(figure: Figure) -> None:
-    for axes in figure.axes:
-        legend = axes.get_legend()
-        if legend is not None:
-            title = axes._left_title.get_window_extent()  # type: ignore[attr-defined]
-            assert title.x1 < legend.get_window_extent().x0, axes.get_title(loc="left")
