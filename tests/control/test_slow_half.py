@@ -308,6 +308,14 @@ def test_what_the_adaptive_law_asks_for_in_vain_is_taken_back_once_it_alone_is_i
     assert asked == pytest.approx(400.0 if periods == BLEND else wanted, abs=1e-5)
 
 
+@pytest.mark.parametrize("fallback", [Fallback.NONE, Fallback.ERROR])
+def test_a_fallback_ends_the_adaptive_law(fallback: Fallback) -> None:
+    state = known()
+    state.watch.fallback, state.watch.asked = fallback, True
+    slow_step(SETTINGS, MOTOR, state, SAMPLE)
+    assert state.adaptive is (fallback == Fallback.NONE)
+
+
 def test_a_law_that_is_not_a_number_repeats_the_newest_input() -> None:
     state = new_slow_state(SETTINGS, MOTOR, 3.0, REST_V)
     state.inputs[:] = [290.0, *[280.0] * (len(state.inputs) - 1)]
