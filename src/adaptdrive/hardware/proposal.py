@@ -147,16 +147,12 @@ def _points(wanted: Wanted, candidate: Candidate) -> int:
     named = _spoken(wanted.words, own) + (candidate.on is not None and _spoken(wanted.named, own))
     if not named or candidate.commanded is not wanted.commanded or _spoken(wanted.against, own):
         return 0
-    known = candidate.unit in wanted.units.split() if candidate.unit else _has_kind(wanted, own)
-    if not known or (wanted.units and candidate.bits < _LEAST_BITS):
+    unit, units = candidate.unit, wanted.units.split()
+    right = unit in units if unit else not units or _spoken(wanted.kind, own)
+    if not right or (units and candidate.bits < _LEAST_BITS):
         return 0
-    fits = _UNIT_POINTS if candidate.unit else 0
-    return fits + _NAME_POINTS * named + _spoken(wanted.beside, all_parts)
-
-
-def _has_kind(wanted: Wanted, own: set[str]) -> bool:
-    """Return whether a name says in place of a unit what kind of quantity it is."""
-    return not wanted.units or _spoken(wanted.kind, own) > 0
+    points = _NAME_POINTS * named + _spoken(wanted.beside, all_parts)
+    return points + _UNIT_POINTS if unit else points
 
 
 def _parts(words: str) -> set[str]:
@@ -170,8 +166,7 @@ def _spoken(words: str, parts: set[str]) -> int:
 
 
 def _speaks(word: str, parts: set[str]) -> bool:
-    short = len(word) <= 3
-    return word in parts if short else any(part.startswith(word) for part in parts)
+    return word in parts or (len(word) > 3 and any(part.startswith(word) for part in parts))
 
 
 def _first_named(names: tuple[str, ...], wanted: tuple[str, ...]) -> str | None:

@@ -59,12 +59,11 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
 
 def _loss_cautions(bus: ModbusTcp | ModbusRtu, timing: Timing) -> Iterator[Flaw]:
     """Yield one word on a drive that trips as soon as few replies are lost or late."""
-    busy_s = _LOST_REPLIES * miss_s(bus)
-    least_s = LATE_READINGS * timing.reading_s + busy_s
+    least_s = LATE_READINGS * timing.reading_s + _LOST_REPLIES * miss_s(bus)
     if timing.stale_s < least_s and not math.isclose(timing.stale_s, least_s):
-        parts = f"{LATE_READINGS:g} polls and the {busy_s:.4g} s of {_LOST_REPLIES} lost replies"
-        text = f"{timing.stale_s:g} s is shorter than {least_s:.4g} s, {parts} (bus.timeout_s = "
-        yield Flaw("interlocks.stale_s", f"{text}{bus.timeout_s:g}): they trip the drive")
+        text = f"{timing.stale_s:g} s is shorter than {least_s:.4g} s, {LATE_READINGS:g} polls and"
+        lost = f"the {_LOST_REPLIES * miss_s(bus):.4g} s of {_LOST_REPLIES} lost replies"
+        yield Flaw("interlocks.stale_s", f"{text} {lost} (bus.timeout_s): they trip it")
 
 
 def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Flaw]:
