@@ -105,7 +105,7 @@ async def test_the_odrive() -> None:
         assert node.order.count(43) == 2  # as the bus was opened, and before it was switched on
         node.sends[33] = struct.pack("<IBBBB", 0x800, 1, 0, 0, 0)
         await bench.commands(SAFE_COMMAND, lambda: bench.ear.readings[-1].fault)
-        assert bench.ear.readings[-1].fault_name == "Axis_Error bit 11"
+        assert bench.ear.readings[-1].fault_name == "Axis_Error 2048 (bit 11)"
 
 
 async def test_the_elcon_charger() -> None:

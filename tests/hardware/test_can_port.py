@@ -761,9 +761,9 @@ async def test_of_two_fault_codes_between_two_readings_the_first_is_told(bench: 
             await bench.ear.hears(count)
             bench.drive.send_status(Fault=6)
             await bench.received(2 * count + 2)
-        assert bench.port.complaint == "drive fault: Fault 0x6 (word 0x6)"
+        assert bench.port.complaint == "drive fault: Fault 6 (word 0x6)"
     faults = [(reading.fault, reading.fault_name) for reading in bench.ear.readings]
-    assert faults == [(0, ""), (1, "Fault Overcurrent"), (6, "Fault 0x6")]
+    assert faults == [(0, ""), (1, "Fault Overcurrent"), (6, "Fault 6")]
 
 
 def without_new_values(reading: Reading, good: Reading) -> bool:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from adaptdrive.hardware.dbc.assembly import StatusAssembly
 from adaptdrive.hardware.dbc.mapping import map_drive
@@ -46,7 +48,46 @@ def test_a_value_that_is_healthy_is_no_fault_and_each_other_one_is_a_code() -> N
     assert latch.complaint == "drive fault: state Open (word 0x41)"
     latch.clear(latch.word)
     latch.see({"fault": 64.0})
-    assert latch.complaint == "drive fault: state 0x40 (word 0x40)"
+    assert latch.complaint == "drive fault: state 64 (word 0x40)"
+
+
+@given(st.lists(st.integers(1, 0xFFFF), min_size=1, max_size=4))
+def test_a_number_that_nothing_describes_is_shown_as_one_and_never_mixed(codes: list[int]) -> None:
+    latch = FaultLatch({"fault": FaultWord("Error", -1, {})})
+    for code in codes:
+        latch.see({"fault": float(code)})
+    bits = [bit for bit in range(16) if codes[0] >> bit & 1]
+    assert latch.name == f"Error {codes[0]} ({', '.join(f'bit {bit}' for bit in bits)})"
+    assert latch.word == codes[0]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"), [("", "last 7"), (", names = { ground = 7 }", "last ground")]
+)
+def test_a_fault_bit_names_the_register_with_its_code(names: str, said: str) -> None:
+    configuration = parse(
+        bus__registers__state="{ address = 5, table = 'input', bit = 3 }",
+        bus__registers__last=f"{{ address = 9, table = 'input'{names} }}",
+        signals__faults="[{ signal = 'state', names = { 0 = 'tripped' }, code = 'last' }]",
+    )
+    poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
+    assembly = PollAssembly(poll)
+    for state, last, fault in ((0, 7, ""), (8, 7, f"state bit 0 tripped, {said}"), (0, 7, "")):
+        assembly.begin()
+        for block, sources in poll.reads:
+            words = {5: state, 9: last}
+            found = [words.get(block.address + number, 0) for number in range(block.count)]
+            assembly.take(block, sources, found)
+        reading = assembly.reading(1.0, 1.0, bridge_sent=True)
+        assert reading is not None
+        assert (reading.fault_name, reading.other) == (fault, {})
+        assembly.faults.clear(reading.fault)
+    assert (
+        "has no register 'lost'"
+        in flaws(signals__faults="[{ signal = 'state', code = 'lost' }]")[
+            "signals.faults.code.signal"
+        ]
+    )
 
 
 @pytest.mark.parametrize("key", ["signals__fault", "signals__faults"])
@@ -110,7 +151,7 @@ def test_a_drive_on_modbus_has_several_words() -> None:
     reading = assembly.reading(1.0, 1.0, bridge_sent=True)
     assert reading is not None
     assert reading.fault == 0x102
-    assert reading.fault_name == "state bit 8 hw_overcurrent, power bit 1"
+    assert reading.fault_name == "state bit 8 hw_overcurrent, power 2 (bit 1)"
     assert reading.warning == "state bit 0 derating"
     assert "'speed' must be an integer" in flaws(signals__faults="['speed']")["signals.faults"]
 

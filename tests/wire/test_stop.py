@@ -171,7 +171,7 @@ async def test_a_modbus_drive_without_values_once_it_is_off_confirms_its_stop(
         if fault:
             peer.fault = True
             trip, _ = await alarm(rig, "trip", began_s)
-            assert trip == "drive fault: fault bit 0 (word 0x1)"
+            assert trip == "drive fault: fault 1 (bit 0) (word 0x1)"
         else:
             assert await rig.daemon.execute(Disable()) is State.STOPPING
         await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)

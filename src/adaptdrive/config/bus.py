@@ -16,6 +16,9 @@ from adaptdrive.errors import Flaw
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 WATCHED = ("fault", "faults", "warning")
 WORDS = ("counter", *WATCHED, "bridge")
+CODE = ".code"
+"""End of the name of the quantity that has the codes of a watched word."""
+
 COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
 
 Byte = Annotated[int, Field(ge=0, le=0xFF)]
@@ -240,6 +243,7 @@ class FaultSource(SignalSource):
     mask: int | None = key(None, ge=1)
     healthy: list[int | str] = key([])
     names: dict[str, str] = key({})
+    code: Quantity | None = None
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield the names of what is no bit or no value, or none of the mask."""
@@ -322,6 +326,7 @@ class Signals(Section):
         """Yield every value that the drive sends: its name, its entry, and the place of that."""
         named = {name: getattr(self, name) for name in (*MEASURED, *WORDS)}
         named |= dict.fromkeys(WATCHED) | dict(self.watched())
+        named |= {f"{name}{CODE}": one.code for name, one in self.watched()}
         yield from ((name, one, f"signals.{name}") for name, one in named.items() if one)
         yield from ((name, one, f"signals.other.{name}") for name, one in self.other.items())
 

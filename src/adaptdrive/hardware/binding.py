@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar
 
 from adaptdrive.config.bus import (
+    CODE,
     MEASURED,
     WORDS,
     CommandSignals,
@@ -269,6 +270,9 @@ class Catalogue(ABC, Generic[Item]):
             self._check_trip(given, field, demands)
         if isinstance(entry, FaultSource):
             word = self._watched(quantity, entry, field, place)
+        elif quantity.endswith(CODE):
+            label, of = self._label(entry), quantity.removesuffix(CODE)
+            word = FaultWord(label, -1, field.names, code_of=of)
         if isinstance(entry, SwitchSource):
             on = self._on(entry, field, f"{place}.on")
         return Source(quantity, item, field, entry.scale, entry.offset, on, place, word)
@@ -315,14 +319,19 @@ class Catalogue(ABC, Generic[Item]):
             if bits.bit_length() - 1 > highest:
                 problem = f"{field.name!r} has no bit {bits.bit_length() - 1}"
                 self.note(f"{place}.{key}", f"{problem}: its highest is {highest}")
-        numbered = entry.signal[:2].lower() == "0x"
         return FaultWord(
-            entry.signal if numbered else entry.signal.rpartition(".")[2],
+            self._label(entry),
             entry.bits,
             {**field.names, **entry.named},
             frozenset(int(value) for value in values if value is not None),
             warns=quantity.startswith("warning"),
         )
+
+    @staticmethod
+    def _label(entry: SignalSource) -> str:
+        """Return the name of a word for a trip: of a signal its own, of an object all of it."""
+        numbered = entry.signal[:2].lower() == "0x"
+        return entry.signal if numbered else entry.signal.rpartition(".")[2]
 
     def _on(self, entry: SwitchSource, field: Field, place: str) -> float | None:
         """Return the value that means on; one that no good report has is a flaw."""
