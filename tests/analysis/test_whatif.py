@@ -27,11 +27,11 @@ RATE = 120
 
 @pytest.fixture(scope="module")
 def stepped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two cycles of the square wave with three disks, of which the nominal model is ignorant."""
+    """Three half-cycles of a square wave with three disks, unknown to the nominal model."""
     text = EXAMPLE.read_text(encoding="utf-8")
     info = msgspec.structs.replace(INFO, output_unit="V", prior=PRIOR)
     directory = create_session(tmp_path_factory.mktemp("sessions"), info, text)
-    batch = make_batch(*lived(PRIOR, 240), last=True)
+    batch = make_batch(*lived(PRIOR, 180), last=True)
     record_messages(directory, Header(info, text), batch)
     return directory
 
@@ -45,7 +45,7 @@ def test_the_loop_with_the_recorded_settings_repeats_the_record(slower: Comparis
     recorded, repeated = slower.recorded, slower.repeated
     np.testing.assert_allclose(repeated.output, recorded.output, atol=0.004)
     assert repeated.quality.error == pytest.approx(recorded.quality.error, rel=0.05)
-    assert recorded.quality.steps == 3
+    assert recorded.quality.steps == 2
 
 
 def test_a_slower_pole_settles_later_with_less_effort(slower: Comparison) -> None:
@@ -56,14 +56,14 @@ def test_a_slower_pole_settles_later_with_less_effort(slower: Comparison) -> Non
 
 
 def test_a_part_begins_with_what_the_controller_had_learnt(stepped: Path) -> None:
-    found = what_if(stepped, [], 175.0)
-    assert found.repeated.time_s[0] == pytest.approx(176.0, abs=1.0)
+    found = what_if(stepped, [], 115.0)
+    assert found.repeated.time_s[0] == pytest.approx(116.0, abs=1.0)
     np.testing.assert_allclose(found.repeated.output, found.recorded.output, atol=0.05 * STEP)
     assert found.repeated.quality.settling_s < 1.2 * found.recorded.quality.settling_s
 
 
 def test_a_setting_that_acts_on_no_loop_is_named(stepped: Path) -> None:
-    found = what_if(stepped, ["mqtt.port=1884", "load.pole=0.8"], None, 60.0)
+    found = what_if(stepped, ["mqtt.port=1884", "load.pole=0.8"], None, 20.0)
     assert found.idle == ("mqtt.port=1884",)
 
 

@@ -1,4 +1,4 @@
-"""What `adaptdrive check` says of examples with other values; the lines are in `checks.txt`.
+"""What `adaptdrive check` says of examples with other values; the lines are in `checks-….txt`.
 
 Contradictions, values that cannot all be true and those that are probably not meant are named with
 their place and figures. `tests/golden.py` says how the lines are renewed.
@@ -19,8 +19,9 @@ DEPLOY = Path(__file__).parents[2] / "deploy"
 SOURCES = ("examples", "devices")
 
 
+@pytest.mark.parametrize("lines", ["checks-dbc.txt", "checks-others.txt"])
 def test_check_says_what_is_wrong_and_what_is_doubtful(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lines: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sources = {one.name: one for name in SOURCES for one in (DEPLOY / name).iterdir()}
     for source in sources.values():
@@ -52,4 +53,4 @@ def test_check_says_what_is_wrong_and_what_is_doubtful(
                 yield line.split(f"{subject}: ", 1)[1].replace(f"{tmp_path}/", "")
         yield f"exit {status}"
 
-    hold(Path(__file__).with_name("checks.txt"), answered)
+    hold(Path(__file__).with_name(lines), answered)

@@ -22,7 +22,7 @@ EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 TOMLS = sorted(path.name for path in EXAMPLES.glob("*.toml"))
 PATIENCE_MS = 60_000
 FUZZ = settings(
-    max_examples=60,
+    max_examples=40,
     deadline=PATIENCE_MS,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
