@@ -110,7 +110,11 @@ def test_an_inverter_gives_the_few_hertz_that_it_is_asked_for() -> None:
     last = simulate(file, Belt(), 60.0, 90.0).slow.tail(1).to_dicts()[0]
     assert last["output"] == pytest.approx(60.0, rel=0.01)
     assert last["boost_reference_V"] == pytest.approx(60.0 / 3.14, rel=0.01)
-    found = commission(file, Belt(), patience_s=20.0)
+
+
+@pytest.mark.proof
+def test_an_inverter_of_few_hertz_is_commissioned() -> None:
+    found = commission(DEVICES / "siemens-v20.toml", Belt(), patience_s=20.0)
     assert found.prediction.quality.overshoot < 0.01
     assert found.refusal == ""
 
@@ -150,7 +154,7 @@ def test_a_plant_is_commissioned_and_then_simulated(step_s: float | None) -> Non
 
     true = Motor(small).model(0.25, 1.0)
     before = EXAMPLES / "motor.toml"
-    found = commission(before, plant(), patience_s=20.0)
+    found = commission(before, plant(), patience_s=10.0)
     model = found.proposal.model
     assert model["gain"].value == pytest.approx(true["gain"], rel=0.02)
     total_s = model["tau_motor_s"].value + model["tau_filter_s"].value
