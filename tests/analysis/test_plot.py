@@ -86,10 +86,10 @@ def test_a_session_with_a_manual_phase_is_drawn(session_path: Path, tmp_path: Pa
     """Each source of V_c has a colour."""
     session = read_session(session_path)
     curves = read_curves(session, find_window(session, None, None))
-    for mode in Mode:
-        slow = curves.slow | {"controller": np.full(len(curves.slow_s), mode.value)}
-        configuration = reconfigured(session.config_text, tmp_path / "config.toml", ())
-        assert draw_session(session, configuration, replace(curves, slow=slow))
+    controllers = np.resize([mode.value for mode in Mode], len(curves.slow_s))
+    slow = curves.slow | {"controller": controllers}
+    configuration = reconfigured(session.config_text, tmp_path / "config.toml", ())
+    assert draw_session(session, configuration, replace(curves, slow=slow))
 
 
 def test_a_controller_that_does_not_exist_is_named(session_path: Path, tmp_path: Path) -> None:
