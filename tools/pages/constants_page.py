@@ -33,6 +33,7 @@ a folder is named.
 
 _UNITS = {
     "FEWEST": "periods",
+    "LASTING": "samples",
     "MEMORY": "periods",
     "LIFE": "periods",
     "CLEAR": "log odds",
