@@ -51,6 +51,7 @@ def test_a_run_is_repeated_on_the_deployed_controller_with_the_same_result(
     assert (tmp_path / "run-5.png").exists()
 
 
+@pytest.mark.proof
 def test_the_ideal_loop_reaches_every_set_point_with_the_designed_poles() -> None:
     stand = Stand(draw(read_campaign(STANDARD), 12))
     stand.references = np.concatenate([np.full(5, 3.0), np.full(75, 3.2)])

@@ -9,7 +9,7 @@ from tools.proof.deceived import honest, lied_to
 
 
 @pytest.mark.parametrize(
-    ("load", "seed"), sample([("battery", 100), ("motor", 100), ("motor", 101)], 1)
+    ("load", "seed"), sample([("motor", 100), ("battery", 100), ("motor", 101)], 1)
 )
 def test_an_honest_sensor_of_a_wrong_model_trips_nothing(load: str, seed: int) -> None:
     assert honest((load, seed)) == ""

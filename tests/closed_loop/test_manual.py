@@ -83,7 +83,7 @@ def test_a_voltage_never_charges_a_battery_above_its_limit() -> None:
 @pytest.mark.parametrize("mode", sample([Mode.ADAPTIVE, Mode.FIXED], 1))
 @pytest.mark.parametrize(
     ("started_drive", "step_V", "wait_s", "limit_V"),
-    [(motor, 30.0, 200.0, 1.0), (bath, 20.0, 1200.0, 1.0), (battery, 2.0, 30.0, 0.5)],
+    sample([(motor, 30.0, 200.0, 1.0), (battery, 2.0, 30.0, 0.5), (bath, 20.0, 1200.0, 1.0)], 2),
 )
 def test_the_transfer_from_manual_has_no_bump(
     started_drive: Callable[[], OperatedDrive],

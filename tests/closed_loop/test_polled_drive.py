@@ -101,6 +101,7 @@ def test_half_a_period_without_a_reading_of_a_polled_drive_ends_adaptive_control
     assert "measurements" in bench.decisions[-1].reason
 
 
+@pytest.mark.proof
 def test_the_slowest_pole_that_may_be_asked_for_settles_a_load_that_the_model_misses() -> None:
     """With 10 % less gain and lags 10 % longer a pole of 0.98 took V_c from limit to limit."""
     usual = MotorParameters()

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
 from adaptdrive.app.loads import build_load
@@ -52,6 +53,7 @@ def deviation(drive: RecordedDrive) -> float:
     return float(np.std((outputs - asked)[-240:])) / (HIGH - LOW)
 
 
+@pytest.mark.proof
 def test_a_waveform_at_the_edge_of_the_voltage_is_followed_better_by_half() -> None:
     with_it, without = deviation(run(Shape.SQUARE, True)), deviation(run(Shape.SQUARE, False))
     assert with_it < 0.6 * without

@@ -88,7 +88,8 @@ def wait_for_a_probe(drive: OperatedDrive, longest_s: float = 600.0) -> None:
     assert any(abs(shift(drive)) > 0.0 for _ in periods(drive, longest_s))
 
 
-@pytest.mark.parametrize("seed", sample([71, 72], 1))
+@pytest.mark.proof
+@pytest.mark.parametrize("seed", [71, 72])
 def test_disks_that_nobody_saw_fall_are_known_before_the_next_step(seed: int) -> None:
     drive = learnt_drive(PROBED, 0.02, seed)
     motor_of(drive).disks = 3

@@ -62,7 +62,7 @@ def run(load: Follow, target: Target = TARGET) -> tuple[LoadExperiment, list[flo
     ("kind", "seeds"),
     sample(
         [("motor", range(1)), ("bath", range(1)), *((kind, range(6)) for kind in KINDS)],
-        2,
+        1,
     ),
 )
 def test_unknown_loads_are_identified_within_the_stated_band(kind: str, seeds: range) -> None:
@@ -103,7 +103,7 @@ def test_the_output_moves_as_far_as_was_asked_for(gain: float, tau_s: float) -> 
     assert max(voltages) <= target.high_V
 
 
-@pytest.mark.parametrize("gain", sample([0.08, 0.005], 1))
+@pytest.mark.parametrize("gain", sample([0.005, 0.08], 1))
 def test_an_output_with_hidden_lags_stays_within_the_band(gain: float) -> None:
     """The lags are many times the wait: the output goes on rising when V_c is taken back."""
     hidden, seen, outputs = lag(1.0, 200.0), lag(gain, 40.0), list[float]()

@@ -36,5 +36,5 @@ def times() -> Iterator[tuple[str, str, Mapping[str, Any]]]:
 
 @pytest.mark.parametrize(("section", "name", "key"), list(times()))
 def test_each_limit_of_time_has_an_end(section: str, name: str, key: Mapping[str, Any]) -> None:
-    options = [key, *key.get("anyOf", ())]
+    options = [key, *key.get("anyOf", ()), key.get("additionalProperties", {})]
     assert any("maximum" in option or "exclusiveMaximum" in option for option in options)

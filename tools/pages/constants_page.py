@@ -33,7 +33,6 @@ a folder is named.
 
 _UNITS = {
     "FEWEST": "periods",
-    "LASTING": "samples",
     "MEMORY": "periods",
     "LIFE": "periods",
     "CLEAR": "log odds",

@@ -101,13 +101,15 @@ class CapacitorBalance:
         self._per_W = 2.0 * tick_s / self._limits.capacitance_F
         self._line_V2 = reading.line_voltage_V * reading.line_voltage_V
         self._load_W = reading.load_power_W
-        acting_W, self._next_S = self._next_S * self._line_V2, self._last_S
+        late_S, self._next_S = self._next_S, self._last_S
+        acting_W = (late_S + (ticks - 1) * self._last_S) / ticks * self._line_V2
+        least_W = min(late_S, self._last_S) * self._line_V2
         if math.isnan(self._predicted_V2):
             self._confirm(reading)
             return None
         self._predicted_V2 += ticks * self._per_W * (acting_W - self._load_W)
         self._worst_V2 += ticks * self._per_W * (acting_W - min(self._load_W, 0.0))
-        self._unseen_V2 += ticks * self._per_W * self._unexplained_W(acting_W)
+        self._unseen_V2 += ticks * self._per_W * self._unexplained_W(least_W)
         if _voltage_s(reading) > self._taken_s:
             self._compare(reading)
             return self._unseen_cause() if running else None
@@ -139,7 +141,11 @@ class CapacitorBalance:
         self._silent_ticks = 0
 
     def _unexplained_W(self, acting_W: float) -> float:
-        """Return the power that must raise v_bst, losses of the drive left out."""
+        """Return the power that must raise v_bst, losses of the drive left out.
+
+        Args:
+            acting_W: Of the commands that may have acted, the least: one that came late acts later.
+        """
         lost_W = _LOST_SHARE * abs(acting_W) + _LOST_OF_MAXIMUM * self._limits.largest_W
         return acting_W - self._load_W - lost_W
 

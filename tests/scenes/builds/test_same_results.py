@@ -9,6 +9,8 @@ import pytest
 from adaptdrive.pure import build_name
 from tools.builds.run import BUILDS, COMPILED, PURE, run_with
 
+pytestmark = pytest.mark.usefixtures("outside")
+
 needs_both = pytest.mark.skipif(build_name() != COMPILED, reason="only the sources are here")
 
 SHARE = 0.2
