@@ -157,6 +157,20 @@ def test_the_same_calls_give_the_same_commands_bit_for_bit() -> None:
     assert repr(recorded(EXACT, 150)) == repr(recorded(EXACT, 150))
 
 
+def test_an_accepted_estimate_says_how_far_the_response_may_be_off() -> None:
+    """A share of the step: the more of the noise it has seen, the less."""
+    noise, jacket = (
+        NoiseParameters(sigma=0.01),
+        replace(EXACT.jacket, spread_max=0.05, confidence=2.0),
+    )
+    bench = Bench(replace(EXACT, jacket=jacket), noise=noise)
+    for second in range(300):
+        bench.run(1.0, order(square_wave(second), Mode.ADAPTIVE))
+    spreads = [one.response_spread for one in bench.decisions if one.accepted]
+    assert 0.0 < spreads[-1] < max(spreads) <= 0.05
+    assert all(math.isnan(one.response_spread) for one in bench.decisions if not one.accepted)
+
+
 # bumpless change
 
 

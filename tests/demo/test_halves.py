@@ -28,8 +28,8 @@ def feed(
         ),
         pytest.param(
             [(3.0, [3.0]), (3.2, [3.3] * LONG), (3.0, [2.98] * LONG), (3.2, [3.21] * LONG)],
-            0.10,
-            id="larger of the last two",
+            0.50,
+            id="largest of all",
         ),
         pytest.param([(3.0, [3.0]), (3.2, [3.1] * LONG)], 0.0, id="never arrives"),
         pytest.param([(3.0, [3.0]), (3.2, [3.3] * 5)], None, id="cut short"),
@@ -50,7 +50,10 @@ def test_each_controller_and_load_has_its_own_and_a_change_ends_a_half_wave() ->
     feed(halves, 3.0, [2.998] * LONG, ("adaptive", 3))
     feed(halves, 3.2, [3.2] * LONG, ("adaptive", 3))
     feed(halves, 3.2, [3.4] * LONG, ("adaptive", 2))
-    feed(halves, 3.0, [3.0], ("adaptive", 2))
+    feed(halves, 3.0, [3.05] * 4, ("adaptive", 2))
+    feed(halves, 3.0, [2.982] * LONG, ("fixed", 2))  # adaptive fell back
+    feed(halves, 3.2, [3.2], ("fixed", 2))
     assert halves.overshoot("fixed", 3) == pytest.approx(0.20)
     assert halves.overshoot("adaptive", 3) == pytest.approx(0.01)
-    assert halves.overshoot("adaptive", 2) is None
+    assert halves.overshoot("adaptive", 2) == pytest.approx(0.09)
+    assert halves.overshoot("fixed", 2) is None

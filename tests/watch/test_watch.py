@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import pty
+import re
 import sys
 import termios
 from datetime import UTC, datetime, timedelta
@@ -84,6 +85,24 @@ def test_the_view_fills_the_terminal_and_shows_units(size: tuple[int, int]) -> N
 def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:
     record = live_record(Clock(), output={"name": "speed", "unit": "rad/s"})
     assert "gain, (rad/s)/V" in "\n".join(shown(record))
+
+
+def test_what_is_not_known_is_not_shown_as_a_value() -> None:
+    """An estimate may be accepted because the loop hardly depends on one of its parameters."""
+    record = live_record(Clock())
+    load = {
+        "gain": {"value": 116.9, "std": 0.1},
+        "tau_product_s2": {"value": 45.1, "std": 201.0},
+        "input_offset": {"value": 0.5, "std": None},
+    }
+    record.take("telemetry/load", record.load | {"estimates": load, "response_spread": 0.031})
+    text = "\n".join(shown(record))
+    assert re.search(r"gain.* 117 +0\.20", text)
+    assert re.search(r"tau product.* not known", text)
+    assert "45.1" not in text
+    assert "402" not in text
+    assert re.search(r"input offset.* 0\.500 +–", text)
+    assert re.search(r"response +± 3\.1 %", text)
 
 
 def test_80_columns_cut_no_label_no_value_and_no_key() -> None:

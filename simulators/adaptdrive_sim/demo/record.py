@@ -18,7 +18,7 @@ _SETTLED_PERIODS = 12
 """Slow periods that a half wave must last before its overshoot counts."""
 
 Case = tuple[str, int | None]
-"""Controller and size of the load of a half wave."""
+"""Controller and size of the load at the step that begins a half wave."""
 
 
 @dataclass(slots=True)
@@ -30,12 +30,15 @@ class _Half:
 
 
 class Halves:
-    """Collects slow samples and finds the overshoot of each half wave."""
+    """Collects slow samples and finds the overshoot of each half wave.
+
+    It is that of the controller in force at the step, also where another one has ended it.
+    """
 
     def __init__(self) -> None:
         self._half: _Half | None = None
         self._reference: float | None = None
-        self._found: dict[Case, deque[float]] = {}
+        self._found: dict[Case, float] = {}
 
     def add(self, reference: float, output: float, controller: str, size: int | None) -> None:
         """Take in one slow period.
@@ -46,12 +49,11 @@ class Halves:
             controller: The controller in force.
             size: Which size the load has, None for one in between.
         """
-        case = (controller, size)
-        if self._half is not None and case != self._half.case:
+        if self._half is not None and size != self._half.case[1]:
             self._close()
         if self._reference is not None and reference != self._reference:
             self._close()
-            self._half = _Half(self._reference, reference, case)
+            self._half = _Half(self._reference, reference, (controller, size))
         self._reference = reference
         if self._half is not None:
             self._half.outputs.append(output)
@@ -61,16 +63,15 @@ class Halves:
         self._half, self._reference = None, reference
 
     def overshoot(self, controller: str, size: int) -> float | None:
-        """The larger overshoot of the last two half waves of a case, None before the first."""
-        found = self._found.get((controller, size))
-        return max(found) if found else None
+        """The largest overshoot of the half waves of a case, None before the first."""
+        return self._found.get((controller, size))
 
     def _close(self) -> None:
         """End a half wave, at its end or when something is changed; a long one counts."""
         half, self._half = self._half, None
         if half is not None and len(half.outputs) >= _SETTLED_PERIODS:
             beyond, _ = judge_step(np.array(half.outputs), half.before, half.reference)
-            self._found.setdefault(half.case, deque(maxlen=2)).append(beyond)
+            self._found[half.case] = max(beyond, self._found.get(half.case, 0.0))
 
 
 TRIPPED = "trip"

@@ -149,6 +149,7 @@ class Controller:
             reach_low=self._reach.low,
             reach_high=self._reach.high,
             probe=state.probe.shift if state.probe.age_periods > 0 else math.nan,
+            response_spread=state.spread if state.accepted else math.nan,
         )
 
     def _note_reach(self) -> None:

@@ -191,3 +191,11 @@ class Decision:
         float,
         Quantity("y", "shift of the set-point while the load is probed, unknown while it is not"),
     ] = math.nan
+    response_spread: Annotated[
+        float,
+        Quantity(
+            "",
+            "how far the response to a step may be off by what the accepted estimates leave open, "
+            "as a share of the step",
+        ),
+    ] = math.nan

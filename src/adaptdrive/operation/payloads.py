@@ -57,6 +57,15 @@ _WRITTEN = (("_per_", "/"), ("2", "²"), ("Ohm", "Ω"))
 _BATH = "resistance_K_per_W"
 
 
+def is_known(estimate: Mapping[str, Any]) -> bool:
+    """Return whether an estimate is larger than two of its standard deviations.
+
+    Args:
+        estimate: Its `value` and `std`; one without a deviation counts as known.
+    """
+    return not 2.0 * number(estimate.get("std")) >= abs(number(estimate.get("value")))
+
+
 def quantity_and_unit(
     name: str, names: Collection[str], output_unit: str, given_unit: str = "V"
 ) -> tuple[str, str]:

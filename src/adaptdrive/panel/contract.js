@@ -14,7 +14,7 @@
  * }} State
  * @typedef {{
  *   time: string, reference: number|null, output: number|null, boost_reference_V: number|null,
- *   applied_V: number|null, estimates: Record<string, Estimate>, accepted: boolean,
+ *   applied_V: number|null, estimates: Record<string, Estimate>, accepted: boolean, response_spread: number|null,
  *   controller: string, reason: string
  * }} Load
  * @typedef {{

@@ -122,6 +122,7 @@ const DrivePage = (() => {
       marginRow("load power", fast?.load_power_W, state?.limits?.power_W, "W"),
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
       ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each), drive.unit, unit)),
+      ["response to a step", load?.response_spread == null ? "–" : `± ${Dom.number(100 * load.response_spread, "%", 2)}`, "by what the accepted estimates leave open"],
       ["pole", Dom.number(state?.pole), `per slow period; ${limitText(state?.limits?.pole, "")}`],
       ["lateness of a tick", milliseconds(lateness?.p99), lateness ? `99 %; longest ${milliseconds(lateness.max)}` : ""],
       ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${Dom.number(fast.missed)} missed, ${Dom.number(fast.held)} held` : ""],
@@ -147,7 +148,8 @@ const DrivePage = (() => {
   function estimateRow(name, one, names, outputUnit, givenUnit) {
     const { text, unit } = Contract.named(name, names, outputUnit, givenUnit);
     const doubt = one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, unit, 2)} (2 σ)`;
-    return [text, Dom.number(one.value, unit), doubt];
+    const known = !(2 * (one.std ?? 0) >= Math.abs(one.value ?? Infinity));
+    return [text, known ? Dom.number(one.value, unit) : "not known", doubt];
   }
 
   /** @param {number|null|undefined} us */

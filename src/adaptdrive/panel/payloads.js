@@ -66,6 +66,7 @@ const Payloads = (() => {
       time: text(raw.time), controller: text(raw.controller), reason: text(raw.reason),
       accepted: raw.accepted === true, reference: number(raw.reference), output: number(raw.output),
       boost_reference_V: number(raw.boost_reference_V), applied_V: number(raw.applied_V),
+      response_spread: number(raw.response_spread),
       estimates: map(raw.estimates, (one) => ({ value: number(fields(one).value), std: number(fields(one).std) })),
     };
   }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +13,7 @@ from rich.text import Text
 
 from adaptdrive.operation.payloads import (
     given_in,
+    is_known,
     number,
     part,
     printable,
@@ -190,7 +192,10 @@ def _drive(record: WatchRecord, *, ranges: bool) -> Table:
 
 
 def _estimates(record: WatchRecord, *, wide: bool) -> Table:
-    """Return each estimate with its spread, and the truth where a simulator knows it."""
+    """Return each estimate with its spread, and the truth where a simulator knows it.
+
+    The last row is how far the response to a step may be off by all that they leave open.
+    """
     found, truth = part(record.load, "estimates"), record.truth
     given = given_in(record.state)
     table = rows("l", "r", "r", "r") if truth else rows("l", "r", "r")
@@ -201,9 +206,16 @@ def _estimates(record: WatchRecord, *, wide: bool) -> Table:
         estimate = part(found, name)
         quantity, unit = quantity_and_unit(name, found, record.unit, given.unit)
         named = f"{quantity}, {unit}" if unit and wide else quantity
-        spread = figure(2.0 * number(estimate.get("std")), 2)
+        learned = (
+            figure(number(estimate.get("value"))),
+            figure(2.0 * number(estimate.get("std")), 2),
+        )
         real = (figure(number(truth.get(name))),) if truth else ()
-        table.add_row(_text(named), figure(number(estimate.get("value"))), spread, *real)
+        shown = learned if is_known(estimate) else ("not known", "")
+        table.add_row(_text(named), *shown, *real)
+    off = 100.0 * number(record.load.get("response_spread"))
+    if math.isfinite(off):
+        table.add_row("response", f"± {figure(off, 2)} %")
     return table
 
 
