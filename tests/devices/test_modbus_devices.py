@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 
 import pytest
@@ -38,6 +39,10 @@ async def test_the_siemens_v20() -> None:
         node.put("holding", 109, held[109] | 0x08)
         assert (await bench.reading()).fault == 0x08
         assert (await bench.reading()).fault_name == "status bit 3 drive fault"
+        reset = asyncio.create_task(bench.port.reset_fault())
+        await bench.commands(SAFE_COMMAND, lambda: held[99] == 0x0CFE)
+        await bench.commands(command(48.2), lambda: held[99] == 0x0C7F)  # no reset while it runs
+        await bench.commands(SAFE_COMMAND, lambda: reset.done() and held[99] == 0x0C7E)
 
 
 async def test_the_delta_ms300() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
@@ -15,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("memory")
 class KeysightN5700(ScpiNode):
     """Reads back what it was given, and has a voltage at its terminals while the output is on."""
 
-    SETTINGS = ("VOLT", "CURR", "VOLT:PROT:LEV", "CURR:PROT:STAT", "OUTP")
+    SETTINGS = ("VOLT", "CURR", "VOLT:PROT:LEV", "CURR:PROT:STAT", "OUTP", "OUTP:PROT:CLE")
 
     def __init__(self) -> None:
         super().__init__(self.SETTINGS)
@@ -57,6 +59,10 @@ async def test_the_keysight_n5700() -> None:
             await bench.reading()
             reading = await bench.reading()
             assert (reading.fault, reading.fault_name) == (16, "status bit 4 over-temperature")
+            assert "OUTP:PROT:CLE" not in node.commands
+            reset = asyncio.create_task(bench.port.reset_fault())
+            await bench.commands(SAFE_COMMAND, reset.done)
+            assert node.commands.count("OUTP:PROT:CLE") == 1
     assert node.errors == []
 
 

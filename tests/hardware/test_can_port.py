@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -291,6 +292,22 @@ async def test_a_command_is_what_cantools_reads_and_no_stranger_to_its_port(benc
     assert [told[name] for name in names] == pytest.approx([0.04321, 287.65, 1, 0])
     counts = bench.port.statistics
     assert (counts.sent, counts.received, counts.foreign) == (1, 4, 0)
+
+
+async def test_a_reset_is_given_for_a_moment_and_to_a_drive_that_is_off(bench: Bench) -> None:
+    bit = ' SG_ Reset : 33|1@1+ (1,0) [0|1] "" Drive\n SG_ CommandAlive'
+    words = {"current_scale_S": "DriveCommand.CurrentScale", "bridge": "DriveCommand.BridgeEnable"}
+    given = CommandSignals.model_validate({**words, "reset": "DriveCommand.Reset"})
+    bench.build((" SG_ CommandAlive", bit), command=given)
+    async with bench.heard(SAFE_COMMAND):
+        reset = asyncio.create_task(bench.port.reset_fault())
+        await asyncio.sleep(0)
+        for command in (SAFE_COMMAND, COMMAND, SAFE_COMMAND):
+            assert bench.port.send(command)
+        await reset
+        assert bench.port.send(SAFE_COMMAND)
+        frames = await bench.commanded(5)
+    assert [frame.data[4] >> 1 & 1 for frame in frames] == [0, 1, 0, 1, 0]
 
 
 async def test_a_command_of_another_sender_is_a_complaint(bench: Bench) -> None:

@@ -302,6 +302,7 @@ class CommandSignals(Section):
     current_scale_S: Quantity | None = None
     boost_reference_V: Quantity | None = None
     bridge: CommandedSwitch | None = None
+    reset: CommandedSwitch | None = None
     constants: dict[str, float | str] = key({})
     copies: dict[str, Quantity] = key({})
 

@@ -51,6 +51,8 @@ def _canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
         yield Flaw("signals.bridge", "the statusword 0x6041 contains it: leave it out")
     if signals.command.bridge is not None:
         yield Flaw("signals.command.bridge", "the controlword 0x6040 carries it: leave it out")
+    if signals.command.reset is not None:
+        yield Flaw("signals.command.reset", "the controlword 0x6040 carries it: leave it out")
     if signals.counter is not None and bus.sync == "daemon":
         clock = "bus.sync = 'daemon' makes the daemon the clock"
         yield Flaw("signals.counter", f"{clock}: leave it out")
@@ -124,7 +126,7 @@ def measured_names(signals: Signals) -> list[tuple[str, str]]:
 def commanded_names(signals: Signals) -> list[tuple[str, str]]:
     """Place and name of each signal that carries a part of the command."""
     given, place = signals.command, "signals.command"
-    named = ((name, getattr(given, name)) for name in COMMANDED)
+    named = ((name, getattr(given, name)) for name in (*COMMANDED, "reset"))
     values = [(f"{place}.{name}", one.signal) for name, one in named if one is not None]
     if given.bridge is not None and given.bridge.off_signal is not None:
         values.append((f"{place}.bridge.off_signal", given.bridge.off_signal))

@@ -11,11 +11,12 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, TypeVar
 
 from adaptdrive.config.bus import (
     CODE,
+    COMMANDED,
     MEASURED,
     WORDS,
     CommandSignals,
@@ -36,7 +37,7 @@ from adaptdrive.hardware.field import Field
 Use = Literal["measured", "word", "state", "command", "constant", "setup"]
 """Role of a value that is received or sent; a state is the report of the bridge."""
 
-BRIDGE = "bridge"
+BRIDGE, RESET = "bridge", "reset"
 _COMMAND = "signals.command"
 
 _MOST_REMARKS = 5
@@ -104,6 +105,17 @@ class Source(Generic[Item]):
     word: FaultWord | None = None
 
 
+@dataclass(slots=True)
+class ResetLevel:
+    """Level of the reset of a fault, which is no part of a `Command`: no tick commands it.
+
+    Attributes:
+        on: Whether the reset is given now.
+    """
+
+    on: bool = False
+
+
 @dataclass(frozen=True, slots=True)
 class Sink(Generic[Item]):
     """Destination of a part of the command: base + factor × that field of `Command`.
@@ -115,6 +127,7 @@ class Sink(Generic[Item]):
         base: Value of the field of the device where that of the command is 0 or False.
         factor: Units of the field per unit of that of the command.
         only: Bridge of the commands that it is written with, None for all.
+        reset: Level of the reset of a fault, which takes the place of that field.
     """
 
     name: str
@@ -123,11 +136,19 @@ class Sink(Generic[Item]):
     base: float
     factor: float
     only: bool | None = None
+    reset: ResetLevel | None = None
+
+    @property
+    def is_commanded(self) -> bool:
+        """True for a part of the command that is no constant, and no copy of what is measured."""
+        return self.reset is not None or self.name in COMMANDED
 
     def value(self, command: Command) -> float:
         """The value in the unit of the field."""
         if not self.factor:
             return self.base
+        if self.reset is not None:  # only of a drive that is off
+            return self.base + self.factor * (self.reset.on and not command.bridge)
         return self.base + self.factor * float(getattr(command, self.name))
 
 
@@ -222,7 +243,8 @@ class Catalogue(ABC, Generic[Item]):
             item = None if entry is None else self.find(entry.signal, f"{_COMMAND}.{name}")
             if entry is not None and item is not None:
                 found.append(self._value(name, entry, item, demands))
-        return [*found, *self._switches(command.bridge)]
+        resets = (replace(one, reset=ResetLevel()) for one in self._switches(command.reset, RESET))
+        return [*found, *self._switches(command.bridge), *resets]
 
     def settings(
         self, given: Mapping[str, float | str], place: str, use: Use = "constant"
@@ -352,8 +374,8 @@ class Catalogue(ABC, Generic[Item]):
             self.cautions.append(Flaw(place, problem))
         return on
 
-    def _switches(self, switch: CommandSwitch | None) -> Iterator[Sink[Item]]:
-        place = f"{_COMMAND}.{BRIDGE}"
+    def _switches(self, switch: CommandSwitch | None, name: str = BRIDGE) -> Iterator[Sink[Item]]:
+        place = f"{_COMMAND}.{name}"
         item = None if switch is None else self.find(switch.signal, place)
         if switch is None or item is None:
             return
@@ -366,7 +388,7 @@ class Catalogue(ABC, Generic[Item]):
             return
         self.note(place, f"on and off are both {on:g}" if on == off else None)
         if self._is_sent(field, off, place) and self._is_sent(field, on, place):
-            yield Sink(BRIDGE, item, field, off, on - off)
+            yield Sink(name, item, field, off, on - off)
 
     def _value(self, name: str, entry: SignalSource, item: Item, demands: Demands) -> Sink[Item]:
         """Return where a value goes; one that cannot be 0, or what the limits allow, is a flaw."""

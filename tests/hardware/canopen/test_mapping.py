@@ -104,6 +104,7 @@ def test_one_object_may_be_two_quantities() -> None:
         ("signals/command/boost_reference_V", "0x6079", "does not take"),
         ("signals/bridge", "0x6041", "the statusword 0x6041 contains it"),
         ("signals/command/bridge", "0x6040", "the controlword 0x6040"),
+        ("signals/command/reset", "0x6040", "the controlword 0x6040"),
         ("signals/counter", "0x2000.2", "makes the daemon the clock"),
         ("signals/command/boost_reference_V", None, "is missing"),
         ("bus/own_node_id", 5, "5 is the drive's own node id"),

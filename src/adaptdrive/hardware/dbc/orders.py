@@ -17,7 +17,7 @@ from types import MappingProxyType
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import COMMANDED, FrameIntegrity, Signals
+from adaptdrive.config.bus import FrameIntegrity, Signals
 from adaptdrive.config.proposals import nearest
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.binding import BRIDGE, Sink, is_word
@@ -138,7 +138,7 @@ def build_orders(
         codec = codecs.get(name) or MessageCodec(message, integrity.get(name))
         for fixed, carried in _frames(message, draft):
             sent = {one.item.signal.name: one for one in carried if one.factor}
-            parts = {name: one for name, one in sent.items() if one.name in COMMANDED}
+            parts = {name: one for name, one in sent.items() if one.is_commanded}
             copies = {name: one for name, one in sent.items() if name not in parts}
             yield CommandFrame(codec, parts, fixed, copies)
 
@@ -157,7 +157,7 @@ def check_rates(
     """
     for name in rates:
         place = f"bus.send_every_s.{name}"
-        commanded = [one for one in drafts.get(name, ()) if one.factor and one.name in COMMANDED]
+        commanded = [one for one in drafts.get(name, ()) if one.factor and one.is_commanded]
         if name not in drafts:
             hint = nearest(name, [*drafts])
             catalogue.note(place, f"no message {name!r} goes with the command{hint}")

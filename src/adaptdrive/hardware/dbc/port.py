@@ -27,6 +27,7 @@ from adaptdrive.hardware.dbc.mapping import CanMapping, StatusFrame
 from adaptdrive.hardware.dbc.orders import CommandFrame, bridge_first
 from adaptdrive.hardware.dbc.refusals import Refusals
 from adaptdrive.hardware.doubts import LEAPT, Obedience, Relink, Rival
+from adaptdrive.hardware.fault_reset import pulse_reset
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import as_received, describe_bus, requests
 from adaptdrive.hardware.link.codec import frame_key
@@ -220,8 +221,10 @@ class CanPort:
         """Frames that were refused, one line for each kind."""
         return list(self._refusals.lines())
 
-    async def reset_fault(self) -> None:
-        """No-op: a DBC has no fault reset; the drive clears its fault word by itself."""
+    def reset_fault(self) -> Coroutine[Any, Any, None]:
+        """Switch the reset of the drive's fault on and off with the next frames, if it has one."""
+        sinks = (part for order in self._mapping.orders for part in order.parts.values())
+        return pulse_reset(sinks, self._mapping.timing.reading_s)
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""

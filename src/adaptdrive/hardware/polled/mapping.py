@@ -75,17 +75,17 @@ class RegisterCatalogue(Catalogue[Named]):
         """Return None: no tick is counted by a register."""
         return None
 
-    def _switches(self, switch: CommandSwitch | None) -> Iterator[Sink[Named]]:
-        if switch is None or switch.off_signal is None:
-            yield from super()._switches(switch)
+    def _switches(self, switch: CommandSwitch | None, name: str = BRIDGE) -> Iterator[Sink[Named]]:
+        if switch is None or switch.off_signal is None or name != BRIDGE:
+            yield from super()._switches(switch, name)
             return
         place = "signals.command.bridge"
         if switch.on is not None or switch.off is not None:
             self.note(place, "with off_signal both coils are set to 1: leave on and off out")
-        for name, on in ((switch.signal, True), (switch.off_signal, False)):
-            item = Named(name, self._registers[name])
+        for coil, on in ((switch.signal, True), (switch.off_signal, False)):
+            item = Named(coil, self._registers[coil])
             if item.register.table != "coil":
-                self.note(place, f"{name!r} is no coil, which off_signal needs")
+                self.note(place, f"{coil!r} is no coil, which off_signal needs")
             field = self.field(item, "command")
             yield Sink(BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
 

@@ -38,6 +38,9 @@ class WritePace:
         self._interval_s = poll.interval_s
         self._least_s = {block: _least_s(sinks) for block, sinks in poll.writes}
         self._switches = {block for block, sinks in poll.writes if has_switch(sinks)}
+        self._resets = {
+            block for block, sinks in poll.writes if all(one.reset is not None for one in sinks)
+        }
         self._held: dict[Block, list[int] | None] = {}
         self._written_s: dict[Block, float] = {}
 
@@ -55,7 +58,8 @@ class WritePace:
         age_s = self._clock() - self._written_s.get(block, -math.inf)
         limited = self._least_s[block]
         if self._held.get(block) == words:
-            return not limited and age_s >= self._interval_s
+            repeated = not limited and block not in self._resets
+            return repeated and age_s >= self._interval_s
         return age_s >= limited or block in self._switches
 
     def note(self, block: Block, words: list[int] | None = None) -> None:

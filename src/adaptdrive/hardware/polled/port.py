@@ -15,6 +15,7 @@ from adaptdrive.config.modbus import ModbusBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
+from adaptdrive.hardware.fault_reset import pulse_reset
 from adaptdrive.hardware.polled.assembly import STANDS_STILL, DriveHeartbeat, PollAssembly
 from adaptdrive.hardware.polled.capacity import Block, Exchange
 from adaptdrive.hardware.polled.commander import Commander
@@ -105,6 +106,11 @@ class PolledPort(Polling[PolledLink, Listener]):
         if self._commander.urgent:
             self._wake.set()
         return True
+
+    async def reset_fault(self) -> None:
+        """Switch the reset of the drive's fault on and off with the next writes, if it has one."""
+        sinks = (sink for _, written in self._poll.writes for sink in written)
+        await pulse_reset(sinks, self._cycle_s)
 
     def explain_age(self) -> str:
         """Return the missing registers of the last poll; every value is as old as its poll."""

@@ -74,7 +74,9 @@ class ScpiConnection(PolledLink):
             return await self._read(exchange.read, void)
         if exchange.write is not None:
             value, register = self._values[exchange.write.address]
-            await self._set(value, value.line(count(register, words)), void)
+            number = count(register, words)
+            if number or "{" in (value.write or ""):  # a line without a value is given or not
+                await self._set(value, value.line(number), void)
         return []
 
     async def _set(self, value: ScpiValue, line: str, void: Void | None) -> None:
