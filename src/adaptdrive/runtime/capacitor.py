@@ -73,10 +73,12 @@ class CapacitorBalance:
     def forget(self) -> None:
         """Begin anew: the drive is commanded off, and nothing charges the capacitor."""
         self._predicted_V2 = math.nan
-        self._worst_V2 = self._reported_V2 = self._unseen_V2 = 0.0
+        self._worst_V2 = self._reported_V2 = 0.0
+        self._unseen_V2 = [0.0, 0.0]
         self._taken_s = -math.inf
         self._silent_ticks, self._cycle_ticks = 0, 1
-        self._next_S = self._last_S = 0.0
+        self._late_S = self._next_S = self._last_S = 0.0
+        self._half_cycle = 0
         self._per_W = self._line_V2 = self._load_W = 0.0
 
     def sent(self, current_scale_S: float) -> None:
@@ -88,12 +90,13 @@ class CapacitorBalance:
         self._last_S = current_scale_S
 
     def find_cause(
-        self, reading: Reading, ticks: int, tick_s: float, *, running: bool
+        self, reading: Reading, half_cycle: int, ticks: int, tick_s: float, *, running: bool
     ) -> str | None:
         """Advance the prediction to this tick; return why it trips, None for no reason.
 
         Args:
             reading: The newest.
+            half_cycle: Its number by the drive's own count.
             ticks: Half line cycles since the last call.
             tick_s: Length of one.
             running: Whether the drive runs; while it starts, it may not charge yet.
@@ -101,17 +104,15 @@ class CapacitorBalance:
         self._per_W = 2.0 * tick_s / self._limits.capacitance_F
         self._line_V2 = reading.line_voltage_V * reading.line_voltage_V
         self._load_W = reading.load_power_W
-        late_S, self._next_S = self._next_S, self._last_S
-        acting_W = (late_S + (ticks - 1) * self._last_S) / ticks * self._line_V2
-        least_W = min(late_S, self._last_S) * self._line_V2
+        self._late_S, self._next_S = self._next_S, self._last_S
+        acting_W = (self._late_S + (ticks - 1) * self._last_S) / ticks * self._line_V2
         if math.isnan(self._predicted_V2):
-            self._confirm(reading)
+            self._confirm(reading, half_cycle)
             return None
         self._predicted_V2 += ticks * self._per_W * (acting_W - self._load_W)
         self._worst_V2 += ticks * self._per_W * (acting_W - min(self._load_W, 0.0))
-        self._unseen_V2 += ticks * self._per_W * self._unexplained_W(least_W)
         if _voltage_s(reading) > self._taken_s:
-            self._compare(reading)
+            self._compare(reading, half_cycle)
             return self._unseen_cause() if running else None
         self._silent_ticks += ticks
         return self._exceeded()
@@ -133,32 +134,36 @@ class CapacitorBalance:
             return command
         return replace(command, current_scale_S=highest_S)
 
-    def _confirm(self, reading: Reading) -> None:
+    def _confirm(self, reading: Reading, half_cycle: int) -> None:
         """Take a report: what was predicted so far is known now."""
+        self._half_cycle = half_cycle
         self._predicted_V2 = self._worst_V2 = self._reported_V2 = reading.boost_voltage_V**2
         self._taken_s = _voltage_s(reading)
         self._cycle_ticks = min(max(self._silent_ticks + 1, 1), _CYCLE_TICKS)
         self._silent_ticks = 0
 
     def _unexplained_W(self, acting_W: float) -> float:
-        """Return the power that must raise v_bst, losses of the drive left out.
-
-        Args:
-            acting_W: Of the commands that may have acted, the least: one that came late acts later.
-        """
+        """Return the power that must raise v_bst, losses of the drive left out."""
         lost_W = _LOST_SHARE * abs(acting_W) + _LOST_OF_MAXIMUM * self._limits.largest_W
         return acting_W - self._load_W - lost_W
 
-    def _compare(self, reading: Reading) -> None:
-        """Compare a report with the energy since the last one."""
-        before_V2 = self._reported_V2
-        self._confirm(reading)
-        self._unseen_V2 = max(0.0, self._unseen_V2 - (self._reported_V2 - before_V2))
+    def _compare(self, reading: Reading, half_cycle: int) -> None:
+        """Compare a report with the energy of the half cycles that the drive counts since the last.
+
+        A command that came late acts a half cycle later, so that either of two may have acted: the
+        sums are kept for both, and the lower one counts.
+        """
+        before_V2, passed = self._reported_V2, max(0, half_cycle - self._half_cycle)
+        self._confirm(reading, half_cycle)
+        seen_V2 = self._reported_V2 - before_V2
+        for number, scale_S in enumerate((self._late_S, self._next_S)):
+            charge_V2 = passed * self._per_W * self._unexplained_W(scale_S * self._line_V2)
+            self._unseen_V2[number] = max(0.0, self._unseen_V2[number] + charge_V2 - seen_V2)
 
     @property
     def _unseen_V(self) -> float:
         """Rise of v_bst by the commanded energy that its report does not show."""
-        return math.sqrt(self._reported_V2 + self._unseen_V2) - math.sqrt(self._reported_V2)
+        return math.sqrt(self._reported_V2 + min(self._unseen_V2)) - math.sqrt(self._reported_V2)
 
     @property
     def _is_unseen(self) -> bool:
@@ -230,7 +235,7 @@ def _highest_V(
     for tick in range(-1, _FOLLOWED_TICKS):
         time_s, power_W = tick * step_s, load_W[tick >= 0]
         reading = Reading(time_s, time_s, None, reference_V, 1.0, power_W, 0.0, 0, bridge=True)
-        cause = cause or balance.find_cause(reading, 1, tick_s, running=True)
+        cause = cause or balance.find_cause(reading, tick, 1, tick_s, running=True)
         squared_V2 += 2.0 * tick_s / limits.capacitance_F * coming_W
         coming_W = 0.0 if cause else balance.bound(asked).current_scale_S
         balance.sent(coming_W)

@@ -22,7 +22,6 @@ def test_without_the_package_there_is_one_clear_line() -> None:
         check=False,
         capture_output=True,
         text=True,
-        timeout=240.0,
     )
     assert outcome.returncode == 2
     assert "bus.type: 'canopen' needs the package canopen" in outcome.stderr
