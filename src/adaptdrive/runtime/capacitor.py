@@ -35,6 +35,12 @@ _LOST_OF_MAXIMUM: Final = 0.02
 _UNSEEN_SHARE: Final = 0.1
 """Unseen rise of v_bst that trips, as a share of its limit."""
 
+_IN_STEP: Final = 3
+"""Reports in step before energy is judged: as many as a command is under way."""
+
+_STEP_SHARE: Final = 0.5
+"""Share of a half cycle by which a report may come early or late and still is in step."""
+
 _CYCLE_TICKS: Final = 3
 """Longest cycle of a report of v_bst; a slower one cannot close the voltage loop."""
 
@@ -78,7 +84,8 @@ class CapacitorBalance:
         self._taken_s = -math.inf
         self._silent_ticks, self._cycle_ticks = 0, 1
         self._late_S = self._next_S = self._last_S = 0.0
-        self._half_cycle = 0
+        self._half_cycle = self._in_step = 0
+        self._arrival_s = math.nan
         self._per_W = self._line_V2 = self._load_W = 0.0
 
     def sent(self, current_scale_S: float) -> None:
@@ -112,7 +119,7 @@ class CapacitorBalance:
         self._predicted_V2 += ticks * self._per_W * (acting_W - self._load_W)
         self._worst_V2 += ticks * self._per_W * (acting_W - min(self._load_W, 0.0))
         if _voltage_s(reading) > self._taken_s:
-            self._compare(reading, half_cycle)
+            self._compare(reading, half_cycle, tick_s)
             return self._unseen_cause() if running else None
         self._silent_ticks += ticks
         return self._exceeded()
@@ -136,7 +143,7 @@ class CapacitorBalance:
 
     def _confirm(self, reading: Reading, half_cycle: int) -> None:
         """Take a report: what was predicted so far is known now."""
-        self._half_cycle = half_cycle
+        self._half_cycle, self._arrival_s = half_cycle, reading.arrival_s
         self._predicted_V2 = self._worst_V2 = self._reported_V2 = reading.boost_voltage_V**2
         self._taken_s = _voltage_s(reading)
         self._cycle_ticks = min(max(self._silent_ticks + 1, 1), _CYCLE_TICKS)
@@ -147,14 +154,19 @@ class CapacitorBalance:
         lost_W = _LOST_SHARE * abs(acting_W) + _LOST_OF_MAXIMUM * self._limits.largest_W
         return acting_W - self._load_W - lost_W
 
-    def _compare(self, reading: Reading, half_cycle: int) -> None:
+    def _compare(self, reading: Reading, half_cycle: int, tick_s: float) -> None:
         """Compare a report with the energy of the half cycles that the drive counts since the last.
 
         A command that came late acts a half cycle later, so that either of two may have acted: the
         sums are kept for both, and the lower one counts.
         """
-        before_V2, passed = self._reported_V2, max(0, half_cycle - self._half_cycle)
+        before_V2, passed = self._reported_V2, half_cycle - self._half_cycle
+        late_s = reading.arrival_s - self._arrival_s - passed * tick_s
+        in_step = 0 < passed <= _CYCLE_TICKS and abs(late_s) < _STEP_SHARE * tick_s
+        self._in_step = self._in_step + 1 if in_step else 0
         self._confirm(reading, half_cycle)
+        if self._in_step < _IN_STEP:  # when each command acted is not known
+            return
         seen_V2 = self._reported_V2 - before_V2
         for number, scale_S in enumerate((self._late_S, self._next_S)):
             charge_V2 = passed * self._per_W * self._unexplained_W(scale_S * self._line_V2)
@@ -232,11 +244,11 @@ def _highest_V(
     balance, (step_s, tick_s) = CapacitorBalance(limits), steps_s
     asked = Command(limits.largest_W, reference_V, bridge=True)
     coming_W, squared_V2, cause = 0.0, reference_V**2, None
-    for tick in range(-1, _FOLLOWED_TICKS):
+    for tick in range(-_IN_STEP - 1, _FOLLOWED_TICKS):
         time_s, power_W = tick * step_s, load_W[tick >= 0]
         reading = Reading(time_s, time_s, None, reference_V, 1.0, power_W, 0.0, 0, bridge=True)
         cause = cause or balance.find_cause(reading, tick, 1, tick_s, running=True)
         squared_V2 += 2.0 * tick_s / limits.capacitance_F * coming_W
-        coming_W = 0.0 if cause else balance.bound(asked).current_scale_S
+        coming_W = 0.0 if cause or tick < -1 else balance.bound(asked).current_scale_S
         balance.sent(coming_W)
     return math.sqrt(squared_V2)
