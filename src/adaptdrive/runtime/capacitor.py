@@ -13,8 +13,9 @@ A command that was computed from frame n acts from frame n+1 to n+2. Three rules
 - **The prediction trips.** Without a fresh report the predicted v_bst stands for the measured one.
 - **Energy must show.** The energy that was commanded and is seen neither in the load nor in v_bst
   is summed (a CUSUM test: E. S. Page, Biometrika 41, 1954, doi:10.1093/biomet/41.1-2.100). A drive
-  loses a share of it; more than that is a report that stands still, or a wrong capacitance. It
-  trips a drive that runs; one that starts gets no more charge, until its time to start is over.
+  loses a share of it. More than that asks the report: the capacitor gets less than the load takes,
+  and a report that does not move within 0.1 s is frozen. It trips a drive that runs; one that
+  starts gets no more charge, until its time to start is over.
 """
 
 from __future__ import annotations
@@ -35,11 +36,14 @@ _LOST_OF_MAXIMUM: Final = 0.02
 _UNSEEN_SHARE: Final = 0.1
 """Unseen rise of v_bst that trips, as a share of its limit."""
 
-_IN_STEP: Final = 3
-"""Reports in step before energy is judged: as many as a command is under way."""
+_ASKED_TICKS: Final = 12
+"""Half cycles in which a report that is asked has to move: 0.1 s."""
 
-_STEP_SHARE: Final = 0.5
-"""Share of a half cycle by which a report may come early or late and still is in step."""
+_FED_SHARE: Final = 0.8
+"""Share of the load's power that feeds the capacitor meanwhile, so that v_bst has to fall."""
+
+_MOVED_SHARE: Final = 0.25
+"""Share of that fall which shows that the report is not frozen."""
 
 _CYCLE_TICKS: Final = 3
 """Longest cycle of a report of v_bst; a slower one cannot close the voltage loop."""
@@ -80,12 +84,11 @@ class CapacitorBalance:
         """Begin anew: the drive is commanded off, and nothing charges the capacitor."""
         self._predicted_V2 = math.nan
         self._worst_V2 = self._reported_V2 = 0.0
-        self._unseen_V2 = [0.0, 0.0]
+        self._unseen_V2 = self._fall_V2 = 0.0
         self._taken_s = -math.inf
         self._silent_ticks, self._cycle_ticks = 0, 1
-        self._late_S = self._next_S = self._last_S = 0.0
-        self._half_cycle = self._in_step = 0
-        self._arrival_s = math.nan
+        self._next_S = self._last_S = 0.0
+        self._asked_V2, self._asked_ticks = math.nan, 0
         self._per_W = self._line_V2 = self._load_W = 0.0
 
     def sent(self, current_scale_S: float) -> None:
@@ -97,13 +100,12 @@ class CapacitorBalance:
         self._last_S = current_scale_S
 
     def find_cause(
-        self, reading: Reading, half_cycle: int, ticks: int, tick_s: float, *, running: bool
+        self, reading: Reading, ticks: int, tick_s: float, *, running: bool
     ) -> str | None:
         """Advance the prediction to this tick; return why it trips, None for no reason.
 
         Args:
             reading: The newest.
-            half_cycle: Its number by the drive's own count.
             ticks: Half line cycles since the last call.
             tick_s: Length of one.
             running: Whether the drive runs; while it starts, it may not charge yet.
@@ -111,16 +113,17 @@ class CapacitorBalance:
         self._per_W = 2.0 * tick_s / self._limits.capacitance_F
         self._line_V2 = reading.line_voltage_V * reading.line_voltage_V
         self._load_W = reading.load_power_W
-        self._late_S, self._next_S = self._next_S, self._last_S
-        acting_W = (self._late_S + (ticks - 1) * self._last_S) / ticks * self._line_V2
+        late_S, self._next_S = self._next_S, self._last_S
+        acting_W = (late_S + (ticks - 1) * self._last_S) / ticks * self._line_V2
         if math.isnan(self._predicted_V2):
-            self._confirm(reading, half_cycle)
+            self._confirm(reading)
             return None
         self._predicted_V2 += ticks * self._per_W * (acting_W - self._load_W)
         self._worst_V2 += ticks * self._per_W * (acting_W - min(self._load_W, 0.0))
+        self._unseen_V2 += ticks * self._per_W * self._unexplained_W(acting_W)
         if _voltage_s(reading) > self._taken_s:
-            self._compare(reading, half_cycle, tick_s)
-            return self._unseen_cause() if running else None
+            self._compare(reading)
+            return self._frozen_cause(ticks) if running else None
         self._silent_ticks += ticks
         return self._exceeded()
 
@@ -132,18 +135,19 @@ class CapacitorBalance:
         """
         if not self._line_V2 > 0.0:
             return command
-        is_confirmed = self._silent_ticks < self._cycle_ticks and not self._is_unseen
+        is_asked = not math.isnan(self._asked_V2)
+        is_confirmed = self._silent_ticks < self._cycle_ticks and not is_asked
         base_V2 = self._predicted_V2 if is_confirmed else self._worst_V2
         room_W = (self._limits.highest_V**2 - base_V2) / self._per_W - self._next_S * self._line_V2
-        highest_W = room_W + 2.0 * self._load_W if is_confirmed else min(self._load_W, room_W)
+        taken_W = _FED_SHARE * self._load_W if is_asked else self._load_W
+        highest_W = room_W + 2.0 * self._load_W if is_confirmed else min(taken_W, room_W)
         highest_S = max(0.0, highest_W) / self._line_V2
         if not command.current_scale_S > highest_S:  # the guard refuses one that is NaN
             return command
         return replace(command, current_scale_S=highest_S)
 
-    def _confirm(self, reading: Reading, half_cycle: int) -> None:
+    def _confirm(self, reading: Reading) -> None:
         """Take a report: what was predicted so far is known now."""
-        self._half_cycle, self._arrival_s = half_cycle, reading.arrival_s
         self._predicted_V2 = self._worst_V2 = self._reported_V2 = reading.boost_voltage_V**2
         self._taken_s = _voltage_s(reading)
         self._cycle_ticks = min(max(self._silent_ticks + 1, 1), _CYCLE_TICKS)
@@ -154,42 +158,30 @@ class CapacitorBalance:
         lost_W = _LOST_SHARE * abs(acting_W) + _LOST_OF_MAXIMUM * self._limits.largest_W
         return acting_W - self._load_W - lost_W
 
-    def _compare(self, reading: Reading, half_cycle: int, tick_s: float) -> None:
-        """Compare a report with the energy of the half cycles that the drive counts since the last.
+    def _compare(self, reading: Reading) -> None:
+        """Compare a report with the energy since the last one; ask one that does not show it."""
+        before_V2 = self._reported_V2
+        self._confirm(reading)
+        self._unseen_V2 = max(0.0, self._unseen_V2 - (self._reported_V2 - before_V2))
+        unseen_V = math.sqrt(self._reported_V2 + self._unseen_V2) - math.sqrt(self._reported_V2)
+        if math.isnan(self._asked_V2) and unseen_V > _UNSEEN_SHARE * self._limits.highest_V:
+            self._asked_V2, self._asked_ticks, self._fall_V2 = self._reported_V2, 0, 0.0
 
-        A command that came late acts a half cycle later, so that either of two may have acted: the
-        sums are kept for both, and the lower one counts.
-        """
-        before_V2, passed = self._reported_V2, half_cycle - self._half_cycle
-        late_s = reading.arrival_s - self._arrival_s - passed * tick_s
-        in_step = 0 < passed <= _CYCLE_TICKS and abs(late_s) < _STEP_SHARE * tick_s
-        self._in_step = self._in_step + 1 if in_step else 0
-        self._confirm(reading, half_cycle)
-        if self._in_step < _IN_STEP:  # when each command acted is not known
-            return
-        seen_V2 = self._reported_V2 - before_V2
-        for number, scale_S in enumerate((self._late_S, self._next_S)):
-            charge_V2 = passed * self._per_W * self._unexplained_W(scale_S * self._line_V2)
-            self._unseen_V2[number] = max(0.0, self._unseen_V2[number] + charge_V2 - seen_V2)
-
-    @property
-    def _unseen_V(self) -> float:
-        """Rise of v_bst by the commanded energy that its report does not show."""
-        return math.sqrt(self._reported_V2 + min(self._unseen_V2)) - math.sqrt(self._reported_V2)
-
-    @property
-    def _is_unseen(self) -> bool:
-        return self._unseen_V > _UNSEEN_SHARE * self._limits.highest_V
-
-    def _unseen_cause(self) -> str | None:
-        if not self._is_unseen:
+    def _frozen_cause(self, ticks: int) -> str | None:
+        """Return the cause of a trip where a report that is asked does not move."""
+        if math.isnan(self._asked_V2):
             return None
-        return (
-            f"v_bst: the report stands at {math.sqrt(self._reported_V2):.1f} V, and the commanded "
-            f"energy has raised it by {self._unseen_V:.0f} V, limit "
-            f"{_UNSEEN_SHARE * self._limits.highest_V:.0f} V: the report is frozen, or its scale, "
-            "that of the load power, that of k or drive.boost_capacitance_F is wrong"
-        )
+        self._asked_ticks += ticks
+        self._fall_V2 += ticks * self._per_W * (1.0 - _FED_SHARE) * max(self._load_W, 0.0)
+        if abs(self._asked_V2 - self._reported_V2) > _MOVED_SHARE * self._fall_V2 > 0.0:
+            self._asked_V2, self._unseen_V2 = math.nan, 0.0
+        elif self._asked_ticks >= _ASKED_TICKS:
+            return (
+                f"v_bst: the report stands at {math.sqrt(self._reported_V2):.1f} V, whatever "
+                "energy is commanded: it is frozen, or its scale, that of the load power, that of "
+                "k or drive.boost_capacitance_F is wrong"
+            )
+        return None
 
     def _exceeded(self) -> str | None:
         """Return the cause of a trip where the command on its way leads beyond the limit."""
@@ -244,11 +236,11 @@ def _highest_V(
     balance, (step_s, tick_s) = CapacitorBalance(limits), steps_s
     asked = Command(limits.largest_W, reference_V, bridge=True)
     coming_W, squared_V2, cause = 0.0, reference_V**2, None
-    for tick in range(-_IN_STEP - 1, _FOLLOWED_TICKS):
-        time_s, power_W = tick * step_s, load_W[tick >= 0]
+    for tick in range(-1, _FOLLOWED_TICKS):
+        time_s, power_W = tick * (tick_s if tick < 0 else step_s), load_W[tick >= 0]
         reading = Reading(time_s, time_s, None, reference_V, 1.0, power_W, 0.0, 0, bridge=True)
-        cause = cause or balance.find_cause(reading, tick, 1, tick_s, running=True)
+        cause = cause or balance.find_cause(reading, 1, tick_s, running=True)
         squared_V2 += 2.0 * tick_s / limits.capacitance_F * coming_W
-        coming_W = 0.0 if cause or tick < -1 else balance.bound(asked).current_scale_S
+        coming_W = 0.0 if cause else balance.bound(asked).current_scale_S
         balance.sent(coming_W)
     return math.sqrt(squared_V2)

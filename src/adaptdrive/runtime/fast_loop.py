@@ -89,7 +89,7 @@ class FastLoop:
         self._order: Order | None = None
         self._wanted = SAFE_COMMAND
         self._waits = False
-        self._sequence = self._half_cycle = 0
+        self._sequence = 0
         self._deadline_s = math.inf
         self.tick = -1
         self.stop_limit_s: Final = self._stopping.watch.limit_s
@@ -128,7 +128,7 @@ class FastLoop:
         tick = half_cycles.place(reading.counter, arrival_s, self.tick)
         if self._assumes_voltage:
             reading = assuming(reading, self.command.boost_reference_V)
-        self.reading, self._half_cycle = reading, tick
+        self.reading = reading
         if tick > self.tick:
             self._run(tick, arrival_s, self._surroundings.now_s(), fresh=reading.whole)
         else:
@@ -249,7 +249,7 @@ class FastLoop:
             capacitor.forget()
             return
         tick_s, running = self._half_cycles.tick_period_s, self._machine.stage is _RUN
-        cause = capacitor.find_cause(reading, self._half_cycle, ticks, tick_s, running=running)
+        cause = capacitor.find_cause(reading, ticks, tick_s, running=running)
         if cause is not None:
             self._machine.latch(cause)
 
