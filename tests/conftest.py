@@ -8,6 +8,7 @@ those in `tests/scenes`, where processes, brokers and drives run in real time.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import os
 import shutil
@@ -66,9 +67,14 @@ FORBIDDEN = {
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark every test by what its fixtures do."""
+    """Mark every test by what its fixtures do, and begin with the scenes.
+
+    Scenes wait while they run. One worker runs them all, one after the other, and the other worker
+    calculates meanwhile.
+    """
     for item in items:
         item.add_marker(pytest.mark.integration if _is_outside(item) else pytest.mark.unit)
+    items.sort(key=lambda item: not item.path.is_relative_to(SCENES))
 
 
 def _is_outside(item: pytest.Item) -> bool:
@@ -112,21 +118,26 @@ sys.addaudithook(_guard.see)
 
 
 @pytest.fixture(autouse=True)
-def _guarded(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _guarded(request: pytest.FixtureRequest) -> Iterator[None]:
     """Let no unit test open a socket, start a process or sleep, and no other but scenes sleep."""
-    if not request.path.is_relative_to(SCENES):
-        monkeypatch.setattr(time, "sleep", lambda _: _guard.refuse("a test outside scenes sleeps"))
-        request.getfixturevalue("_links_held")
-    _guard.found, _guard.is_armed = "", not _is_outside(request.node)
-    yield
-    _guard.is_armed = False
+    is_scene = request.path.is_relative_to(SCENES)
+    with contextlib.nullcontext() if is_scene else _in_virtual_time():
+        _guard.found, _guard.is_armed = "", not _is_outside(request.node)
+        yield
+        _guard.is_armed = False
     if _guard.found:
         pytest.fail(_guard.found)
 
 
-@pytest.fixture
-def _links_held() -> Iterator[None]:
-    with links_held():
+@contextlib.contextmanager
+def _in_virtual_time() -> Iterator[None]:
+    """Hold links and forbid sleeps.
+
+    The patches are not those of the fixture `monkeypatch`: a test would then undo its own ones after
+    those of `memory`, and leave the links of the next tests in memory.
+    """
+    with links_held(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(time, "sleep", lambda _: _guard.refuse("a test outside scenes sleeps"))
         yield
 
 
