@@ -133,8 +133,8 @@ def _guarded(request: pytest.FixtureRequest) -> Iterator[None]:
 def _in_virtual_time() -> Iterator[None]:
     """Hold links and forbid sleeps.
 
-    The patches are not those of the fixture `monkeypatch`: a test would then undo its own ones after
-    those of `memory`, and leave the links of the next tests in memory.
+    The patches are not those of the fixture `monkeypatch`: a test would then undo its own ones
+    after those of `memory`, and leave the links of the next tests in memory.
     """
     with links_held(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(time, "sleep", lambda _: _guard.refuse("a test outside scenes sleeps"))
