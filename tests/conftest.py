@@ -35,11 +35,12 @@ from tests.support import (
 )
 from tests.virtual_time import VirtualLoop, links_held
 
-# A busy machine is no failure, and the change gate is the same twice.
+# A busy machine is no failure. Each run draws the same examples; the proof, which asks for a number
+# of them, draws new ones.
 settings.register_profile(
     "adaptdrive",
     deadline=None,
-    derandomize="CI" in os.environ,
+    derandomize="EXAMPLES" not in os.environ,
     max_examples=int(os.environ.get("EXAMPLES", "25")),
 )
 settings.load_profile("adaptdrive")

@@ -136,8 +136,8 @@ class AnyOperator(RuleBasedStateMachine):
         assert self.machine.state is not State.STANDBY or self.stopped
 
     @invariant()
-    def what_runs_is_within_reach(self) -> None:
-        if self.machine.stage is Stage.RUN:
+    def what_is_controlled_is_within_reach(self) -> None:
+        if self.machine.stage is Stage.RUN and self.machine.mode is not Mode.MANUAL:
             for ahead in (0, 1, 777, 100_003):
                 value = self.machine.reference(self.tick + ahead)
                 assert REACH.low - ROUNDING <= value <= LIMITS.reference_max + ROUNDING
