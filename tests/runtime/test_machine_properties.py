@@ -151,4 +151,4 @@ class AnyOperator(RuleBasedStateMachine):
 
 
 TestAnyOperator = AnyOperator.TestCase
-TestAnyOperator.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+TestAnyOperator.settings = settings(stateful_step_count=30)
