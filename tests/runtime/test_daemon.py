@@ -30,6 +30,7 @@ from adaptdrive.runtime.reports import (
 from adaptdrive.runtime.requests import (
     Disable,
     Enable,
+    Reload,
     Reset,
     SetMode,
     SetPole,
@@ -52,7 +53,7 @@ PATIENT = replace(
     ),
 )
 REHEARSING = SETTINGS.realtime.model_copy(update={"rehearse_us": 2000.0})
-
+OUTSIDE = "the shared supply is lost"
 
 READS = count()
 
@@ -112,6 +113,7 @@ class DaemonBench:
             hub=self.hub,
             manager=manager or ServiceManager({}),
             rehearse=self.rehearse,
+            prepare=self.prepare,
         )
         self.stop = asyncio.Event()
         self.counter = 0
@@ -143,6 +145,11 @@ class DaemonBench:
 
     def rehearse(self) -> None:
         self.rehearsals_s.append(now_s())
+
+    async def prepare(self, _: Reload) -> Callable[[], None]:
+        """Read the file again, while something beside the drive fails."""
+        self.daemon.trip(OUTSIDE)
+        return self.stop.set
 
     async def start(self) -> None:
         self.frames(3)
@@ -292,6 +299,27 @@ async def test_a_trip_is_an_alarm_and_stays_until_reset() -> None:
         assert bench.states[-1].trip is None
 
 
+@pytest.mark.parametrize("trip", [None, OUTSIDE])
+async def test_a_disable_and_a_trip_from_outside_wait_for_no_tick(trip: str | None) -> None:
+    async with running_daemon() as bench:
+        assert bench.sent[-1].bridge
+        if trip:
+            bench.daemon.trip(trip)
+        else:
+            await bench.daemon.execute(Disable())
+        assert bench.sent[-1] == SAFE_COMMAND
+        assert bench.states[-1].trip == trip
+
+
+async def test_a_trip_while_the_file_is_read_again_stays_and_ends_the_reload() -> None:
+    async with daemon_bench() as bench:
+        bench.frames(3)
+        with pytest.raises(RefusedError, match="state is tripped"):
+            await bench.daemon.execute(Reload())
+        assert not bench.stop.is_set()
+        assert bench.states[-1].trip == OUTSIDE
+
+
 async def test_the_confirmation_of_a_stop_is_reported_when_the_drive_gives_it() -> None:
     async with daemon_bench(settings=replace(PATIENT, report_s=1e6)) as bench:
         bench.frames(3)
@@ -343,6 +371,21 @@ async def test_taking_over_and_falling_back_are_events() -> None:
             "estimate is not finite",
         )
         assert bench.states[-1].reason == "estimate is not finite"
+
+
+@pytest.mark.parametrize(
+    ("found", "trip"), [({"fault": "cell too warm"}, "cell too warm"), ({"complete": True}, None)]
+)
+async def test_a_load_with_a_fault_trips_and_one_that_has_enough_is_switched_off(
+    found: dict[str, object], trip: str | None
+) -> None:
+    async with running_daemon() as bench:
+        bench.controller.revise = lambda made: replace(made, **found)  # type: ignore[arg-type]
+        await bench.run_until_decided()
+        assert bench.sent[-1] == SAFE_COMMAND
+        bench.frames(3)
+        assert set(bench.sent[-3:]) == {SAFE_COMMAND}
+        assert (bench.states[-1].enabled, bench.states[-1].trip) == (False, trip)
 
 
 async def test_losing_the_bus_and_its_return_are_events() -> None:
@@ -398,6 +441,17 @@ async def test_an_orderly_stop_says_goodbye_more_than_once() -> None:
         assert bench.states[-1].state is State.STANDBY
 
 
+async def test_an_orderly_stop_waits_for_the_drives_word() -> None:
+    async with running_daemon() as bench:
+        bench.stop.set()
+        for _ in range(30):
+            await asyncio.sleep(0.002)
+            bench.frame(bridge=True)
+        assert not bench.task.done()
+        await bench.end()
+        assert bench.states[-1].stop is StopWord.CONFIRMED
+
+
 async def test_when_the_slow_loop_dies_the_drive_is_left_safe() -> None:
     async with running_daemon() as bench:
 
@@ -444,10 +498,12 @@ async def test_when_a_tick_fails_the_daemon_ends_and_the_drive_is_left_safe() ->
         def fail(measurement: Measurement, _order: Order) -> Command:
             raise ZeroDivisionError(f"no command at tick {measurement.tick}")
 
-        bench.controller.replace_tick = fail
+        sound, bench.controller.replace_tick = bench.controller.replace_tick, fail
         bench.frame()
         assert bench.sent[-1] == SAFE_COMMAND
-        known = len(bench.sent)
+        known, bench.controller.replace_tick = len(bench.sent), sound
+        bench.frame(bridge=True)
+        assert str(bench.states[-1].trip).startswith("internal error: ZeroDivisionError('no comm")
         (cause,) = await ending(bench)
         assert isinstance(cause, ZeroDivisionError)
         assert len(bench.sent) >= known + 3
