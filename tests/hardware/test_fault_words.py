@@ -38,6 +38,13 @@ def test_the_trip_names_signal_and_bit() -> None:
     assert (latch.word, latch.name) == (0, "")
 
 
+def test_bits_of_a_word_add_up_until_a_reading_has_carried_them() -> None:
+    latch = FaultLatch(WORDS)
+    for bit in (8, 1, 8):
+        latch.see({"fault.0": float(1 << bit)})
+    assert (latch.word, latch.name) == (0x102, "Post_Lo bit 1, bit 8 hw_overcurrent")
+
+
 def test_a_value_that_is_healthy_is_no_fault_and_each_other_one_is_a_code() -> None:
     latch = FaultLatch({"fault": FaultWord("state", -1, {61: "None", 65: "Open"}, frozenset({61}))})
     latch.see({"fault": 61.0})

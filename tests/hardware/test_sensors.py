@@ -71,11 +71,12 @@ class Bench:
     def on_bus(self, up: bool, detail: str) -> None:
         self.told.append((up, detail))
 
-    def frames(self, count: int) -> None:
+    def frames(self, count: int, *, late: bool = False) -> None:
+        """Send frames of a drive that obeys, or still reports its bridge on."""
         for _ in range(count):
             self.around.now += TICK_S
             self.counter += 1
-            now, bridge = self.around.now, bool(self.sent) and self.sent[-1].bridge
+            now, bridge = self.around.now, late or (bool(self.sent) and self.sent[-1].bridge)
             frame = replace(CALM, arrival_s=now, oldest_s=now, counter=self.counter, bridge=bridge)
             self.drive.deliver(replace(frame, output=math.nan))
 
@@ -227,14 +228,15 @@ async def test_when_the_task_of_a_sensor_bus_dies_the_drive_is_left_safe() -> No
     assert one.sent[-3:] == [SAFE_COMMAND] * 3
 
 
-async def test_frames_that_come_while_a_sensor_bus_dies_energise_nothing() -> None:
+@pytest.mark.parametrize("late", [True, False])
+async def test_frames_that_come_while_a_sensor_bus_dies_energise_nothing(late: bool) -> None:
     one, commands = Bench(), 0
 
     def frame() -> None:
         nonlocal commands
         commands = commands or len(one.sent)
         if one.drive.statistics.received < 50:
-            one.frames(1)
+            one.frames(1, late=late)
 
     await run_until_the_sensors_die(one, frame)
     assert len(one.sent) > commands
