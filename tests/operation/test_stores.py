@@ -12,7 +12,7 @@ import pytest
 from adaptdrive.operation.board import Outbox
 from adaptdrive.operation.clock import LogRation
 from adaptdrive.operation.desk import INTERRUPTED, Desk
-from adaptdrive.operation.memory import LIFETIME_S, UNREADABLE, ReplyMemory
+from adaptdrive.operation.memory import UNREADABLE, ReplyMemory
 from adaptdrive.operation.messages import Reply
 from adaptdrive.recording.frames import Kind
 from adaptdrive.recording.log import Log
@@ -24,6 +24,8 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Request
 from tests.operation.logs import Time, memory_of, open_log, remembering
 from tests.recording.disk import Disk
+
+DAY_s = 24 * 3600.0
 
 
 def _reply(identity: str) -> Reply:
@@ -62,7 +64,7 @@ async def test_what_was_asked_is_remembered_across_restarts(path: Path) -> None:
             assert (memory.recall("a"), memory.asked("a")) == (_reply("a"), "3.0")
 
 
-@pytest.mark.parametrize(("idle_s", "known"), [(LIFETIME_S - 1.0, True), (LIFETIME_S + 1.0, False)])
+@pytest.mark.parametrize(("idle_s", "known"), [(DAY_s - 1.0, True), (DAY_s + 1.0, False)])
 @pytest.mark.parametrize("restart", [False, True])
 async def test_a_reply_is_remembered_for_a_day(
     path: Path, idle_s: float, *, known: bool, restart: bool
@@ -94,7 +96,7 @@ async def test_a_reply_from_before_the_clock_was_set_outlives_a_restart(path: Pa
         memory_of(log, recalled, time).note("a", _reply("a"))
         time.wall = datetime(2026, 1, 1, tzinfo=UTC)
         log.append(Kind.DROPPED, b"")
-    time.pass_by(LIFETIME_S - 1.0)
+    time.pass_by(DAY_s - 1.0)
     left = Path(shutil.copytree(path, path.with_name("left.log")))
     async with remembering(left, time) as memory:
         assert memory.recall("a") == _reply("a")

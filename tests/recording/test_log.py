@@ -187,8 +187,9 @@ async def test_a_full_disk_takes_events_into_its_reserve_and_ticks_wait(
     assert len(bench.written()) == 3
 
 
-async def test_a_write_that_is_cut_short_and_cannot_be_undone_loses_and_repeats_nothing(
-    folder: Path, disk: Disk
+@pytest.mark.parametrize("undone", [True, False])
+async def test_a_write_that_is_cut_short_loses_and_repeats_nothing_whether_or_not_it_is_undone(
+    folder: Path, disk: Disk, *, undone: bool
 ) -> None:
     bench = Bench(folder)
     bench.event(1)
@@ -201,13 +202,15 @@ async def test_a_write_that_is_cut_short_and_cannot_be_undone_loses_and_repeats_
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "write", refuse)
-        patch.setattr(os, "ftruncate", lambda *_: refuse(0, b""))
+        if not undone:
+            patch.setattr(os, "ftruncate", lambda *_: refuse(0, b""))
         bench.event(2)
         bench.event(3)
     assert "Input/output error" in await bench.problems()
     assert await bench.log.close(PATIENCE_S)
     assert bench.events() == [1, 2, 3]
-    assert [one.number for one in recall(folder, INFO.started).unsent] == [1, 2, 3]
+    recalled = recall(folder, INFO.started)
+    assert ([one.number for one in recalled.unsent], recalled.flaws) == ([1, 2, 3], ())
 
 
 async def test_a_file_that_is_long_enough_is_followed_by_one_that_knows_what_it_left(
