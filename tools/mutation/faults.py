@@ -31,6 +31,9 @@ _ENDS = frozenset({0, 1, 2, _NO_TESTS})
 _LONGEST_S = 300.0
 """Longest run of the tests of one fault: one that lets them hang is noticed, too."""
 
+_SHOWN = 4000
+"""Last characters of what tests say that are shown; the name of one that fails may come before."""
+
 
 @dataclass(frozen=True, slots=True)
 class Fault:
@@ -74,7 +77,7 @@ def source(fault: Fault, root: Path = ROOT / "src") -> Path:
 
 
 def _run(sources: Path, tests: Sequence[str], **more: str) -> tuple[bool, str]:
-    """Run tests on a copy of the sources; return whether they pass, and the last of their text."""
+    """Run tests on a copy of the sources; return whether they pass, and what they say."""
     paths = os.pathsep.join([str(sources), str(ROOT / "simulators")])
     environment = {**os.environ, "PYTHONPATH": paths, "CI": "1", **more}
     words = ["-m", "not proof", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
@@ -92,16 +95,18 @@ def _run(sources: Path, tests: Sequence[str], **more: str) -> tuple[bool, str]:
         )
     except subprocess.TimeoutExpired:
         return False, f"no end within {_LONGEST_S:g} s"
-    text = done.stdout[-2000:] + done.stderr[-2000:]
+    text = done.stdout + done.stderr
     if done.returncode not in _ENDS:
-        raise RuntimeError(text)
+        raise RuntimeError(text[-_SHOWN:])
     return done.returncode in {0, _NO_TESTS}, text
 
 
 def _failed_test(text: str) -> str:
-    """Return the test that has noticed a fault, as far as the output names it."""
-    named = [line for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return named[0].partition(" - ")[0] if named else "the tests do not run"
+    """Return the test that has noticed a fault, or the last line where the output names none."""
+    named = [
+        line for line in text.splitlines() if line.startswith(("FAILED tests/", "ERROR tests/"))
+    ]
+    return named[0].partition(" - ")[0] if named else text.strip().rpartition("\n")[-1]
 
 
 class Trial:
@@ -149,7 +154,7 @@ class Trial:
         if place not in self._sound:
             self._sound[place], text = _run(self._sources, [place])
             if not self._sound[place]:
-                sys.stdout.write(f"{place} fails without a fault:\n{text}\n")
+                sys.stdout.write(f"{place} fails without a fault:\n{text[-_SHOWN:]}\n")
         return self._sound[place]
 
     @property
