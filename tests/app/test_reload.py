@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -10,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app import reload
-from adaptdrive.app.reload import Given, RunCourse
+from adaptdrive.app.reload import ANSWER_S, Given, RunCourse
 from adaptdrive.config import load_configuration
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.requests import Reload
+from adaptdrive.runtime.watchdog import ServiceManager
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 
@@ -45,6 +47,35 @@ def course(path: Path, monkeypatch: pytest.MonkeyPatch) -> RunCourse:
 
 async def test_a_file_without_a_change_is_taken(course: RunCourse) -> None:
     await course.prepare(Reload())
+
+
+class Fed(ServiceManager):
+    """Counts how often the watchdog is fed."""
+
+    times = 0
+
+    def feed(self, now_s: float) -> None:
+        self.times += 1
+
+
+async def test_between_two_runs_the_watchdog_is_fed_until_the_bus_is_open(
+    course: RunCourse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reload, "now_s", asyncio.get_running_loop().time)
+    manager, opened, fed = Fed({}), asyncio.Event(), []
+
+    async def look() -> None:
+        await course.feed_between(manager)
+        fed.append(manager.times)
+
+    await look()
+    (await course.prepare(Reload()))()
+    await asyncio.sleep(ANSWER_S + 0.1)
+    await look()
+    opened.set()
+    await course.opened(opened)
+    await look()
+    assert fed == [0, 1, 1]
 
 
 async def test_another_scale_in_the_dbc_needs_a_restart(course: RunCourse, path: Path) -> None:

@@ -231,7 +231,8 @@ async def test_a_boost_voltage_that_does_not_rise_trips(
         await asyncio.sleep(WAIT_s)
         await wire.daemon.execute(Enable())
         await wire.daemon.execute(SetSetpoint(3.0))
-        trip = await tripped(wire)
+        async with asyncio.timeout(4.0):
+            trip = await tripped(wire)
         assert trip.startswith("precharge: v_bst = ")
         assert named in trip
         await asyncio.sleep(0.2)
