@@ -68,13 +68,14 @@ def quantity_of(values: Array, header: str, wanted: str, place: str) -> Array:
     Args:
         values: Values in the unit of the header; in that of the quantity where it has none.
         header: Name of the column.
-        wanted: Unit of the quantity.
+        wanted: Unit of the quantity. A last part of the header that is another unit of the same
+            kind, as in `voltage_mV`, is obeyed; in `speed_s` it is no unit.
         place: Where the column is, for messages.
 
     Raises:
         IdentificationError: The unit of the header does not lead to that of the quantity.
     """
-    written = written_unit(header)
+    written = written_unit(header) or _suffix(header, wanted)
     if written is None or written == wanted:
         return values
     unit, to_be = known_unit(written), known_unit(wanted)
@@ -87,3 +88,10 @@ def quantity_of(values: Array, header: str, wanted: str, place: str) -> Array:
         )
     rule = Converted.model_validate({"unit": unit})
     return rule.scale * values + rule.offset
+
+
+def _suffix(header: str, wanted: str) -> str | None:
+    """Return the last part of a header where it is a unit that leads to the wanted one."""
+    last = re.split(r"[_/]", header.strip())[-1]
+    unit = known_unit(last)
+    return last if unit is not None and si_unit(unit) == known_unit(wanted) else None
