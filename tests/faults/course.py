@@ -30,6 +30,7 @@ EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 FILES = {
     "motor, CAN": "motor.toml",
     "motor, Modbus": "motor-modbus-tcp.toml",
+    "bath, CAN": "bath.toml",
     "bath, Modbus": "bath-modbus-tcp.toml",
     "battery, CAN": "battery.toml",
 }

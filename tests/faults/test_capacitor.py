@@ -12,6 +12,8 @@ from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.capacitor import highest_voltages
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
+from adaptdrive_sim.devices.drive import Overvoltage
+from adaptdrive_sim.world import Sample
 from tests.faults.course import Course, example, example_path
 
 LIMIT_V = 430.0
@@ -121,3 +123,58 @@ def test_a_capacitance_wrong_by_half_trips_nothing(wrong: float) -> None:
         course.daemon.accepts(SetSetpoint(low + share * (high - low)))
         course.run(20.0)
         assert course.daemon.state is State.RUNNING, course.daemon.trip
+
+
+def draw_idle_power(course: Course, power_W: float) -> None:
+    """Let fans and supplies of the drive discharge its capacitor, beside the load."""
+    world, boost = course.drive.world, course.drive.world.boost
+    step, taken_V2 = world.step, 2.0 * power_W * 0.5 / 60.0 / 1.0e-3
+
+    def drawn(current_scale_S: float, bridge: bool) -> Sample:
+        sample = step(current_scale_S, bridge)
+        squared_V2 = boost.squared_V2 - (taken_V2 if world.bridge else 0.0)
+        boost.settle(max(0.0, squared_V2) ** 0.5, boost.mean_load_W)
+        return sample._replace(boost_voltage_V=boost.voltage_V)
+
+    world.step = drawn  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize("power_W", [60.0, 100.0])
+def test_a_report_that_falls_while_the_load_takes_nothing_is_not_frozen(power_W: float) -> None:
+    course = Course("battery, CAN", 1)
+    draw_idle_power(course, power_W)
+    assert course.begin(), course.daemon.trip
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7])
+@pytest.mark.parametrize(
+    ("name", "settle_s", "seconds"), [("motor, CAN", 30.0, 10.0), ("bath, CAN", 300.0, 60.0)]
+)
+def test_a_report_frozen_at_rest_never_overcharges(
+    name: str, settle_s: float, seconds: float, share: float
+) -> None:
+    """The drive's own protection is off, and the loop integrates a small constant error."""
+    course = Course(name, 2)
+    assert course.begin()
+    low, high = course.reach
+    course.daemon.accepts(SetSetpoint(low + share * (high - low)))
+    course.run(settle_s)
+    course.drive._limits = Overvoltage(trip_V=1e6)
+    freeze_voltage(course)
+    assert highest_V(course, seconds) < LIMIT_V + 2.0
+
+
+@pytest.mark.parametrize("late_ticks", [5, 15, 60, 120])
+def test_a_drive_that_comes_on_late_is_charged_and_runs(late_ticks: int) -> None:
+    tables = example("motor, CAN")
+    tables.setdefault("interlocks", {})["start_s"] = 1.5
+    course = Course("motor, CAN", 1, tables)
+    course.drive.world.boost.settle(170.0, 0.0)
+    step, asked = course.drive.world.step, [0]
+
+    def late(current_scale_S: float, bridge: bool) -> Sample:
+        asked[0] = asked[0] + 1 if bridge or current_scale_S > 0.0 else 0
+        return step(current_scale_S, bridge) if asked[0] > late_ticks else step(0.0, False)
+
+    course.drive.world.step = late  # type: ignore[method-assign]
+    assert course.begin(), course.daemon.trip

@@ -13,9 +13,11 @@ A command that was computed from frame n acts from frame n+1 to n+2. Three rules
 - **The prediction trips.** Without a fresh report the predicted v_bst stands for the measured one.
 - **Energy must show.** The energy that was commanded and is seen neither in the load nor in v_bst
   is summed (a CUSUM test: E. S. Page, Biometrika 41, 1954, doi:10.1093/biomet/41.1-2.100). A drive
-  loses a share of it. More than that asks the report: the capacitor gets less than the load takes,
-  and a report that does not move within 0.1 s is frozen. It trips a drive that runs; one that
-  starts gets no more charge, until its time to start is over.
+  loses a share of it. More than that asks the report, and so does all of it where the report has
+  stood still until the capacitor could be at its limit: the capacitor gets less than the load
+  takes, and a report that does not move when it has to fall, or within 1 s, is frozen. It trips a
+  drive that runs. One that starts may not charge yet: it gets a small share of the energy up to the
+  limit in each half cycle, until the report rises or its time to start is over.
 """
 
 from __future__ import annotations
@@ -45,11 +47,20 @@ _FED_SHARE: Final = 0.8
 _MOVED_SHARE: Final = 0.25
 """Share of that fall which shows that the report is not frozen."""
 
+_VISIBLE_SHARE: Final = 0.02
+"""Fall that a report which is asked has to show, as a share of the limit."""
+
+_PATIENCE_TICKS: Final = 120
+"""Half cycles for a report that is asked while the load takes too little for that fall."""
+
+_TRICKLE_SHARE: Final = 0.005
+"""Share of the energy up to the limit that a drive which starts gets when it is asked."""
+
 _CYCLE_TICKS: Final = 3
 """Longest cycle of a report of v_bst; a slower one cannot close the voltage loop."""
 
 
-_FOLLOWED_TICKS: Final = 100
+_FOLLOWED_TICKS: Final = 2 * _PATIENCE_TICKS
 """Half cycles after which every report that fails has tripped."""
 
 
@@ -84,7 +95,8 @@ class CapacitorBalance:
         """Begin anew: the drive is commanded off, and nothing charges the capacitor."""
         self._predicted_V2 = math.nan
         self._worst_V2 = self._reported_V2 = 0.0
-        self._unseen_V2 = self._fall_V2 = 0.0
+        self._unseen_V2 = self._fall_V2 = self._stood_V2 = 0.0
+        self._runs = False
         self._taken_s = -math.inf
         self._silent_ticks, self._cycle_ticks = 0, 1
         self._next_S = self._last_S = 0.0
@@ -110,6 +122,7 @@ class CapacitorBalance:
             tick_s: Length of one.
             running: Whether the drive runs; while it starts, it may not charge yet.
         """
+        self._runs = running
         self._per_W = 2.0 * tick_s / self._limits.capacitance_F
         self._line_V2 = reading.line_voltage_V * reading.line_voltage_V
         self._load_W = reading.load_power_W
@@ -118,12 +131,14 @@ class CapacitorBalance:
         if math.isnan(self._predicted_V2):
             self._confirm(reading)
             return None
-        self._predicted_V2 += ticks * self._per_W * (acting_W - self._load_W)
+        gained_V2 = ticks * self._per_W * (acting_W - self._load_W)
+        self._predicted_V2 += gained_V2
+        self._stood_V2 = max(0.0, self._stood_V2 + gained_V2)
         self._worst_V2 += ticks * self._per_W * (acting_W - min(self._load_W, 0.0))
         self._unseen_V2 += ticks * self._per_W * self._unexplained_W(acting_W)
         if _voltage_s(reading) > self._taken_s:
             self._compare(reading)
-            return self._frozen_cause(ticks) if running else None
+            return self._frozen_cause(ticks)
         self._silent_ticks += ticks
         return self._exceeded()
 
@@ -140,11 +155,19 @@ class CapacitorBalance:
         base_V2 = self._predicted_V2 if is_confirmed else self._worst_V2
         room_W = (self._limits.highest_V**2 - base_V2) / self._per_W - self._next_S * self._line_V2
         taken_W = _FED_SHARE * self._load_W if is_asked else self._load_W
+        if is_asked and not self._runs:
+            taken_W = self._load_W + _TRICKLE_SHARE * self._standing_room_V2() / self._per_W
         highest_W = room_W + 2.0 * self._load_W if is_confirmed else min(taken_W, room_W)
         highest_S = max(0.0, highest_W) / self._line_V2
         if not command.current_scale_S > highest_S:  # the guard refuses one that is NaN
             return command
         return replace(command, current_scale_S=highest_S)
+
+    def _standing_room_V2(self) -> float:
+        """Return the rise up to the limit that is left if the report stands still wrongly."""
+        coming_V2 = self._per_W * (self._next_S * self._line_V2 - self._load_W)
+        room_V2 = self._limits.highest_V**2 - self._reported_V2 - self._stood_V2 - coming_V2
+        return max(0.0, room_V2)
 
     def _confirm(self, reading: Reading) -> None:
         """Take a report: what was predicted so far is known now."""
@@ -163,19 +186,28 @@ class CapacitorBalance:
         before_V2 = self._reported_V2
         self._confirm(reading)
         self._unseen_V2 = max(0.0, self._unseen_V2 - (self._reported_V2 - before_V2))
+        self._stood_V2 *= self._reported_V2 == before_V2
         unseen_V = math.sqrt(self._reported_V2 + self._unseen_V2) - math.sqrt(self._reported_V2)
-        if math.isnan(self._asked_V2) and unseen_V > _UNSEEN_SHARE * self._limits.highest_V:
+        asks = unseen_V > _UNSEEN_SHARE * self._limits.highest_V or not self._standing_room_V2()
+        if asks and math.isnan(self._asked_V2):
             self._asked_V2, self._asked_ticks, self._fall_V2 = self._reported_V2, 0, 0.0
 
     def _frozen_cause(self, ticks: int) -> str | None:
         """Return the cause of a trip where a report that is asked does not move."""
         if math.isnan(self._asked_V2):
             return None
+        if not self._runs:
+            rises = self._reported_V2 > self._asked_V2
+            self._asked_V2 = math.nan if rises else self._reported_V2
+            self._unseen_V2 *= not rises
+            return None
         self._asked_ticks += ticks
         self._fall_V2 += ticks * self._per_W * (1.0 - _FED_SHARE) * max(self._load_W, 0.0)
-        if abs(self._asked_V2 - self._reported_V2) > _MOVED_SHARE * self._fall_V2 > 0.0:
+        visible_V2 = 2.0 * _VISIBLE_SHARE * self._limits.highest_V * math.sqrt(self._asked_V2)
+        patience = _ASKED_TICKS if self._fall_V2 > visible_V2 else _PATIENCE_TICKS
+        if abs(self._asked_V2 - self._reported_V2) > _MOVED_SHARE * self._fall_V2:
             self._asked_V2, self._unseen_V2 = math.nan, 0.0
-        elif self._asked_ticks >= _ASKED_TICKS:
+        elif self._asked_ticks >= patience:
             return (
                 f"v_bst: the report stands at {math.sqrt(self._reported_V2):.1f} V, whatever "
                 "energy is commanded: it is frozen, or its scale, that of the load power, that of "
@@ -207,7 +239,8 @@ def highest_voltages(
     """Return the highest v_bst, in V, that a silent and a frozen report can lead to.
 
     Either begins at the highest V_c with the largest k on its way that is allowed there, and the
-    largest k is asked for from then on. The load stops as the report does.
+    largest k is asked for from then on. The load stops as the report does. A report that is frozen
+    at rest is asked when the energy that it does not show could have led to the limit.
 
     Args:
         limits: The capacitor.
@@ -216,7 +249,8 @@ def highest_voltages(
         tick_s: Half a line cycle.
     """
     silent_V = _highest_V(limits, reference_V, (load_W, load_W), (0.0, tick_s))
-    return silent_V, _highest_V(limits, reference_V, (load_W, 0.0), (tick_s, tick_s))
+    frozen_V = _highest_V(limits, reference_V, (load_W, 0.0), (tick_s, tick_s))
+    return silent_V, max(frozen_V, limits.highest_V)
 
 
 def _highest_V(
