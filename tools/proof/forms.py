@@ -46,6 +46,7 @@ def forms() -> tuple[Form, ...]:
     seeds = os.environ.get("SEEDS", "20")
     stories = os.environ.get("STORIES", "5000")
     inputs = os.environ.get("INPUTS", "1000000")
+    fewer = {"MUTANTS": os.environ["MUTANTS"]} if "MUTANTS" in os.environ else {}
     mutants = os.environ.get("MUTANTS", "25")
     days, minutes = os.environ.get("DAYS", "7"), os.environ.get("MINUTES", "120")
     kills = os.environ.get("KILLS", "200")
@@ -79,7 +80,7 @@ def forms() -> tuple[Form, ...]:
         Form("faults-by-hand", "Faults put by hand into safety code",
              ("-m", "tools.mutation.faults"), is_shown=False),
         *(Form(f"mutants-{module.rpartition('.')[2]}", f"Small changes of the code: {module}",
-               ("-m", "tools.mutation", module.removeprefix("adaptdrive.")), as_table=True)
+               ("-m", "tools.mutation", module.removeprefix("adaptdrive.")), fewer, as_table=True)
           for module in RUNTIME | OPERATION),
         *(Form(f"mutants-{part}", f"Small changes of the code: {part}",
                ("-m", "tools.mutation", part), {"MUTANTS": mutants}, as_table=True)
