@@ -14,15 +14,14 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import pytest
 
 Process = subprocess.Popen[bytes]
-Test = TypeVar("Test", bound=Callable[..., object])
 
 
 class Spawn(Protocol):
@@ -36,13 +35,6 @@ def sample(values: Sequence[Any], count: int) -> list[Any]:
     sets = [value if isinstance(value, tuple) else (value,) for value in values]
     others = [pytest.param(*one, marks=pytest.mark.proof) for one in sets[count:]]
     return [*values[:count], *others]
-
-
-def compiled(test: Test) -> Test:
-    """Mark a test that runs compiled simulators, which may have to be compiled first."""
-    timed: Test = pytest.mark.timeout(3600)(test)
-    marked: Test = pytest.mark.proof(timed)
-    return marked
 
 
 def _own_ports() -> Iterator[int]:

@@ -157,7 +157,7 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
         scheduler: Address of a Dask scheduler, HOST:PORT; this machine when left out.
         processes: Processes on this machine; one for each processor when left out.
         runs: Number of runs instead of the file's.
-        only: Seed of one run to repeat on the deployed controller itself, recorded and drawn.
+        only: Seed of one run to repeat, recorded and drawn.
     """
     from adaptdrive_sim.campaign.main import repeat_run, run_campaign  # noqa: PLC0415
 

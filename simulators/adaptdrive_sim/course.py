@@ -21,7 +21,7 @@ COLUMNS = (
     *("output", "measured", "boost_reference_V", "applied_V", "adaptive", "accepted"),
     *("verdict", "innovation", "handover_step_V", "fallback"),
 )
-"""First columns of a run, in the order of `compiled.bench`."""
+"""First columns of a run."""
 
 _FLAGS = ("adaptive", "accepted", "fallback")
 
@@ -52,8 +52,7 @@ class Course:
         burdens: What the load is disturbed by in each slow period, as its `disturb` takes it:
             torque in N m, or an inflow relative to that at the start. Empty for nothing.
         offset: What the sensor of the output shows in addition to the output.
-        stops: Slow periods in which the drive is off; it precharges in the last of each. Compiled
-            code knows no stops.
+        stops: Slow periods in which the drive is off; it precharges in the last of each.
         steady: Whether the reference counts as a constant set-point, which may be probed.
         preview: Whether the controller knows the references to come.
         start: Output at which everything rests before; the first reference when left out.
@@ -128,7 +127,7 @@ class Run:
         interlock: Cause that ended the run, 0 for nothing.
         trip: The trip of the daemon that ended it.
         refused: Answers to requests that the daemon refused.
-        decisions: Of the deployed controller; none of compiled code.
+        decisions: Of the controller.
         fast_output: Output without noise at every tick, where asked for.
         fast_voltage_V: Boost voltage at every tick, where asked for.
     """

@@ -12,8 +12,8 @@ from typing import Any
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot, Stage
-from adaptdrive_sim.compiled.wire import CONTROL_FAULT, Wire, delayed, find_cause, rounded
 from adaptdrive_sim.course import Course, Run
+from adaptdrive_sim.wire import CONTROL_FAULT, Wire, find_cause, received, rounded
 from adaptdrive_sim.world import Sample, World
 
 
@@ -48,12 +48,9 @@ class Site:
 
     def measure(self, tick: int) -> Measurement:
         """Return what the controller receives at a tick, which it may ask for once."""
+        if self.wire is not None:
+            return received(self.wire, tick, self.sample)
         _, tick_period_s, boost_V, line_V, load_W, output, _ = self.sample
-        if (wire := self.wire) is not None:
-            boost_V = rounded(boost_V, wire.voltage_quantum_V)
-            line_V = rounded(line_V, wire.voltage_quantum_V)
-            load_W = rounded(load_W, wire.power_quantum_W)
-            output = delayed(wire, output)
         return Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
 
     def control(self, measurement: Measurement, order: Order) -> tuple[Command, bool]:
@@ -92,27 +89,20 @@ class Site:
         at_rest = Measurement(-1, line.half_cycle_s, boost_V, line.voltage_V, load_W, output)
         self.controller.tick(at_rest, Order(Stage.RUN, output, course.mode, course.pole))
 
-    def run(self, course: Course, *, compiled: bool = False, keep_ticks: bool = False) -> Run:
+    def run(self, course: Course, *, keep_ticks: bool = False) -> Run:
         """Run a course, from rest.
 
         Args:
             course: What happens.
-            compiled: Run translated and compiled code instead of the interpreter. The run has no
-                decisions then, and neither the controller nor the plant shows what happened.
-            keep_ticks: Keep output and boost voltage of every tick, interpreted.
+            keep_ticks: Keep output and boost voltage of every tick.
         """
         self.rest(course)
         run = Run.empty(len(course.references), self.controller._load.names)  # noqa: SLF001
-        if compiled:
-            from adaptdrive_sim.compiled.run import run_compiled  # noqa: PLC0415  # loads numba
-
-            run.interlock = run_compiled(self, course, run.trace)
-        else:
-            run.interlock = self._run(course, run, keep_ticks=keep_ticks)
+        run.interlock = self._run(course, run, keep_ticks=keep_ticks)
         return run
 
     def _run(self, course: Course, run: Run, *, keep_ticks: bool) -> int:
-        """Run a course in the interpreter; return the interlock that has ended it."""
+        """Run a course that has begun at rest; return the interlock that has ended it."""
         world, load, trips = self.world, self.world.load, course.interlocks
         ticks, noise = self._rates.ticks_per_period, course.disturbances.tolist()
         self.sample = world.step_disturbed(world.current_scale_S, world.bridge, noise[0])

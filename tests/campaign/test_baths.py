@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bath_bench import BathScenario, BathStand, draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
 from adaptdrive_sim.campaign.main import read_any_campaign, run_campaign, run_seed
 from adaptdrive_sim.campaign.settings import FOLDER
 from adaptdrive_sim.plants.bath import Bath
-from tests.support import compiled
 
 BATHS = (FOLDER / "bath.toml").read_text(encoding="utf-8")
 SEEDS = range(510_001, 510_101)
@@ -58,7 +55,7 @@ def test_no_set_point_needs_more_than_v_c_has(drawn: list[BathScenario]) -> None
             assert 200.0 < least < most < 400.0
 
 
-@compiled
+@pytest.mark.proof
 def test_a_campaign_of_baths_leaves_a_row_for_each_seed_and_pictures(tmp_path: Path) -> None:
     path = tmp_path / "short.toml"
     path.write_text(BATHS.replace("duration_s = 10800.0", "duration_s = 4800.0"), encoding="utf-8")
@@ -70,12 +67,3 @@ def test_a_campaign_of_baths_leaves_a_row_for_each_seed_and_pictures(tmp_path: P
     assert (tmp_path / "influences.png").stat().st_size > 10_000
     again = run_seed(read_any_campaign(path), 500_002)
     assert again["cost_adaptive"] == rows[1]["cost_adaptive"]
-
-
-@compiled
-def test_compiled_and_deployed_controllers_hold_a_bath_alike() -> None:
-    stand = BathStand(draw_bath(campaign(duration_s=2400.0), 510_007))
-    compiled, deployed = stand.run(Mode.ADAPTIVE), stand.run_deployed(Mode.ADAPTIVE)
-    assert compiled.interlock == deployed.interlock == 0
-    for name in ("output", "boost_reference_V"):
-        np.testing.assert_allclose(compiled[name], deployed[name], rtol=1e-7)

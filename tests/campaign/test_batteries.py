@@ -15,7 +15,6 @@ from adaptdrive_sim.campaign.battery_bench import (
 )
 from adaptdrive_sim.campaign.main import repeat_run, run_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
-from tests.support import compiled
 
 SHIPPED = Path("battery.toml")
 TEXT = (FOLDER / SHIPPED).read_text(encoding="utf-8")
@@ -50,7 +49,7 @@ def test_every_charger_has_the_power_and_the_reach_of_the_example() -> None:
         assert configuration.load.reference_max == one.largest_A
 
 
-@compiled
+@pytest.mark.proof
 def test_a_campaign_is_written_and_a_run_is_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support import compiled
 from tools.benchmarks.calibration import Samples, coverage, run_all
 
 SEEDS = range(31_001, 31_041)
@@ -23,7 +22,7 @@ def samples() -> Samples:
     return run_all("standard.toml", SEEDS)
 
 
-@compiled
+@pytest.mark.proof
 @pytest.mark.parametrize("trusted", [False, True])
 def test_shown_intervals_hold_the_truth_after_changes(samples: Samples, *, trusted: bool) -> None:
     found = coverage(samples.trusted() if trusted else samples)

@@ -13,7 +13,6 @@ from adaptdrive_sim.campaign.bench import Scenario, Stand, draw
 from adaptdrive_sim.campaign.life import Life, volt_Nm
 from adaptdrive_sim.campaign.settings import LifeRanges, read_campaign
 from adaptdrive_sim.plants.motor import Motor
-from tests.support import compiled
 
 SEEDS = range(210_001, 210_101)
 
@@ -58,19 +57,17 @@ def test_no_set_point_needs_more_than_v_c_has(drawn: list[Scenario]) -> None:
         assert world.boost_voltage_for(scenario.reference.high - scenario.life.offset) < 400.0
 
 
-@compiled
 @pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE])
-def test_compiled_code_lives_the_same_life(mode: Mode) -> None:
+def test_a_life_of_everything_is_lived_to_its_end(mode: Mode) -> None:
     campaign = read_campaign(Path("life.toml")).model_copy(update={"duration_s": 600.0})
     stand = Stand(next(one for s in SEEDS if _is_full(one := draw(campaign, s))))
-    found, expected = stand.run(mode), stand.run_deployed(mode)
-    assert found.interlock == expected.interlock == 0
-    for name in ("adaptive", "accepted", "verdict"):
-        assert np.array_equal(found[name], expected[name])
-    np.testing.assert_allclose(found.trace, expected.trace, rtol=1e-6, atol=1e-9)
+    run = stand.run(mode)
+    assert run.interlock == 0
+    assert stand.stops
+    assert np.isfinite(run["output"][stand.running()]).all()
 
 
 def _is_full(scenario: Scenario) -> bool:
     life = scenario.life
     ramped = max(life.inertia_ramps_s, default=0.0) > 0.0
-    return len(life.torques_V) > 4 and ramped and bool(life.idle_s) and not life.stop_times_s
+    return len(life.torques_V) > 4 and ramped and bool(life.idle_s) and bool(life.stop_times_s)

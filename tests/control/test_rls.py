@@ -1,14 +1,8 @@
 """Recursive least squares against batch least squares and the textbook recursion."""
 
-import importlib.util
-import inspect
 import math
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
-from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given
@@ -155,52 +149,17 @@ def test_the_textbook_recursion_breaks_where_the_factored_one_does_not() -> None
     assert not np.isfinite(p).all()
 
 
-def compiled(function: Callable[..., Any]) -> Any:
-    jit: Any = numba.njit
-    return jit(function)
-
-
-def loaded(name: str) -> ModuleType:
-    """The source of a module beside `rls`, loaded anew."""
-    spec = importlib.util.spec_from_file_location(name, Path(rls.__file__).with_name(f"{name}.py"))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def compiled_rls() -> ModuleType:
-    """The same source, compiled."""
-    jitted = {}
-    for name in ("vectors", "ud_factors", "rls"):
-        module = loaded(name)
-        for own, function in inspect.getmembers(module, inspect.isfunction):
-            if own not in jitted:
-                jitted[own] = compiled(function)
-        vars(module).update({own: jitted[own] for own in vars(module).keys() & jitted.keys()})
-    return module
-
-
 @pytest.mark.proof
-def test_p_stays_positive_definite_after_ten_million_poor_updates_compiled() -> None:
-    update = compiled_rls().update
-
-    @compiled
-    def run(theta: Array, upper: Array, diagonal: Array, count: int) -> float:
-        regressor, lowest = np.zeros(3), np.inf
-        for n in range(count):
-            wobble = 1e-12 * math.sin(0.1 * n)
-            regressor[0], regressor[1], regressor[2] = -3.0 + wobble, -3.0 - wobble, 280.0
-            update(theta, upper, diagonal, regressor, 3.0, 0.97)
-            lowest = min(lowest, diagonal[0], diagonal[1], diagonal[2])
-        return lowest
-
-    theta, upper, diagonal = np.zeros(3), np.eye(3).ravel(), np.full(3, 1e4)
-    lowest = run(theta, upper, diagonal, 10_000_000)
+def test_p_stays_positive_definite_after_ten_million_poor_updates() -> None:
+    recursive, lowest = Recursive(3), math.inf
+    for n in range(10_000_000):
+        wobble = 1e-12 * math.sin(0.1 * n)
+        regressor = [-3.0 + wobble, -3.0 - wobble, 280.0]
+        rls.update(recursive.theta, recursive.upper, recursive.diagonal, regressor, 3.0, 0.97)
+        lowest = min(lowest, *recursive.diagonal)
     assert lowest > 0.0
-    assert diagonal.max() <= rls.COVARIANCE_CEILING
-    assert np.isfinite(np.concatenate([theta, upper])).all()
+    assert max(recursive.diagonal) <= rls.COVARIANCE_CEILING
+    assert recursive.sound
 
 
 def test_directional_forgetting_forgets_only_along_the_sample() -> None:

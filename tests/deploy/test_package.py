@@ -90,7 +90,7 @@ def test_the_full_text_of_each_licence_is_there(tree: Path) -> None:
 
 
 def test_it_is_light(tree: Path) -> None:
-    heavy = {"adaptdrive_sim", "matplotlib", "numba", "numpy", "polars", "scipy", "pip"}
+    heavy = {"adaptdrive_sim", "matplotlib", "numpy", "polars", "scipy", "pip"}
     assert not heavy & {path.name for path in site_packages(tree).iterdir()}
 
 

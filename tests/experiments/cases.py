@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
-from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import (
     Case,
     Design,
@@ -41,23 +39,13 @@ def make_case(
     return Case(experiment, variant, case_settings(experiment, variant, design), noise, seed)
 
 
-def run_all_compiled(cases: Iterable[Case]) -> list[Run]:
-    """Run many cases of one kind, on compiled code."""
-    return [run_case(case, compiled=True) for case in cases]
-
-
 def outcome(
     experiment: Experiment,
     variants: tuple[Variant, ...],
     disturbance: Disturbance | None = None,
     seed: int = 0,
-    *,
-    compiled: bool = False,
 ) -> ExperimentOutcome:
     """The experiment in the paper's design."""
     noise = disturbance or Disturbance(experiment.noise)
-    records = {
-        one: run_case(make_case(experiment, one, "paper", noise, seed), compiled=compiled)
-        for one in variants
-    }
+    records = {one: run_case(make_case(experiment, one, "paper", noise, seed)) for one in variants}
     return judge(ReproduceRequest(experiment, "paper", noise, seed), records)

@@ -6,18 +6,17 @@ from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
 from adaptdrive_sim.experiments.published import BATH
 from tests.experiments.cases import SEEDS, make_case, outcome
-from tests.support import compiled
 
 AFTER = slice(2, None)
 """The cycle within which the volume changes, and those after it."""
 
 
-@compiled
+@pytest.mark.proof
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_fixed_controller_overshoots_after_the_change_and_the_adaptive_one_does_not(
     seed: int,
 ) -> None:
-    found = outcome(BATH, ("fixed", "adaptive"), seed=seed, compiled=True)
+    found = outcome(BATH, ("fixed", "adaptive"), seed=seed)
     fixed, adaptive = found.cycles["fixed"], found.cycles["adaptive"]
     assert max(one.overshoot for one in fixed[:2]) < 0.035
     assert min(one.overshoot for one in fixed[AFTER]) > 0.07
@@ -26,9 +25,9 @@ def test_the_fixed_controller_overshoots_after_the_change_and_the_adaptive_one_d
     assert found.records["adaptive"]["adaptive"].tolist().index(True) == 30
 
 
-@compiled
+@pytest.mark.proof
 def test_without_noise_direct_least_squares_finds_the_bath() -> None:
-    record = run_case(make_case(BATH, "adaptive", disturbance=Disturbance(0.0)), compiled=True)
+    record = run_case(make_case(BATH, "adaptive", disturbance=Disturbance(0.0)))
     before = round(5400.0 / BATH.period_s) - 1
     found = [record[name][before] for name in BATH.nominal().names]
     assert found == pytest.approx(BATH.truth_at(5399.0), rel=5e-3)
@@ -37,7 +36,7 @@ def test_without_noise_direct_least_squares_finds_the_bath() -> None:
     assert max(one.overshoot for one in judged[3:]) < 0.005
 
 
-@compiled
+@pytest.mark.proof
 def test_under_noise_lm_rls_finds_what_direct_least_squares_misses() -> None:
     direct, filtered = (run_case(make_case(BATH, name)) for name in ("adaptive", "lm_rls"))
     (change,) = BATH.changes
@@ -47,7 +46,7 @@ def test_under_noise_lm_rls_finds_what_direct_least_squares_misses() -> None:
     assert found < 2.0
 
 
-@compiled
+@pytest.mark.proof
 def test_the_daemons_own_design_keeps_the_bath_within_the_papers_limits() -> None:
     judged = cycles(BATH, "exact", run_case(make_case(BATH, "adaptive", "exact")))
     assert max(one.overshoot for one in judged) < 0.035

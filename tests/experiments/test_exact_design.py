@@ -10,8 +10,7 @@ from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
 from adaptdrive_sim.experiments.published import MOTOR
-from tests.experiments.cases import SHORT_LAST_CYCLES, SHORT_MOTOR, make_case, run_all_compiled
-from tests.support import compiled
+from tests.experiments.cases import SHORT_LAST_CYCLES, SHORT_MOTOR, make_case
 
 ORACLE = 0.030
 """Model error with three disks of a noise-free controller that knows the load."""
@@ -23,10 +22,10 @@ def error(record: Run) -> float:
 
 
 def runs(disturbance: Disturbance) -> list[Run]:
-    return run_all_compiled(
-        make_case(MOTOR, "adaptive", "exact", disturbance=disturbance, seed=seed)
+    return [
+        run_case(make_case(MOTOR, "adaptive", "exact", disturbance=disturbance, seed=seed))
         for seed in range(20)
-    )
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +45,7 @@ def test_a_change_of_the_load_does_not_show(silent: Run) -> None:
     assert max(cycle.overshoot for cycle in cycles(SHORT_MOTOR, "exact", silent)) < 0.02
 
 
-@compiled
+@pytest.mark.proof
 def test_spikes_stop_mattering() -> None:
     records = runs(Disturbance(0.002, 0.02, 0.1))
     found = [error(record) for record in records]
@@ -59,7 +58,7 @@ def test_spikes_stop_mattering() -> None:
             assert taken <= 1.0
 
 
-@compiled
+@pytest.mark.proof
 @pytest.mark.parametrize(("noise", "factor"), [(0.02, 1.15), (0.05, 1.40)])
 def test_noise_stops_mattering(noise: float, factor: float) -> None:
     found = [error(record) for record in runs(Disturbance(noise))]

@@ -9,7 +9,6 @@ from adaptdrive_sim.experiments.metrics import cycles, model_errors, rms_between
 from adaptdrive_sim.experiments.outcome import NOISY, ExperimentOutcome
 from adaptdrive_sim.experiments.published import MOTOR
 from tests.experiments.cases import SEEDS, SHORT_LAST_CYCLES, SHORT_MOTOR, make_case, outcome
-from tests.support import compiled
 
 LAST_CYCLES = (4, 7, 10)
 SILENT = Disturbance(0.0)
@@ -87,25 +86,25 @@ def test_with_much_noise_the_papers_design_is_worse_adaptive_than_fixed() -> Non
     assert adaptive > fixed
 
 
-@compiled
+@pytest.mark.proof
 def test_under_spikes_lm_rls_is_worth_a_factor_of_1_8() -> None:
     variants: tuple[Variant, ...] = "adaptive", "direct_rls"
-    found = [outcome(MOTOR, variants, NOISY, seed, compiled=True) for seed in SEEDS]
+    found = [outcome(MOTOR, variants, NOISY, seed) for seed in SEEDS]
     ratios = [one.model_error("direct_rls") / one.model_error("adaptive") for one in found]
     assert statistics.median(ratios) >= 1.8
 
 
-@compiled
+@pytest.mark.proof
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_papers_claims_hold_for_every_seed(seed: int) -> None:
-    found = outcome(MOTOR, ("fixed", "adaptive"), seed=seed, compiled=True)
+    found = outcome(MOTOR, ("fixed", "adaptive"), seed=seed)
     one, two, three = overshoots(found, "fixed", LAST_CYCLES)
     assert one < two < three
     assert three > 0.15
     assert max(overshoots(found, "adaptive", LAST_CYCLES)) < 0.02
     assert all(one is not None and one <= 2.0 for one in found.converged)
     if seed == 0:
-        exact = run_case(make_case(MOTOR, "adaptive", "exact"), compiled=True)
+        exact = run_case(make_case(MOTOR, "adaptive", "exact"))
         judged = cycles(MOTOR, "exact", exact)
         for i, most in zip(LAST_CYCLES, (0.006, 0.008, 1.0), strict=True):
             paper = found.cycles["adaptive"][i].model_error_rms

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bench import Stand, draw
 from adaptdrive_sim.campaign.settings import read_campaign
-from adaptdrive_sim.compiled import bench
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -77,15 +76,15 @@ def run_all(campaign: str, seeds: range) -> Samples:
 def _run(campaign: str, seed: int) -> tuple[Array, Flags, Flags]:
     """Return the columns of `Samples` for one run."""
     stand = Stand(draw(read_campaign(Path(campaign)), seed))
-    trace = stand.run(Mode.ADAPTIVE).trace
+    run = stand.run(Mode.ADAPTIVE)
     loads = stand.true_loads()
     truth = np.array([one.physical(list(one.numerator), list(one.denominator)) for one in loads])
-    count = truth.shape[1]
-    values = trace[:, bench.VALUES : bench.VALUES + count]
-    deviations = trace[:, bench.VALUES + count :]
+    names = stand.own.load.names
+    values = np.column_stack([run[name] for name in names])
+    deviations = np.column_stack([run[f"{name}_std"] for name in names])
     shown = np.isfinite(deviations).all(axis=1)
     inside = np.abs(values - truth) <= QUANTILE * deviations
-    return _ages(stand)[shown], inside[shown], trace[shown, bench.ACCEPTED] > 0.0
+    return _ages(stand)[shown], inside[shown], run["accepted"][shown] > 0.0
 
 
 def _ages(stand: Stand) -> Array:

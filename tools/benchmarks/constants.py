@@ -1,9 +1,10 @@
 """Measure what it does to the campaigns to halve and to double each constant.
 
-    XDG_CACHE_HOME=$(mktemp -d) python -m tools.benchmarks.constants tools/pages/constants.tsv
+    ADAPTDRIVE_PURE=1 python -m tools.benchmarks.constants tools/pages/constants.tsv
 
 writes a row for each constant and change. docs/proof/constants.md takes two columns from them, for
-the values that the code still has. The fixed controller runs once, with the constants as they are.
+the values that the code still has. The fixed controller runs with the constants as they are. All
+processors are busy for some hours.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 
 from adaptdrive.control.signals import Mode
@@ -21,13 +24,14 @@ from adaptdrive_sim.campaign.bench import draw
 from adaptdrive_sim.campaign.drawn import Row
 from adaptdrive_sim.campaign.judge import WORSE, judge
 from adaptdrive_sim.campaign.settings import read_campaign
-from adaptdrive_sim.compiled import run
 from adaptdrive_sim.course import Run
-from tools.benchmarks.dials import DIALS, Dial, Number, install, turn
+from tools.benchmarks.dials import DIALS, Dial, Number, turn
 from tools.pages.constants_effects import CHANGES, COLUMNS, SEEDS
 
-Stands = dict[str, list[bench.Stand]]
-Fixed = dict[int, Run]
+Place = tuple[str, int]
+"""Campaign and seed."""
+
+PLACES: list[Place] = [(name, seed) for name, seeds in SEEDS.items() for seed in seeds]
 
 TO_ONE = {"_NEAR_LIMIT", "_CEILING_RISE", "CLOSER"}
 """Constants near 1, of which the distance from 1 is halved and doubled."""
@@ -50,18 +54,13 @@ class Effect:
 
 def main(path: Path) -> None:
     """Measure every constant and write the file."""
-    install()
-    stands = {name: [_stand(name, seed) for seed in seeds] for name, seeds in SEEDS.items()}
-    fixed = {id(one): one.run(Mode.FIXED) for group in stands.values() for one in group}
-    before = measure(stands, fixed)
-    with path.open("w", encoding="utf-8") as file:
+    with ProcessPoolExecutor() as pool, path.open("w", encoding="utf-8") as file:
+        before = measure(pool, DIALS[0], DIALS[0].value)
         file.write("\t".join(COLUMNS) + "\n")
         file.write(_line(("", "", "", "", ""), before, before))
-        for place, dial in enumerate(DIALS):
+        for dial in DIALS:
             for change, value in variants(dial):
-                turn(place, value)
-                found = _measured(stands, fixed)
-                turn(place, dial.value)
+                found = _measured(pool, dial, value)
                 known = (dial.constant.module, dial.name, dial.constant.value, change, f"{value:g}")
                 file.write(_line(known, found, before))
                 file.flush()
@@ -78,33 +77,49 @@ def variants(dial: Dial) -> Iterator[tuple[str, Number]]:
             yield change, factor * dial.value
 
 
-def _stand(name: str, seed: int) -> bench.Stand:
-    return bench.Stand(draw(read_campaign(Path(name)), seed))
-
-
-def _measured(stands: Stands, fixed: Fixed) -> Effect | None:
+def _measured(pool: Executor, dial: Dial, value: Number) -> Effect | None:
     """Measure; None for a value with which the controller cannot run."""
     try:
-        return measure(stands, fixed)
+        return measure(pool, dial, value)
     except (AdaptdriveError, ValueError, IndexError, ArithmeticError) as problem:
         sys.stderr.write(f"{problem!r}\n")
         return None
 
 
-def measure(stands: Stands, fixed: Fixed) -> Effect:
-    """Run every seed with the constants as they are."""
-    bench.deployed.cache_clear()
-    run._constant.cache_clear()  # settings hold some of the constants
-    rows: dict[str, list[Row]] = {
-        name: [judge(one, fixed[id(one)], one.run(Mode.ADAPTIVE)) for one in group]
-        for name, group in stands.items()
-    }
-    everything = [row for group in rows.values() for row in group]
+def measure(pool: Executor, dial: Dial, value: Number) -> Effect:
+    """Run every seed with a constant of another value."""
+    everything = list(pool.map(partial(_run, dial, value), PLACES))
+    rows: dict[str, list[Row]] = {name: [] for name in SEEDS}
+    for (name, _), row in zip(PLACES, everything, strict=True):
+        rows[name].append(row)
     return Effect(
         {name: [row["cost_adaptive"] for row in group] for name, group in rows.items()},
         sum(row["ratio"] > WORSE for row in everything),
         sum(row["unstable_adaptive"] or row["interlock_adaptive"] != 0 for row in everything),
     )
+
+
+def _run(dial: Dial, value: Number, place: Place) -> Row:
+    """Run the adaptive controller with a constant of another value, and judge it."""
+    fixed = _fixed(place)
+    turn(dial, value)
+    try:
+        bench.deployed.cache_clear()  # settings hold some of the constants
+        stand = _stand(place)
+        return judge(stand, fixed, stand.run(Mode.ADAPTIVE))
+    finally:
+        turn(dial, dial.value)
+        bench.deployed.cache_clear()
+
+
+@cache
+def _fixed(place: Place) -> Run:
+    return _stand(place).run(Mode.FIXED)
+
+
+def _stand(place: Place) -> bench.Stand:
+    name, seed = place
+    return bench.Stand(draw(read_campaign(Path(name)), seed))
 
 
 def _line(known: tuple[str, ...], found: Effect | None, before: Effect) -> str:

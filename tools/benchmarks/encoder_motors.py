@@ -32,13 +32,12 @@ from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervisor import Verdict
-from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.wire import DELAY_MAX, Wire
-from adaptdrive_sim.course import Course
+from adaptdrive_sim.course import Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import Site
+from adaptdrive_sim.wire import Wire
 from adaptdrive_sim.world import World, WorldParameters
 from tools.benchmarks.seeds import over_seeds
 
@@ -100,26 +99,26 @@ def draw(seed: int) -> Drawn:
     )
 
 
-def run(drawn: Drawn, mode: Mode) -> Array:
-    """Run a motor; return a row of `compiled.bench` columns for each second."""
+def run(drawn: Drawn, mode: Mode) -> Run:
+    """Run a motor; return a row for each second."""
     times = np.arange(END_S)
     references = np.where(times % (2 * HALF_S) < HALF_S, HIGH, LOW)
     references[:5] = LOW
     random = np.random.default_rng([drawn.seed, 45])
     noise = drawn.noise * random.standard_normal(END_S * 120 + 1)
     sizes = np.where(times >= drawn.change_s, 2.0, 1.0)
-    wire = Wire(RESOLUTION, 0.1, 1.0, 0.0, 0, [LOW] * (DELAY_MAX + 1))
+    wire = Wire(RESOLUTION, 0.1, 1.0, 0.0, [LOW])
     course = Course(references, sizes, 0.0, noise, mode, POLE)
     world = World(Motor(drawn.motor), WorldParameters())
     controller = Controller(drawn.settings, drawn.load)
-    found = Site(controller, world, wire).run(course, compiled=True)
+    found = Site(controller, world, wire).run(course)
     assert found.interlock == 0, (drawn.seed, found.interlock)
-    return found.trace
+    return found
 
 
-def overshoot(trace: Array, from_s: int) -> float:
+def overshoot(shown: Run, from_s: int) -> float:
     """Return the largest overshoot of a half cycle that begins after a time, in % of the step."""
-    worst, output = 0.0, trace[:, bench.OUTPUT]
+    worst, output = 0.0, shown["output"]
     for start in range(-(-from_s // HALF_S) * HALF_S, END_S, HALF_S):
         half = output[start : start + HALF_S]
         beyond = half.max() - HIGH if start % (2 * HALF_S) == 0 else LOW - half.min()
@@ -150,16 +149,16 @@ def _step(a: list[float], b: list[float], r: list[float], s: list[float]) -> Arr
     return response
 
 
-def wrong_share(drawn: Drawn, trace: Array) -> float:
+def wrong_share(drawn: Drawn, shown: Run) -> float:
     """Return the share of trusted estimates that are wrong for the loop, in %."""
-    wrong, trusted = 0, 0
+    wrong, trusted, verdicts = 0, 0, shown["verdict"]
+    estimates = np.column_stack([shown[name] for name in drawn.load.names])
     for k in range(FROM_S, END_S):
-        if trace[k, bench.VERDICT] != Verdict.TRUSTED or drawn.change_s <= k < drawn.learnt_s:
+        if verdicts[k] != Verdict.TRUSTED or drawn.change_s <= k < drawn.learnt_s:
             continue
         trusted += 1
-        values = trace[k, bench.VALUES : bench.VALUES + 3]
         size = 2.0 if k >= drawn.change_s else 1.0
-        wrong += not response_error(drawn, values, size) <= OFF
+        wrong += not response_error(drawn, estimates[k], size) <= OFF
     return 100.0 * wrong / max(1, trusted)
 
 
@@ -170,10 +169,11 @@ def judged(seed: int) -> tuple[float, float, float, float]:
         seed: Of everything.
     """
     drawn = draw(seed)
-    trace, fixed = run(drawn, Mode.ADAPTIVE), run(drawn, Mode.FIXED)
+    adaptive, fixed = run(drawn, Mode.ADAPTIVE), run(drawn, Mode.FIXED)
     from_s = drawn.change_s + 2 * HALF_S
-    in_force = 100.0 * float(np.mean(trace[FROM_S:, bench.ADAPTIVE]))
-    return in_force, overshoot(trace, from_s), overshoot(fixed, from_s), wrong_share(drawn, trace)
+    in_force = 100.0 * float(np.mean(adaptive["adaptive"][FROM_S:]))
+    wrong = wrong_share(drawn, adaptive)
+    return in_force, overshoot(adaptive, from_s), overshoot(fixed, from_s), wrong
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
     python -m tools.benchmarks.oracle SEED [--runs N] [--campaign FILE]
 
 The known load takes the place of the estimate; design, limits of V_c and watches of the loop are
-those of the adaptive controller. Runs are interpreted: some seconds each.
+those of the adaptive controller.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def compare(campaign: Path, seed: int) -> Row:
     settings = stand.own.settings
     learning = replace(settings.learning, method=KnownLoad(stand.true_loads(), stand.own.period_s))
     stand.own = replace(stand.own, settings=replace(settings, learning=learning))
-    known = judge(stand, fixed, stand.run_deployed(Mode.ADAPTIVE))
+    known = judge(stand, fixed, stand.run(Mode.ADAPTIVE))
     estimated = judge(stand, fixed, adaptive)
     changed = float(bool(stand.change_times_s))
     return estimated["ratio"], known["ratio"], known["saturated_share"], changed

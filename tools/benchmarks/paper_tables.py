@@ -61,7 +61,7 @@ class Found:
 def run(controller: str, noise: str, seed: int) -> Found:
     """Run one controller once."""
     design, variant = CONTROLLERS[controller]
-    record = run_case(make_case(DROPPED, variant, design, NOISES[noise], seed), compiled=True)
+    record = run_case(make_case(DROPPED, variant, design, NOISES[noise], seed))
     converged = [convergence_cycles(DROPPED, record, one) for one in DROPPED.changes]
     return Found(cycles(DROPPED, design, record), converged)
 

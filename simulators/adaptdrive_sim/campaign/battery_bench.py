@@ -230,7 +230,6 @@ def ideal_current(references: Array, pole: float) -> Array:
 class BatteryTrial(Trial):
     """One scenario of a battery; judged at constant current, over the step of the set-point."""
 
-    compiled = False
     cycle_periods = 100
 
     def __init__(self, scenario: BatteryScenario) -> None:
@@ -256,8 +255,6 @@ class BatteryTrial(Trial):
         run = drive.follow(own.duration_s, own.setpoint_at, age)
         run.interlock = int(bool(run.trip))
         return run
-
-    run_deployed = run
 
     def errors(self, run: Run) -> Array:
         """Return the differences to the designed loop at constant current."""

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cached_property, partial
-from typing import Any, ClassVar, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,12 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervisor import Verdict
 from adaptdrive.control.waveform import Waveform
-from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.sources import compiled_modules
-from adaptdrive_sim.compiled.wire import DELAY_MAX, Wire
+from adaptdrive_sim.campaign.ideal import follow_ideal
 from adaptdrive_sim.course import Array, Course, Run, TripLevels
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.site import Site
+from adaptdrive_sim.wire import Wire
 from adaptdrive_sim.world import World
 
 Numbers = tuple[float, ...]
@@ -116,8 +115,7 @@ class Drawn:
             voltage_quantum_V=self.voltage_V,
             power_quantum_W=self.power_W,
             scale_quantum_S=self.scale_S,
-            output_delay=self.output_delay_ticks,
-            outputs=[output] * (DELAY_MAX + 1),
+            outputs=[output] * (self.output_delay_ticks + 1),
         )
 
 
@@ -211,14 +209,12 @@ class Trial(ABC):
     """The run of one seed, for as many controllers as are to run it.
 
     Attributes:
-        compiled: Whether its runs are compiled code.
         step: Height of the reference's step.
         cycle_periods: Slow periods at the end of a run that show whether it is stable.
         largest_movement: Movement of the output by the reference's step or by the largest
             disturbance.
     """
 
-    compiled: ClassVar[bool] = True
     step: float
     cycle_periods: int
     largest_movement: float
@@ -230,10 +226,6 @@ class Trial(ABC):
     @abstractmethod
     def run(self, mode: Mode) -> Run:
         """Run a controller."""
-
-    @abstractmethod
-    def run_deployed(self, mode: Mode) -> Run:
-        """Run the deployed controller itself, interpreted."""
 
     def described(self, run: Run) -> Run:
         """Return a run with more columns for its file."""
@@ -254,7 +246,7 @@ class Trial(ABC):
 
 
 class DrawnRun(Trial):
-    """The course of one scenario of a load whose runs are compiled.
+    """The course of one scenario of a load that is regulated from start to end.
 
     Attributes:
         own: The controller.
@@ -334,11 +326,7 @@ class DrawnRun(Trial):
         return Site(Controller(self.own.settings, self.own.load), self.world(), self._wire())
 
     def run(self, mode: Mode) -> Run:
-        """Run compiled code, which knows no stops: a run with stops is interpreted."""
-        return self.site().run(self.course(mode), compiled=not self.stops)
-
-    def run_deployed(self, mode: Mode) -> Run:
-        """Run the deployed controller itself, interpreted."""
+        """Run the deployed controller."""
         return self.site().run(self.course(mode))
 
     def described(self, run: Run) -> Run:
@@ -381,12 +369,8 @@ class DrawnRun(Trial):
     @cached_property
     def ideal(self) -> Array:
         """Output of the loop as designed, at each slow instant."""
-        loads, own = self.true_loads(), self.own
-        numerators = np.array([one.numerator for one in loads])
-        denominators = np.array([one.denominator for one in loads])
-        follow: Any = compiled_modules()[bench.__name__].follow_ideal
-        found = follow(self.references, numerators, denominators, own.pole, own.period_s)
-        return cast(Array, found)
+        own = self.own
+        return follow_ideal(self.references, self.true_loads(), own.pole, own.period_s)
 
     def truth_at(self, k: int) -> Array:
         """Return the true physical parameters in a slow period."""

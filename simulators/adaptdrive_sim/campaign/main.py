@@ -54,18 +54,10 @@ def trial_of(campaign: AnyCampaign, seed: int) -> Trial:
     return trial(draw_scenario(campaign, seed))  # type: ignore[call-arg]  # each has its own
 
 
-def is_compiled(campaign: AnyCampaign) -> bool:
-    """Return whether the runs of a campaign are compiled code."""
-    return _TYPES[campaign.type][1].compiled
-
-
 def run_seed(campaign: AnyCampaign, seed: int) -> Row:
     """Run one seed with both controllers and judge them: one row of the results."""
     trial = trial_of(campaign, seed)
     return judge(trial, trial.run(Mode.FIXED), trial.run(Mode.ADAPTIVE))
-
-
-_BATCH = 10
 
 
 class ClusterError(AdaptdriveError):
@@ -75,8 +67,7 @@ class ClusterError(AdaptdriveError):
 def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[Row]:
     """Run every seed of a campaign; rows arrive in the order of their seeds."""
     seeds = range(campaign.seed, campaign.seed + campaign.runs)
-    size = _BATCH if is_compiled(campaign) else 1
-    return executor.map(partial(run_seed, campaign), seeds, chunksize=size)
+    return executor.map(partial(run_seed, campaign), seeds)
 
 
 @contextmanager
@@ -108,7 +99,6 @@ def workers(count: int | None, scheduler: str | None) -> Iterator[Executor]:
 
 
 MOST_PROCESSES = 1024
-_WARM_UPS = 64
 
 
 def run_campaign(
@@ -134,10 +124,7 @@ def run_campaign(
         campaign = campaign.model_copy(update={"runs": runs})
     output.mkdir(parents=True, exist_ok=True)
     console = Console()
-    if is_compiled(campaign):
-        run_seed(campaign, campaign.seed)  # compiles once, on disk, for every worker
     with workers(processes, scheduler) as executor:
-        _warm_up(campaign, executor)
         started_s = time.monotonic()
         rows: list[Row] = []
         with progress(campaign.runs) as done:
@@ -153,7 +140,7 @@ def run_campaign(
 
 
 def repeat_run(path: Path, seed: int, output: Path) -> None:
-    """Run one seed again on the deployed controller, and record it.
+    """Run one seed again, and record it.
 
     Raises:
         ParameterError: The seed lies outside its range.
@@ -162,9 +149,3 @@ def repeat_run(path: Path, seed: int, output: Path) -> None:
     output.mkdir(parents=True, exist_ok=True)
     campaign = read_any_campaign(path)
     repeat(trial_of(campaign, seed), seed, output, Console())
-
-
-def _warm_up(campaign: AnyCampaign, executor: Executor) -> None:
-    """Load what was compiled in each process: starting up is no part of a campaign's speed."""
-    if is_compiled(campaign):
-        list(executor.map(run_seed, [campaign] * _WARM_UPS, [campaign.seed] * _WARM_UPS))

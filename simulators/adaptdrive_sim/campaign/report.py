@@ -239,9 +239,9 @@ def influences(rows: list[Row]) -> Figure:
 
 
 def repeat(trial: Trial, seed: int, output: Path, console: Console) -> None:
-    """Run one seed with both controllers, interpreted; write run-SEED.parquet, and a picture."""
+    """Run one seed with both controllers; write run-SEED.parquet, and a picture."""
     modes = Mode.FIXED, Mode.ADAPTIVE
-    runs = {mode.value: trial.described(trial.run_deployed(mode)) for mode in modes}
+    runs = {mode.value: trial.described(trial.run(mode)) for mode in modes}
     path = output / f"run-{seed}.parquet"
     pq.write_table(pa.concat_tables([run.table(mode=name) for name, run in runs.items()]), path)
     for name, value in judge(trial, *runs.values()).items():

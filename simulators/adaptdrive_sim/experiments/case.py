@@ -171,21 +171,19 @@ def _from_tables(experiment: Experiment, tables: dict[str, Any]) -> ControllerSe
     return controller_settings(validate_configuration(tables, source))
 
 
-def run_case(case: Case, *, keep_ticks: bool = False, compiled: bool = False) -> Run:
+def run_case(case: Case, *, keep_ticks: bool = False) -> Run:
     """Run one case from start to end.
 
     Args:
         case: What to run.
         keep_ticks: Whether the record is to hold output and boost voltage of every tick.
-        compiled: Run compiled code, some thirty times as fast. Compiling takes a minute or two for
-            each kind of load and design.
 
     Returns:
         The run, with the columns `time_s`, `reference` and `size`.
     """
     experiment, course = case.experiment, _course(case)
     site = Site(Controller(case.settings, experiment.nominal()), World(experiment.plant()))
-    run = site.run(course, compiled=compiled, keep_ticks=keep_ticks)
+    run = site.run(course, keep_ticks=keep_ticks)
     times_s = experiment.times_s()
     sizes = experiment.sizes_at(times_s)
     return run.beside(time_s=np.array(times_s), reference=course.references, size=sizes)

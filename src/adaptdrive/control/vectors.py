@@ -1,9 +1,8 @@
 """Small dense algebra over flat sequences of floats.
 
-The numerical kernels of this package are plain functions over floats and flat vectors, written so
-that a compiler for numerical Python can take the very same source. A matrix is a flat vector in
-row order. Interpreted, a `Vector` is a list (faster than an array at these sizes); compiled, it is
-an array of doubles.
+The numerical kernels of this package are plain functions over floats and flat vectors: the
+interpreter runs them, and mypyc compiles the very same source. A matrix is a flat vector in row
+order. A `Vector` is a list, which is faster than an array at these sizes.
 """
 
 from __future__ import annotations

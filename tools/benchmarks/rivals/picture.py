@@ -9,9 +9,8 @@ from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
 from adaptdrive.analysis.figure import as_png
-from adaptdrive_sim.compiled import bench
 from tools.benchmarks.rivals.cases import CASES, MOTORS
-from tools.benchmarks.rivals.runs import trace_of
+from tools.benchmarks.rivals.runs import run_of
 
 LOOKS: dict[str, tuple[str, str, str, Any]] = {
     "adaptive": ("adaptdrive, adaptive", "#1d4e79", "o", "-"),
@@ -54,7 +53,7 @@ def _responses(axes: Axes) -> None:
     time_s = stand.times_s[shown] - FROM_s
     axes.step(time_s, stand.references[shown], where="post", **style.REFERENCE)
     for place, name in enumerate(SHOWN):
-        output = trace_of(CASES["B"].stand(0), name)[shown, bench.OUTPUT]
+        output = run_of(CASES["B"].stand(0), name)["output"][shown]
         look = _look(name) | {"linestyle": LOOKS[name][3], "linewidth": 1.2}
         axes.plot(time_s, output, markevery=(3 * place, 12), **look)
     axes.set_xlim(0.0, TO_s - FROM_s)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from adaptdrive.control.load import to_input, to_voltage
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun
-from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.run import run_held
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import paper_settings
 from adaptdrive_sim.experiments.published import BATH, MOTOR
 from tools.benchmarks.rivals.cases import Case
 from tools.benchmarks.rivals.controllers import RIVALS, Rival, Task
+from tools.benchmarks.rivals.held import run_held
 from tools.benchmarks.rivals.trust import share_wrong
 
 Array = NDArray[np.float64]
@@ -88,14 +88,14 @@ def task_of(stand: DrawnRun) -> Task:
     )
 
 
-def trace_of(stand: DrawnRun, controller: str) -> Array:
+def run_of(stand: DrawnRun, controller: str) -> Run:
     """Run a controller; one that ends early leaves NaNs."""
     if controller == PAPER:
         experiment = BATH if stand.own.load.input_exponent > 1 else MOTOR
         stand.own = replace(stand.own, settings=paper_settings(experiment))
-        return stand.run(Mode.ADAPTIVE).trace
+        return stand.run(Mode.ADAPTIVE)
     if controller in OURS:
-        return stand.run(OURS[controller]).trace
+        return stand.run(OURS[controller])
     task, load = task_of(stand), stand.own.load
     rival: Rival = RIVALS[controller](task)
 
@@ -109,19 +109,19 @@ def trace_of(stand: DrawnRun, controller: str) -> Array:
 def figures(case: Case, seed: int, controller: str) -> Figures:
     """Run a controller once, and judge it."""
     stand = case.stand(seed)
-    trace, references = trace_of(stand, controller), stand.references
+    run, references = run_of(stand, controller), stand.references
     judged = (stand.times_s >= case.begin_s) & (stand.times_s < case.end_s)
-    output = trace[:, bench.OUTPUT] + stand.offset
+    output = run["output"] + stand.offset
     errors = 100.0 * (output - stand.ideal)[judged] / case.unit
     beyond = np.maximum(output - references.max(), references.min() - output)[judged]
     adaptive = controller == "adaptive"
-    in_force = trace[stand.times_s >= 60.0, bench.ADAPTIVE] if adaptive else np.zeros(1)
+    in_force = run["adaptive"][stand.times_s >= 60.0] if adaptive else np.zeros(1)
     return Figures(
         rms=float(np.sqrt(np.mean(errors**2))),
         peak=float(np.max(np.abs(errors))),
         overshoot=100.0 * max(0.0, float(np.max(beyond))) / case.unit,
         iae_s=float(np.sum(np.abs(output - references)[judged])) * stand.own.period_s / case.unit,
-        variation=float(np.nansum(np.abs(np.diff(trace[judged, bench.REFERENCE_V])))),
+        variation=float(np.nansum(np.abs(np.diff(run["boost_reference_V"][judged])))),
         in_force=float(np.mean(in_force > 0.0)),
-        wrong=share_wrong(stand, task_of(stand), trace) if adaptive else 0.0,
+        wrong=share_wrong(stand, task_of(stand), run) if adaptive else 0.0,
     )

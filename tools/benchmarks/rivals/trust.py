@@ -15,7 +15,7 @@ from adaptdrive.control.pole_placement import (
     place_poles,
 )
 from adaptdrive_sim.campaign.drawn import DrawnRun
-from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.course import Run
 from tools.benchmarks.rivals.controllers import Task
 
 Array = NDArray[np.float64]
@@ -41,17 +41,16 @@ def step_response(task: Task, designed_for: Load, on: Load) -> Array:
     return found
 
 
-def share_wrong(stand: DrawnRun, task: Task, trace: Array) -> float:
+def share_wrong(stand: DrawnRun, task: Task, run: Run) -> float:
     """Share of the trusted estimates whose response is off from its design by over the limit."""
     load, wrong, seen = stand.own.load, 0, 0
     if load.numerator[0] != 0.0:
         return 0.0  # its set-points are filtered
-    trusted = (trace[:, bench.ADAPTIVE] > 0.0) & (trace[:, bench.ACCEPTED] > 0.0)
+    trusted = (run["adaptive"] > 0.0) & (run["accepted"] > 0.0)
     for time_s in stand.change_times_s:
         trusted &= (stand.times_s < time_s) | (stand.times_s > time_s + GRACE_s)
     for k in np.flatnonzero(trusted)[::EACH].tolist():
-        values = trace[k, bench.VALUES : bench.VALUES + len(load.names)].tolist()
-        numerator, denominator = load.realise(values)
+        numerator, denominator = load.realise([float(run[name][k]) for name in load.names])
         guess = replace(load, numerator=tuple(numerator), denominator=tuple(denominator))
         truth = stand.true_load(k)
         errors = step_response(task, guess, truth) - step_response(task, guess, guess)

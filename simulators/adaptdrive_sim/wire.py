@@ -11,13 +11,10 @@ from dataclasses import dataclass
 
 from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector, shift_in
+from adaptdrive_sim.world import Sample
 
 _WHOLE = 1.5 * 2.0**52
-"""So large that a sum with it is a whole number: half the cost of `floor` in compiled code."""
-
-
-DELAY_MAX = 20
-"""Oldest output in half cycles."""
+"""So large that a sum with it is a whole number: cheaper than `floor`."""
 
 
 OVER_VOLTAGE = 1
@@ -36,21 +33,27 @@ class Wire:
         voltage_quantum_V: Of boost and line voltage.
         power_quantum_W: Of the load power.
         scale_quantum_S: Of the commanded current scale.
-        output_delay: Age of the output in half cycles.
-        outputs: The last outputs, newest first: as many as the delay needs.
+        outputs: The last outputs, newest first: one more than half cycles that the output is late.
     """
 
     output_quantum: float
     voltage_quantum_V: float
     power_quantum_W: float
     scale_quantum_S: float
-    output_delay: int
     outputs: Vector
 
 
-def perfect_wire(output: float) -> Wire:
-    """One that neither rounds nor delays."""
-    return Wire(0.0, 0.0, 0.0, 0.0, 0, [output] * (DELAY_MAX + 1))
+def received(wire: Wire, tick: int, sample: Sample) -> Measurement:
+    """Return what arrives at a tick of what the drive measures now."""
+    shift_in(wire.outputs, sample.output)
+    return Measurement(
+        tick,
+        sample.tick_period_s,
+        rounded(sample.boost_voltage_V, wire.voltage_quantum_V),
+        rounded(sample.line_voltage_V, wire.voltage_quantum_V),
+        rounded(sample.load_power_W, wire.power_quantum_W),
+        rounded(wire.outputs[-1], wire.output_quantum),
+    )
 
 
 def rounded(value: float, quantum: float) -> float:
@@ -58,12 +61,6 @@ def rounded(value: float, quantum: float) -> float:
     if quantum > 0.0:
         return quantum * ((value / quantum + _WHOLE) - _WHOLE)
     return value
-
-
-def delayed(wire: Wire, output: float) -> float:
-    """Return the output that arrives now, when `output` is measured."""
-    shift_in(wire.outputs, output)
-    return rounded(wire.outputs[wire.output_delay], wire.output_quantum)
 
 
 def find_cause(measurement: Measurement, voltage_max_V: float, output_max: float) -> int:
