@@ -99,7 +99,7 @@ def compose(load: LoadName, bus: BusName, name: str, bus_part: str | None = None
 
 def device_names() -> list[str]:
     """Return the names of the devices that come with a description."""
-    files = (resources.files("adaptdrive") / "devices").iterdir()
+    files = (resources.files("adaptdrive") / "described").iterdir()
     return sorted(one.name.removesuffix(".toml") for one in files if one.name.endswith(".toml"))
 
 
@@ -120,13 +120,13 @@ def of_device(load: LoadName, device: str, name: str, own: str | None = None) ->
     if device not in known:
         problem = f"is none of {', '.join(known)}{nearest(device, known)}"
         raise ConfigurationError("--device", [Flaw(device, problem)])
-    text = _read(f"{device}.toml", "devices").decode("utf-8")
+    text = _read(f"{device}.toml", "described").decode("utf-8")
     tables = tomllib.loads(text)
     if tables["load"]["type"] != load:
         text = _with_load(text, load)
     text = answered(_named(text, name), dict.fromkeys(_MARKED - {"bus.command_timeout_s"}, ""))
     if own is None:
-        return _starter(text, "devices")
+        return _starter(text, "described")
     key = "eds" if own.lower().endswith((".eds", ".dcf")) else "database"
     if key not in tables["bus"]:
         raise ConfigurationError("--device", [Flaw(device, f"has no bus.{key}, as {own} is")])
