@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
-from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+from adaptdrive.devices.port import Listener, PortStatistics, Reading
 from adaptdrive.runtime.reports import TickReport
 
 

@@ -18,14 +18,13 @@ import can
 import pytest
 
 from adaptdrive.clock import tick_timer
-from adaptdrive.hardware.canopen import node as canopen_node
-from adaptdrive.hardware.canopen import port as canopen_port
-from adaptdrive.hardware.dbc import port as dbc_port
-from adaptdrive.hardware.dbc import sensors
-from adaptdrive.hardware.link import connection
-from adaptdrive.hardware.link.arrival import ArrivalClock
-from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.polled.link import PolledLink
+from adaptdrive.devices.can import connection, kind
+from adaptdrive.devices.can import port as dbc_port
+from adaptdrive.devices.can.arrival import ArrivalClock
+from adaptdrive.devices.canopen import node as canopen_node
+from adaptdrive.devices.canopen import port as canopen_port
+from adaptdrive.devices.modbus.link import SerialPort
+from adaptdrive.devices.polled.link import PolledLink
 from tests.hardware.can_memory import open_memory
 
 PATIENCE_s = 5.0
@@ -92,7 +91,7 @@ def links_held() -> Iterator[None]:
         patch.setattr(can, "Bus", open_memory)
         for module in (connection, canopen_port):
             patch.setattr(module, "pulsing", pulsing)
-        for module in (canopen_node, dbc_port, sensors):
+        for module in (canopen_node, dbc_port, kind):
             patch.setattr(module, "ArrivalClock", arrival_clock)
         yield
 

@@ -14,7 +14,7 @@ from adaptdrive.config.drive import DriveLimits
 from adaptdrive.config.root import consistency_flaws
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Measurement, Mode, Order, Stage
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.interlocks import find_cause
 from tests.config import documents
 from tests.config.modbus_documents import flaws, parse

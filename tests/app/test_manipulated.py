@@ -22,8 +22,8 @@ from adaptdrive.cli.display import describe
 from adaptdrive.config import Configuration
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Command
+from adaptdrive.devices.port import Reading
 from adaptdrive.errors import RefusedError
-from adaptdrive.hardware.port import Reading
 from adaptdrive.operation.home_assistant import discovery
 from adaptdrive.operation.listener import DriveStatus
 from adaptdrive.recording.tables import table_schema

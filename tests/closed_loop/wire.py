@@ -19,7 +19,7 @@ from adaptdrive.app.ports import build_whole_port, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.hardware.link.bus import open_bus
+from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import LoadReport, Report, State

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from adaptdrive.config import Configuration, parse_configuration
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.devices.demands import demands_of
+from adaptdrive.devices.polled.mapping import map_drive
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.demands import demands_of
-from adaptdrive.hardware.polled.mapping import map_drive
 from tests.config.documents import SOURCE
 
 MINIMAL = {

@@ -13,8 +13,8 @@ from adaptdrive.app.examine import examine_text
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.references import scpi_flaws
 from adaptdrive.config.scpi import ScpiBus, ScpiValue
+from adaptdrive.devices.polled.mapping import map_drive
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.polled.mapping import map_drive
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "deploy" / "examples" / "motor-scpi.toml"

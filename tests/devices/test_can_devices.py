@@ -10,8 +10,8 @@ import pytest
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.sensors import derived_value
+from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.sensors import derived_value
 from tests.devices.can_node import CanNode
 from tests.devices.described import DEVICES, described, running
 from tests.hardware.canopen import peer as canopen_peer

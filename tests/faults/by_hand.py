@@ -19,8 +19,8 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision
+from adaptdrive.devices.port import Reading
 from adaptdrive.errors import RefusedError
-from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub

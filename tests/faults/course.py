@@ -18,7 +18,7 @@ from typing import Any
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, Reset, SetSetpoint
 from adaptdrive_sim.device_main import build_drive

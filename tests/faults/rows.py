@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.requests import Disable
 from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.plants.battery import Battery

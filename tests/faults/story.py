@@ -18,7 +18,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Command, Decision, Mode
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import LoadReport
 from adaptdrive.runtime.requests import (
     Disable,

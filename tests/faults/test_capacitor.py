@@ -9,7 +9,7 @@ import pytest
 from adaptdrive.app.capacitor_faults import highest_voltages
 from adaptdrive.app.interlocks import capacitor_limits
 from adaptdrive.config import load_configuration
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from adaptdrive_sim.devices.drive import Overvoltage

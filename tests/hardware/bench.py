@@ -20,10 +20,10 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.counting import BusBackoff
-from adaptdrive.hardware.dbc.mapping import map_drive
-from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.counting import BusBackoff
+from adaptdrive.devices.port import Port, Reading
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 MOTOR = load_configuration(EXAMPLES / "motor.toml")

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.polled.link import PolledLink, Stream
+from adaptdrive.devices.modbus.link import SerialPort
+from adaptdrive.devices.polled.link import PolledLink, Stream
 
 _unheld = PolledLink.open, PolledLink._reply  # as before virtual time stands still during them
 _served: dict[str, Callable[[], asyncio.Protocol]] = {}

@@ -12,10 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.bus import CanBus
+from adaptdrive.devices.can.bus import _obstacles, open_bus, parse
+from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.link.bus import _obstacles, open_bus
-from adaptdrive.hardware.link.codec import frame_key
-from adaptdrive.hardware.link.multicast import parse
 from tests.hardware.bench import motor_bus
 from tests.support import has_can
 
@@ -132,7 +131,7 @@ def test_a_controller_that_is_bus_off_is_not_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "can7").mkdir()
-    monkeypatch.setattr("adaptdrive.hardware.link.bus._INTERFACES", tmp_path)
+    monkeypatch.setattr("adaptdrive.devices.can.bus._INTERFACES", tmp_path)
     config = motor_bus(interface="socketcan", channel="can7")
     others = list(_obstacles(config))  # no such file: nothing is known
     carrier = tmp_path / "can7" / "carrier"

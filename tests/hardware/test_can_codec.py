@@ -10,8 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from adaptdrive.config.bus import FrameIntegrity
-from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.integrity import FrameVerdict
+from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.can.integrity import FrameVerdict
 from tests.hardware.bench import motor_bus, odd_database, reference_database, with_crc
 
 SCALES = st.sampled_from([1, 2, 0.5, 0.1, 0.01, 1e-6, -0.25])

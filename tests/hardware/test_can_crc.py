@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.bus import Crc, FrameIntegrity
-from adaptdrive.hardware.dbc.database import Description, SignalCatalogue
-from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.crc import CHECK_INPUT, crc_function
-from adaptdrive.hardware.link.integrity import FrameVerdict
+from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.can.database import Description, SignalCatalogue
+from adaptdrive.devices.can.integrity import CHECK_INPUT, FrameVerdict, crc_function
 from tests.hardware.bench import odd_database
 
 WHOLE_BYTES = [one for one in ALLCRCCLASSES if one.width() >= 8]

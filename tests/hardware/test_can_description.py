@@ -20,9 +20,9 @@ from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.bus import CanBus, SignalSource
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.can.bus import open_bus
+from adaptdrive.devices.can.port import CanPort
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from tests.hardware.bench import (
     EXAMPLES,

@@ -7,12 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.bus import FrameIntegrity
-from adaptdrive.hardware.link.integrity import (
-    AliveCounter,
-    Checksum,
-    FrameVerdict,
-    checksum_function,
-)
+from adaptdrive.devices.can.integrity import AliveCounter, Checksum, FrameVerdict, checksum_function
 
 
 def autosar(data_id: int, mode: str) -> Checksum:

@@ -7,10 +7,10 @@ import pytest
 
 from adaptdrive.config.bus import CanBus, CommandSignals, FrameIntegrity, SignalSource, SwitchSource
 from adaptdrive.control.signals import SAFE_COMMAND
+from adaptdrive.devices.can.database import read_dbc
+from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.devices.demands import demands_of
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import read_dbc
-from adaptdrive.hardware.dbc.mapping import map_drive
-from adaptdrive.hardware.demands import demands_of
 from tests.hardware.bench import (
     MOTOR,
     MOTOR_BUS,

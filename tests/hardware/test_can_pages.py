@@ -12,8 +12,8 @@ import pytest
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.mapping import map_drive
 from tests.hardware.bench import EXAMPLES, TIMING
 
 _COMMAND = 2566872851

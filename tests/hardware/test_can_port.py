@@ -14,12 +14,12 @@ import pytest
 
 from adaptdrive.config.bus import CanBus, CommandSignals
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.can.bus import open_bus
+from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.obedience import QUIET_S
+from adaptdrive.devices.port import Reading
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.dbc.mapping import map_drive
-from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.doubts import QUIET_S
-from adaptdrive.hardware.link.bus import open_bus
-from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.stop_watch import Stop, StopWatch
 from tests.hardware.bench import (
@@ -655,7 +655,7 @@ async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A shorted bus whose controller restarts by itself: each time, warnings precede bus-off."""
-    delays_s = noted_delays("adaptdrive.hardware.link.connection", monkeypatch)
+    delays_s = noted_delays("adaptdrive.devices.can.connection", monkeypatch)
     async with bench.heard():
         for count in (2, 4, 6):
             for error in (0x04, 0x40):

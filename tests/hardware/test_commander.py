@@ -9,10 +9,10 @@ import pytest
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.polled.capacity import Exchange
-from adaptdrive.hardware.polled.commander import Commander
-from adaptdrive.hardware.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
-from adaptdrive.hardware.polled.witness import PollWitness
+from adaptdrive.devices.polled.capacity import Exchange
+from adaptdrive.devices.polled.commander import Commander
+from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
+from adaptdrive.devices.polled.reports import PollWitness
 from tests.hardware.modbus.bench import plan, reported
 
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)

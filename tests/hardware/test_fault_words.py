@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.hardware.dbc.assembly import StatusAssembly
-from adaptdrive.hardware.dbc.mapping import map_drive
-from adaptdrive.hardware.fault_latch import FaultLatch, FaultWord
-from adaptdrive.hardware.polled.assembly import PollAssembly
-from adaptdrive.hardware.polled.mapping import map_drive as map_registers
+from adaptdrive.devices.can.assembly import StatusAssembly
+from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.devices.faults import FaultLatch, FaultWord
+from adaptdrive.devices.polled.mapping import map_drive as map_registers
+from adaptdrive.devices.polled.reports import PollAssembly
 from tests.config.modbus_documents import flaws, parse
 from tests.hardware.bench import MOTOR_BUS, TIMING, motor_signals
 from tests.hardware.canopen.documents import flaws as object_flaws

@@ -11,10 +11,10 @@ import cantools
 import pytest
 
 from adaptdrive.config.bus import CanBus, SignalRange
+from adaptdrive.devices.can.database import SignalCatalogue, describe, read_dbc
+from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.hardware.dbc.database import SignalCatalogue, describe, read_dbc
-from adaptdrive.hardware.dbc.mapping import map_drive
 from tests.hardware.bench import EXAMPLES, MOTOR, TIMING, motor_bus, rewritten
 
 HEAD = 'VERSION ""\nBU_: A\n'

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from adaptdrive.hardware.fault_latch import FaultWord
-from adaptdrive.hardware.newest import NewestValues
+from adaptdrive.devices.faults import FaultWord
+from adaptdrive.devices.newest import NewestValues
 
 WORDS = {"fault": FaultWord("State", -1, {2: "hot"})}
 GOOD = {"output": 2.5, "boost_voltage_V": 300.0, "bridge": 1.0, "counter": 7.0, "fault": 0.0}

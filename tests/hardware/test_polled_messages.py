@@ -13,11 +13,11 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.sensors import CanSensorSection
-from adaptdrive.hardware.dbc.mapping import map_drive
-from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.dbc.sensors import build_can_sensors
-from adaptdrive.hardware.link.bus import open_bus
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.can.bus import open_bus
+from adaptdrive.devices.can.kind import build_can_sensors
+from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from tests.hardware.bench import (
     LOAD,

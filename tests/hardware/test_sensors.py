@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from adaptdrive.app.ports import publish_samples
 from adaptdrive.config.supply import Derived
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.port import PortStatistics, Reading, SensorListener
+from adaptdrive.devices.sensors import RULES, SensorBus, SensoredPort, derived_value
 from adaptdrive.errors import RefusedError
-from adaptdrive.hardware.port import PortStatistics, Reading, SensorListener
-from adaptdrive.hardware.sensors import RULES, SensorBus, SensoredPort, derived_value
 from adaptdrive.runtime.accounts import sensor_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine

@@ -24,7 +24,7 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.machine import Machine

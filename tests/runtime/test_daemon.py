@@ -12,8 +12,8 @@ from itertools import count, pairwise
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurement, Mode, Order
+from adaptdrive.devices.port import Listener
 from adaptdrive.errors import BusError, RefusedError
-from adaptdrive.hardware.port import Listener
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.loop_interface import DaemonSettings

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from adaptdrive.config.timing import Timing
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.frame_rate import FrameRate
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlock_board import InterlockBoard

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import load_configuration
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from tests.hardware.bench import EXAMPLES
 from tests.runtime.bench import CALM

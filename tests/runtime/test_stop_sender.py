@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from adaptdrive.hardware.port import FAREWELLS
+from adaptdrive.devices.port import FAREWELLS
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.stop_sender import StopSender

@@ -16,7 +16,7 @@ from adaptdrive.app.ports import build_port
 from adaptdrive.app.realtime import Rehearsal
 from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Realtime
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.latency import LatencyDetector
 from adaptdrive.runtime.realtime import real_time
 from adaptdrive.runtime.tick_support import IdleCollector, TickSupport

@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from typing import cast
 
-from adaptdrive.hardware.dbc.port import CanPort
+from adaptdrive.devices.can.port import CanPort
 from tests.hardware.modbus import bench as modbus
 from tests.hardware.modbus import spoils
 from tests.wire.rig import Rig

@@ -18,8 +18,8 @@ from adaptdrive.app.ports import build_port
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
+from adaptdrive.devices.port import Port
 from adaptdrive.errors import RefusedError
-from adaptdrive.hardware.port import Port
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import DriveReport, Event, State, StateReport, TickReport

@@ -22,7 +22,7 @@ from cantools.database.can.database import Database
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.file import parse_configuration
-from adaptdrive.hardware.link.bus import open_bus
+from adaptdrive.devices.can.bus import open_bus
 from tests.config.modbus_documents import parse
 from tests.hardware import bench as can_bench
 from tests.hardware.modbus import bench as modbus_bench

@@ -24,9 +24,9 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.hardware.dbc.mapping import map_drive
-from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State

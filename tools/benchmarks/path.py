@@ -18,10 +18,10 @@ from can.interfaces.udp_multicast.utils import pack_message
 
 from adaptdrive.clock.timerfd import arm_timer, create_timer
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.dbc.mapping import map_drive
-from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.link.multicast import LoopbackMulticast, parse
-from adaptdrive.hardware.port import PortStatistics
+from adaptdrive.devices.can.bus import LoopbackMulticast, parse
+from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.port import PortStatistics
 from adaptdrive.operation.messages import Output, drive_message, encode
 from adaptdrive.recording.records import packed_ticks
 from adaptdrive.runtime.accounts import drive_report

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 
 from adaptdrive.config.file import parse_configuration
+from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.can.database import SignalCatalogue, read_dbc
+from adaptdrive.devices.can.kind import candidates, proofs
+from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
+from adaptdrive.devices.canopen.mapping import channels_of, codec, pack
 from adaptdrive.errors import ConfigurationError, RefusedError
-from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.hardware.canopen.pdo import channels_of, codec, pack
-from adaptdrive.hardware.dbc.database import SignalCatalogue, read_dbc
-from adaptdrive.hardware.dbc.proposal import candidates, proofs
-from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.operation.commands import Payload
 from adaptdrive.runtime.requests import REQUESTS
 from tools.fuzz.target import EXAMPLES, Target, damaged_file

@@ -10,10 +10,10 @@ from crccheck.crc import CrcModbus
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.modbus import RtuLink, TcpLink
-from adaptdrive.hardware.modbus.frames import TcpFrames, request
-from adaptdrive.hardware.modbus.link import ModbusConnection
-from adaptdrive.hardware.polled.capacity import Block, Exchange
-from adaptdrive.hardware.polled.link import ExchangeError
+from adaptdrive.devices.modbus.frames import TcpFrames, request
+from adaptdrive.devices.modbus.link import ModbusConnection
+from adaptdrive.devices.polled.capacity import Block, Exchange
+from adaptdrive.devices.polled.link import ExchangeError
 from tools.fuzz.target import EXAMPLES, Target
 
 _EXCHANGE = Exchange(read=Block("input", 0, 2))

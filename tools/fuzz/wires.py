@@ -12,14 +12,14 @@ from canopen.sdo.client import SdoClient
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, CanOpenBus
 from adaptdrive.config.modbus import ModbusTcp, Register
+from adaptdrive.devices.can.codec import Decoded, MessageCodec
+from adaptdrive.devices.can.database import read_dbc
+from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.canopen.mapping import map_drive
+from adaptdrive.devices.canopen.master import parse_emergency
+from adaptdrive.devices.canopen.sdo import Server
+from adaptdrive.devices.polled.codec import decode_value
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.health import parse_emergency
-from adaptdrive.hardware.canopen.mapping import map_drive
-from adaptdrive.hardware.canopen.sdo import Server
-from adaptdrive.hardware.dbc.database import read_dbc
-from adaptdrive.hardware.link.codec import Decoded, MessageCodec
-from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.polled.codec import decode_value
 from tools.fuzz.random_messages import random_message
 from tools.fuzz.target import EXAMPLES, Target
 

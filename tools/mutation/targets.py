@@ -61,32 +61,32 @@ _LOST = ("tests/hardware/modbus/test_losses.py",)
 _FRAMES = ("tests/hardware/test_can_codec.py", "tests/hardware/test_can_crc.py")
 
 HARDWARE: dict[str, tuple[str, ...]] = {
-    "adaptdrive.hardware.dbc.port": _CAN_PORT,
-    "adaptdrive.hardware.dbc.mapping": (
+    "adaptdrive.devices.can.port": _CAN_PORT,
+    "adaptdrive.devices.can.mapping": (
         "tests/hardware/test_can_mapping.py",
         "tests/hardware/test_can_description.py",
         "tests/hardware/test_can_pages.py",
         *_CAN_PORT,
     ),
-    "adaptdrive.hardware.link.codec": _FRAMES,
-    "adaptdrive.hardware.link.integrity": ("tests/hardware/test_can_integrity.py", *_FRAMES),
-    "adaptdrive.hardware.link.arrival": ("tests/hardware/test_arrival.py",),
-    "adaptdrive.hardware.canopen.port": (
+    "adaptdrive.devices.can.codec": _FRAMES,
+    "adaptdrive.devices.can.integrity": ("tests/hardware/test_can_integrity.py", *_FRAMES),
+    "adaptdrive.devices.can.arrival": ("tests/hardware/test_arrival.py",),
+    "adaptdrive.devices.canopen.port": (
         *_CANOPEN_PORT,
         "tests/hardware/canopen/test_frames.py",
         "tests/hardware/canopen/test_unseen.py",
     ),
-    "adaptdrive.hardware.modbus.port": (*_MODBUS, "tests/hardware/modbus/test_sensors.py"),
-    "adaptdrive.hardware.modbus.frames": (*_MODBUS, "tests/hardware/modbus/test_functions.py"),
-    "adaptdrive.hardware.polled.commander": ("tests/hardware/test_commander.py", *_MODBUS, *_LOST),
-    "adaptdrive.hardware.polled.witness": (*_MODBUS, *_LOST),
-    "adaptdrive.hardware.polled.link": (*_MODBUS, "tests/hardware/modbus/test_names.py"),
-    "adaptdrive.hardware.scpi.port": (
+    "adaptdrive.devices.modbus.port": (*_MODBUS, "tests/hardware/modbus/test_sensors.py"),
+    "adaptdrive.devices.modbus.frames": (*_MODBUS, "tests/hardware/modbus/test_functions.py"),
+    "adaptdrive.devices.polled.commander": ("tests/hardware/test_commander.py", *_MODBUS, *_LOST),
+    "adaptdrive.devices.polled.reports": (*_MODBUS, *_LOST),
+    "adaptdrive.devices.polled.link": (*_MODBUS, "tests/hardware/modbus/test_names.py"),
+    "adaptdrive.devices.scpi.port": (
         "tests/hardware/scpi/test_port.py",
         "tests/contracts/port/test_port.py",
     ),
-    "adaptdrive.hardware.fault_latch": ("tests/hardware/test_fault_words.py", *_CAN_PORT),
-    "adaptdrive.hardware.doubts": (*_CAN_PORT, "tests/hardware/canopen/test_port.py"),
+    "adaptdrive.devices.faults": ("tests/hardware/test_fault_words.py", *_CAN_PORT),
+    "adaptdrive.devices.obedience": (*_CAN_PORT, "tests/hardware/canopen/test_port.py"),
 }
 
 OPERATION: dict[str, tuple[str, ...]] = {

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from adaptdrive.control.signals import Command, Mode
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import LoadReport, State
 from adaptdrive.runtime.requests import (
     Disable,

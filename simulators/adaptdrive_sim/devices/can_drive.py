@@ -18,11 +18,11 @@ from collections.abc import Callable, Mapping
 import can
 
 from adaptdrive.config.bus import CanBus
+from adaptdrive.devices.can.bus import describe_bus, open_bus
+from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.can.connection import FrameReader
+from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.link.bus import describe_bus, open_bus
-from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.link.reader import FrameReader
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles

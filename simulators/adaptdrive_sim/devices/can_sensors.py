@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 import can
 
 from adaptdrive.config.sensors import CanSensorSection as Config
-from adaptdrive.hardware.dbc.mapping import StatusFrame
-from adaptdrive.hardware.link.bus import describe_bus, open_bus
+from adaptdrive.devices.can.bus import describe_bus, open_bus
+from adaptdrive.devices.can.mapping import StatusFrame
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
 

@@ -22,10 +22,10 @@ import can
 
 from adaptdrive.config.bus import COMMANDED, CanOpenBus, SignalSource
 from adaptdrive.config.root import Configuration
+from adaptdrive.devices.can.bus import describe_bus, open_bus
+from adaptdrive.devices.can.connection import FrameReader
+from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.errors import BusError, ConfigurationError
-from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.hardware.link.bus import describe_bus, open_bus
-from adaptdrive.hardware.link.reader import FrameReader
 from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of

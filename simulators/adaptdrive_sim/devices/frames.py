@@ -15,18 +15,18 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
-from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import SignalCatalogue, cycle_time_s, open_catalogue
-from adaptdrive.hardware.dbc.orders import (
+from adaptdrive.devices.can.codec import MessageCodec, counter_modulus
+from adaptdrive.devices.can.database import SignalCatalogue, cycle_time_s, open_catalogue
+from adaptdrive.devices.can.layout import compile_field
+from adaptdrive.devices.can.orders import (
     CommandFrame,
     build_orders,
     choices,
     find_orders,
     is_carried,
 )
-from adaptdrive.hardware.demands import demands_of
-from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
-from adaptdrive.hardware.link.layout import compile_field
+from adaptdrive.devices.demands import demands_of
+from adaptdrive.errors import ConfigurationError
 from adaptdrive_sim.devices.drive import Frame
 
 LOAD_CURRENT = "LoadCurrent"

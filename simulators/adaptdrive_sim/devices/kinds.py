@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from adaptdrive.config import Configuration
-from adaptdrive.hardware.dbc.sensors import map_sensors
+from adaptdrive.devices.can.kind import map_sensors
 from adaptdrive_sim.devices.can_drive import CanDrive
 from adaptdrive_sim.devices.can_sensors import CanSensors
 from adaptdrive_sim.devices.canopen_drive import CanOpenDrive

@@ -15,7 +15,7 @@ from pymodbus.constants import ExcCodes
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
-from adaptdrive.hardware.modbus.link import describe_bus
+from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import quantities_of
 from adaptdrive_sim.devices.modbus_server import serving

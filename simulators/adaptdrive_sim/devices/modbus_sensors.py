@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping
 from pymodbus.constants import ExcCodes
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors, SensorRegister
-from adaptdrive.hardware.modbus.link import describe_bus
-from adaptdrive.hardware.polled.codec import encode_count, encode_value
+from adaptdrive.devices.modbus.link import describe_bus
+from adaptdrive.devices.polled.codec import encode_count, encode_value
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.modbus_server import serving
 from adaptdrive_sim.devices.registers import Table, addresses, bounded, not_available

@@ -12,13 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from adaptdrive.config.bus import COMMANDED, MEASURED, Signals, SignalSource
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.field import Field, Raw
-from adaptdrive.hardware.polled.codec import (
-    decode_value,
-    encode_count,
-    encode_value,
-    register_field,
-)
+from adaptdrive.devices.field import Field, Raw
+from adaptdrive.devices.polled.codec import decode_value, encode_count, encode_value, register_field
 from adaptdrive_sim.devices.frames import QUANTITIES
 
 Table = dict[int, int]

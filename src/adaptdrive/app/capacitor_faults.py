@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.capacitor import CapacitorBalance, CapacitorLimits
 
 _FOLLOWED_TICKS: Final = 240

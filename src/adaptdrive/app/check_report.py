@@ -13,8 +13,8 @@ from adaptdrive.app.interlocks import capacitor_limits, response_limits
 from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import daemon_settings, tick_s
 from adaptdrive.config import Configuration
+from adaptdrive.devices.bus_kind import Row
 from adaptdrive.errors import ConfigurationError, escaped
-from adaptdrive.hardware.bus_kind import Row
 from adaptdrive.runtime.refused_share import WINDOW_S
 from adaptdrive.runtime.response import ResponseLimits
 

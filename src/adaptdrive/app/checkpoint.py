@@ -18,8 +18,8 @@ import msgspec
 from adaptdrive.config import Configuration
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
+from adaptdrive.devices.description import description_text
 from adaptdrive.errors import NOT_JSON
-from adaptdrive.hardware.description import description_text
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
 

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 
-from adaptdrive.hardware.dbc.database import cycle_time_s
-from adaptdrive.hardware.dbc.proposal import proofs
-from adaptdrive.hardware.proposal import Candidate
+from adaptdrive.devices.can.database import cycle_time_s
+from adaptdrive.devices.can.kind import proofs
+from adaptdrive.devices.proposal import Candidate
 
 Choices = Mapping[str, Candidate | None]
 """The chosen signal of each quantity, by its key in `[signals]`; None for no such signal."""

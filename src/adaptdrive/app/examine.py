@@ -19,8 +19,8 @@ from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.reach import nominal_reach
+from adaptdrive.devices.demands import NO_DEMANDS, demands_of
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.demands import NO_DEMANDS, demands_of
 
 _OF_PORT = frozenset({"drive", "bus", "signals", "voltage_loop", "load", "interlocks"})
 

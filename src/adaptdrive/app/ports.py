@@ -8,11 +8,11 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.supply import in_order, needed_names
+from adaptdrive.devices.bus_kind import BusKind
+from adaptdrive.devices.demands import NO_DEMANDS, Demands, demands_of
+from adaptdrive.devices.port import Port, SensorPort
+from adaptdrive.devices.sensors import SensorBus, SensoredPort
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.bus_kind import BusKind
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
-from adaptdrive.hardware.port import Port, SensorPort
-from adaptdrive.hardware.sensors import SensorBus, SensoredPort
 from adaptdrive.runtime.accounts import sensor_report, sensor_sample
 from adaptdrive.runtime.reports import SensorReport, SensorSample
 
@@ -52,12 +52,12 @@ def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:
     """
     match bus_type:
         case "can":
-            from adaptdrive.hardware.dbc.kind import CAN  # noqa: PLC0415 - load what is used
+            from adaptdrive.devices.can.kind import CAN  # noqa: PLC0415 - load what is used
 
             return CAN
         case "canopen":
             try:
-                from adaptdrive.hardware.canopen.kind import CANOPEN  # noqa: PLC0415
+                from adaptdrive.devices.canopen.port import CANOPEN  # noqa: PLC0415
             except ModuleNotFoundError as problem:
                 if (problem.name or "").partition(".")[0] != "canopen":
                     raise
@@ -65,11 +65,11 @@ def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:
                 raise ConfigurationError(source, [Flaw("bus.type", advice)]) from problem
             return CANOPEN
         case "scpi":
-            from adaptdrive.hardware.scpi.port import SCPI  # noqa: PLC0415
+            from adaptdrive.devices.scpi.port import SCPI  # noqa: PLC0415
 
             return SCPI
         case _:
-            from adaptdrive.hardware.modbus.port import MODBUS  # noqa: PLC0415
+            from adaptdrive.devices.modbus.port import MODBUS  # noqa: PLC0415
 
             return MODBUS
 

@@ -18,7 +18,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Mode, Snapshot
-from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.devices.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.machine import Machine

@@ -33,7 +33,7 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     from adaptdrive.app.check_report import tables  # noqa: PLC0415 - `schema` needs no bus
     from adaptdrive.app.examine import examine_text  # noqa: PLC0415
     from adaptdrive.app.starter import examples  # noqa: PLC0415
-    from adaptdrive.hardware.link.bus import missing_here  # noqa: PLC0415
+    from adaptdrive.devices.can.bus import missing_here  # noqa: PLC0415
 
     text = read_text(config)
     left = [f"{key} = {value}" for key, value in examples(text)]

@@ -23,8 +23,8 @@ from adaptdrive.cli.options import Json
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import SAFE_COMMAND
+from adaptdrive.devices.port import Port, Reading
 from adaptdrive.errors import AdaptdriveError, first_error
-from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.reports import SensorReport
 
 _EVERY_S = 0.5

@@ -27,9 +27,7 @@ from adaptdrive.app.starter import (
 from adaptdrive.cli.options import Flag
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
-from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.files import replace_regular
-from adaptdrive.hardware.proposal import (
+from adaptdrive.devices.proposal import (
     NO_PROPOSAL,
     OUTPUTS,
     QUANTITIES,
@@ -38,6 +36,8 @@ from adaptdrive.hardware.proposal import (
     is_doubtful,
     propose,
 )
+from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.files import replace_regular
 
 _SHOWN = 3
 _NODE_ID = 1
@@ -141,14 +141,14 @@ def _described(
 ) -> str | None:
     """Return the bus part that a DBC or EDS gives, None for the reference drive."""
     if dbc is not None:
-        from adaptdrive.hardware.dbc import proposal  # noqa: PLC0415 - cantools only where needed
-        from adaptdrive.hardware.dbc.database import read_dbc  # noqa: PLC0415 - likewise
+        from adaptdrive.devices.can import kind  # noqa: PLC0415 - cantools only where needed
+        from adaptdrive.devices.can.database import read_dbc  # noqa: PLC0415 - likewise
 
         database = read_dbc(dbc, dbc, "dbc").database
-        found = list(proposal.candidates(database))
+        found = list(kind.candidates(database))
         return can_part(database, _place(dbc, directory), _choose(load, found, ask=ask))
     if eds is not None:
-        from adaptdrive.hardware.canopen.mapping import candidates  # noqa: PLC0415 - an extra
+        from adaptdrive.devices.canopen.mapping import candidates  # noqa: PLC0415 - an extra
 
         found = list(candidates(eds, _NODE_ID))
         if any(one.reference == _TARGET_TORQUE for one in found):

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 
 from adaptdrive.control.signals import Decision, Mode
-from adaptdrive.hardware.port import PortStatistics
-from adaptdrive.hardware.sensors import SensorBus
+from adaptdrive.devices.port import PortStatistics
+from adaptdrive.devices.sensors import SensorBus
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.machine import Machine

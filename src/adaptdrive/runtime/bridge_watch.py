@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.config.timing import Timing
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 
 _SLACK_S = 1e-6
 """Rounding of sums of half cycles: the last one within the grace is not yet a stop."""

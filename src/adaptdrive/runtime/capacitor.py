@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 
 _LOST_SHARE: Final = 0.05
 """Share of the commanded power that a drive may lose without being asked."""

@@ -11,8 +11,8 @@ from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
+from adaptdrive.devices.port import Port, Reading
 from adaptdrive.errors import RefusedError
-from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.accounts import Announcer, drive_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.hub import Hub

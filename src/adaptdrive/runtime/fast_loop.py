@@ -23,7 +23,7 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.hardware.port import Port, Reading, assuming
+from adaptdrive.devices.port import Port, Reading, assuming
 from adaptdrive.runtime.capacitor import CapacitorBalance
 from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.half_cycles import HalfCycles

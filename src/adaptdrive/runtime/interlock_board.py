@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.devices.port import Port, Reading
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.half_cycles import HalfCycles

@@ -13,8 +13,8 @@ from typing import Protocol
 
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.load import to_input
-from adaptdrive.hardware.fault_latch import describe_fault
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.faults import describe_fault
+from adaptdrive.devices.port import Reading
 from adaptdrive.quantity import BOOST, Given
 
 

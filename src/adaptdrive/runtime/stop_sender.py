@@ -7,7 +7,7 @@ import itertools
 import math
 from collections.abc import Callable
 
-from adaptdrive.hardware.port import FAREWELL_GAP_S, FAREWELLS
+from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State

@@ -6,7 +6,7 @@ import math
 from enum import Enum, auto
 
 from adaptdrive.config.timing import Timing
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.port import Reading
 
 _ON_READINGS = 2
 """Readings with the bridge on that are no flicker of a drive that has just stopped."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Stage
-from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.devices.port import Port, Reading
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.stop_watch import Stop, StopWatch

@@ -11,8 +11,8 @@ import pytest
 
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.bus import CanLink
+from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.link.bus import open_bus
 from tests.contracts.port.rig import Rig
 from tests.hardware.bench import MOTOR, STATUS, Drive, Ear, memory_bus, reference_database, with_crc
 from tests.hardware.canopen.documents import MEMORY, other_eds, parse
@@ -31,7 +31,7 @@ class _CanRig(Rig):
 
     async def begin(self) -> None:
         self._patch = pytest.MonkeyPatch()
-        self._patch.setattr("adaptdrive.hardware.link.connection.open_bus", self._open)
+        self._patch.setattr("adaptdrive.devices.can.connection.open_bus", self._open)
 
     async def end(self) -> None:
         self._patch.undo()

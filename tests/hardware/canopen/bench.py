@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable
 
 from adaptdrive.app.ports import build_port
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.canopen.port import CanOpenPort
+from adaptdrive.devices.canopen.port import CanOpenPort
 from tests.hardware import bench as hardware
 from tests.hardware.bench import until
 from tests.hardware.canopen.documents import parse

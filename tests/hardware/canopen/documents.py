@@ -9,8 +9,8 @@ from typing import Any
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.file import validate_configuration
+from adaptdrive.devices.canopen.mapping import CanOpenMapping, map_drive
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.canopen.mapping import CanOpenMapping, map_drive
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 EXAMPLE = EXAMPLES / "motor-cia402.toml"

@@ -17,7 +17,7 @@ import can
 import canopen
 
 from adaptdrive.config.bus import CanOpenBus
-from adaptdrive.hardware.link.bus import open_bus
+from adaptdrive.devices.can.bus import open_bus
 from tests.hardware.canopen.documents import EDS, MEMORY
 
 NODE = 5

@@ -8,8 +8,8 @@ import can
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.hardware.canopen.mapping import map_drive
-from adaptdrive.hardware.canopen.port import CanOpenPort
+from adaptdrive.devices.canopen.mapping import map_drive
+from adaptdrive.devices.canopen.port import CanOpenPort
 from tests.hardware.bench import Clock
 from tests.hardware.canopen.bench import RUN, Ear
 from tests.hardware.canopen.documents import bus_of, parse

@@ -9,9 +9,9 @@ from canopen.pdo.base import PdoMap
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.hardware.canopen.dictionary import Entry, ObjectCatalogue, read_eds
-from adaptdrive.hardware.canopen.pdo import channels_of, codec, pack
-from adaptdrive.hardware.link.integrity import FrameVerdict
+from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.canopen.dictionary import Entry, ObjectCatalogue, read_eds
+from adaptdrive.devices.canopen.mapping import channels_of, codec, pack
 from tests.hardware.canopen.documents import EDS
 
 NODE = 5

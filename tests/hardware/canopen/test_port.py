@@ -15,9 +15,9 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND
-from adaptdrive.hardware.canopen.mapping import map_drive
-from adaptdrive.hardware.canopen.watch import CanOpenWatch
-from adaptdrive.hardware.link.bus import open_bus
+from adaptdrive.devices.can.bus import open_bus
+from adaptdrive.devices.canopen.mapping import map_drive
+from adaptdrive.devices.canopen.node import CanOpenWatch
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import RUN, Ear, driven, ready, running
 from tests.hardware.canopen.documents import EDS, MEMORY, other_eds, parse, without

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.canopen.profile import (
+from adaptdrive.devices.canopen.profile import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
     FAULT_RESET,

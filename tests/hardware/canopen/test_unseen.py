@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config.timing import Timing
-from adaptdrive.hardware.canopen.profile import (
+from adaptdrive.devices.canopen.profile import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
     SWITCH_ON,

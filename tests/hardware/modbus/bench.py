@@ -16,9 +16,9 @@ from crccheck.crc import CrcModbus
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.modbus.port import ModbusPort
-from adaptdrive.hardware.polled.mapping import Poll, map_drive
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.modbus.port import ModbusPort
+from adaptdrive.devices.polled.mapping import Poll, map_drive
+from adaptdrive.devices.port import Reading
 from tests.config.modbus_documents import parse
 from tests.hardware import memory
 from tests.hardware.bench import Ear, until

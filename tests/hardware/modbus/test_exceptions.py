@@ -7,8 +7,8 @@ import functools
 import pytest
 
 from adaptdrive.config.modbus import Register
-from adaptdrive.hardware.modbus.frames import explain_exception
-from adaptdrive.hardware.polled.capacity import Block, Exchange, Table, plan_blocks
+from adaptdrive.devices.modbus.frames import explain_exception
+from adaptdrive.devices.polled.capacity import Block, Exchange, Table, plan_blocks
 from adaptdrive.runtime.trips import remedy
 
 

@@ -15,11 +15,11 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.control.signals import Command
+from adaptdrive.devices.modbus.frames import function_of
+from adaptdrive.devices.modbus.link import ModbusConnection
+from adaptdrive.devices.polled.capacity import Exchange, exchange_bytes
+from adaptdrive.devices.polled.mapping import Poll, block_words, map_drive, value_in
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.modbus.frames import function_of
-from adaptdrive.hardware.modbus.link import ModbusConnection
-from adaptdrive.hardware.polled.capacity import Exchange, exchange_bytes
-from adaptdrive.hardware.polled.mapping import Poll, block_words, map_drive, value_in
 from tests.config.modbus_documents import parse
 
 COILS: dict[str, str | None] = {

@@ -16,8 +16,8 @@ import pytest
 
 from adaptdrive.config.sensors import ModbusRtuSensors
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.modbus.port import build_modbus_sensors
+from adaptdrive.devices.port import Reading
 from tests.hardware.modbus.bench import (
     FUNCTION_23,
     Bench,

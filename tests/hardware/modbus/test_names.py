@@ -16,9 +16,9 @@ from adaptdrive.app.lock import lock_names
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import parse_configuration
 from adaptdrive.config.modbus import ModbusTcp
+from adaptdrive.devices.modbus.link import ModbusConnection
+from adaptdrive.devices.polled.link import Stream
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.modbus.link import ModbusConnection
-from adaptdrive.hardware.polled.link import Stream
 from tests.config.modbus_documents import parse
 from tests.faults.course import EXAMPLES
 from tests.hardware import memory

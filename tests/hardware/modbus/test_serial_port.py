@@ -11,9 +11,9 @@ import pytest
 from serial import SerialException
 
 from adaptdrive.config.modbus import ModbusRtu
-from adaptdrive.hardware.modbus import serial_port
-from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.polled.link import Stream
+from adaptdrive.devices.modbus import link
+from adaptdrive.devices.modbus.link import SerialPort
+from adaptdrive.devices.polled.link import Stream
 from tests.config.modbus_documents import parse
 from tests.hardware import memory
 from tests.hardware.bench import until
@@ -82,9 +82,9 @@ class Threads:
 @pytest.fixture
 def threads(memory: None, monkeypatch: pytest.MonkeyPatch) -> Threads:
     found = Threads()
-    monkeypatch.setattr(serial_port, "in_thread", found.start)
-    monkeypatch.setattr(serial_port, "_Transport", Transport)
-    monkeypatch.setattr(serial_port, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(link, "in_thread", found.start)
+    monkeypatch.setattr(link, "_Transport", Transport)
+    monkeypatch.setattr(link, "PATIENCE_S", 0.1)
     monkeypatch.setattr(SerialPort, "open", _open)
     return found
 

@@ -9,10 +9,10 @@ from collections.abc import AsyncIterator
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.modbus.port import ModbusPort
-from adaptdrive.hardware.polled.capacity import Block
-from adaptdrive.hardware.polled.mapping import block_words
-from adaptdrive.hardware.polled.pace import WritePace
+from adaptdrive.devices.modbus.port import ModbusPort
+from adaptdrive.devices.polled.capacity import Block
+from adaptdrive.devices.polled.mapping import block_words
+from adaptdrive.devices.polled.pace import WritePace
 from tests.config.modbus_documents import flaws
 from tests.devices.modbus_node import ILLEGAL_VALUE, ModbusNode, RefusalError
 from tests.hardware.bench import Ear, until

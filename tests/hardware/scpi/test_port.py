@@ -14,7 +14,7 @@ import pytest
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.port import Port
+from adaptdrive.devices.port import Port
 from adaptdrive.runtime.trips import remedy
 from tests.hardware import memory
 from tests.hardware.bench import Ear, until

@@ -120,8 +120,8 @@ def test_an_ordinary_user_is_refused_in_words_and_goes_on() -> None:
 def test_the_daemon_imports_nothing_heavy() -> None:
     """Nor does it wake up threads of a linear algebra library."""
     code = (
-        "import sys, adaptdrive.cli, adaptdrive.app.run, adaptdrive.hardware.dbc.port\n"
-        "import adaptdrive.hardware.modbus.port\n"
+        "import sys, adaptdrive.cli, adaptdrive.app.run, adaptdrive.devices.can.port\n"
+        "import adaptdrive.devices.modbus.port\n"
         "print({'numpy', 'scipy', 'pyarrow'} & sys.modules.keys())"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}

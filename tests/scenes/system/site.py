@@ -29,7 +29,7 @@ from cantools.database.can.database import Database
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
-from adaptdrive.hardware.link.bus import open_bus
+from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.recording.reader import Session, read_session
 from tests.support import (
     MosquittoLauncher,

@@ -7,7 +7,7 @@ import pytest
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
-from adaptdrive.hardware.link.bus import open_bus
+from adaptdrive.devices.can.bus import open_bus
 from tests.scenes.conftest import MakeSite
 from tests.scenes.system.site import PATIENCE_S, BusEar, Site, until
 from tests.support import Process

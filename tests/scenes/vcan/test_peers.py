@@ -8,8 +8,8 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.dbc.port import CanPort
-from adaptdrive.hardware.port import Reading
+from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.port import Reading
 from tests.hardware.bench import (
     Drive,
     Ear,

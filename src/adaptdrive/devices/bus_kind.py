@@ -1,0 +1,137 @@
+"""The parts by which one kind of bus takes its place in the daemon."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from ipaddress import IPv6Address, ip_address
+from pathlib import Path
+from typing import Any, TypeVar
+
+from adaptdrive.config import Configuration
+from adaptdrive.config.bus import MEASURED
+from adaptdrive.config.timing import Timing
+from adaptdrive.devices.demands import Demands
+from adaptdrive.devices.port import Port, SensorPort
+from adaptdrive.errors import Flaw
+from adaptdrive.hosts import look_up
+
+Bus = TypeVar("Bus")
+
+Row = tuple[str, float, str]
+"""Name of a limit, its duration in seconds, and the keys that set it."""
+
+
+_LOOK_UP_S = 2.0
+"""Longest wait for the addresses of a drive's host: its daemon starts without them, too."""
+
+BuildPort = Callable[[Configuration, Callable[[], float], Path | str, bool], Port]
+"""Builds the port of a drive from it, clock, source, and whether nothing may be written to it.
+
+Nothing is opened yet. It raises `ConfigurationError` with every flaw where bus and signals do not
+fit.
+"""
+
+BuildSensors = Callable[[Any, str, Callable[[], float], Path | str, Demands], SensorPort]
+"""Builds the port of an entry of `[[sensor_bus]]` from it, its place, clock, source and demands."""
+
+
+def stale_limits(configuration: Configuration, _: Path | str) -> Iterator[Row]:
+    """Yield the age limit of each measured value, which `interlocks.stale_s` sets.
+
+    Args:
+        configuration: The drive.
+    """
+    signals = configuration.signals
+    given = [name for name in MEASURED if getattr(signals, name) is not None]
+    for name in (*given, *signals.other):
+        yield f"stale {name}", configuration.interlocks.stale_s, "interlocks.stale_s"
+
+
+def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator[Flaw]:
+    """Yield one word on a drive's time-out that is not stated, or ends before pauses of the daemon.
+
+    One command may be lost, and the next one late; the drive or the daemon may be silent.
+
+    Args:
+        timing: Times of the drive; each reading has a command.
+        key: Key that determines how often a reading comes.
+        slack_s: How much older than `interlocks.stale_s` each value may be, by `bus.stale_cycles`.
+    """
+    timeout_s, every_ms = timing.command_timeout_s, timing.reading_s * 1e3
+    if timeout_s is None:
+        yield Flaw(
+            "bus.command_timeout_s",
+            "is left out: a drive without a time-out of its own stays energised when the daemon, "
+            "its computer or the cable fails; state it, or wire a contactor for that",
+        )
+        return
+    silence_key = "bus.stale_cycles" if slack_s else "interlocks.stale_s"
+    late = f"two and a half times the {every_ms:.4g} ms from one command to the next"
+    pauses = (
+        (timing.command_pause_s, late, key),
+        (timing.stale_s + slack_s, "the silence after which the daemon trips", silence_key),
+    )
+    longer = [pause for pause in pauses if timeout_s <= pause[0]]
+    if longer:
+        named = ", nor than ".join(f"{pause_s:.4g} s, {meaning}" for pause_s, meaning, _ in longer)
+        keys = " and ".join(one for _, _, one in longer)
+        yield Flaw(
+            "bus.command_timeout_s",
+            f"{timeout_s:g} s is not longer than {named}: the drive stops by itself before; set a "
+            f"longer time-out in the drive, or lower {keys}",
+        )
+
+
+def polled_cautions(configuration: Configuration) -> Iterator[Flaw]:
+    """Yield what the own time-out of a drive that is polled does not fit."""
+    return timeout_cautions(configuration.timing, "bus.poll_ticks")
+
+
+def tcp_locks(kind: str, host: str, port: int, rest: str = "") -> Iterator[str]:
+    """Yield a device by each address of its host, none where its name server does not answer.
+
+    Args:
+        kind: Kind of bus.
+        host: Name or address.
+        port: TCP port.
+        rest: The rest of its address, such as the id of the device.
+    """
+    with contextlib.suppress(OSError, ValueError, TimeoutError):
+        found = look_up(host, port).result(_LOOK_UP_S)
+        for address in sorted({*map(_plain, found)}):
+            yield f"{kind} address {address} port {port}{rest}"
+
+
+def _plain(address: str) -> str:
+    """Return the IPv4 address that an IPv6 address stands for, and each other one as it is."""
+    found = ip_address(address)
+    mapped = found.ipv4_mapped if isinstance(found, IPv6Address) else None
+    return str(mapped or found)
+
+
+def bus_of(configuration: Configuration, kind: type[Bus]) -> Bus:
+    """Return the bus of a configuration that was selected by its type."""
+    assert isinstance(configuration.bus, kind)  # noqa: S101 - selected by it
+    return configuration.bus
+
+
+@dataclass(frozen=True, slots=True)
+class BusKind:
+    """One kind of bus.
+
+    Attributes:
+        build_port: Builds the port of a drive.
+        cautions: Yields what can be used, and probably does not work well.
+        build_sensors: Builds the port of a sensor bus, None where there are none of this kind.
+        time_limits: Yields the limits of time of a drive.
+        lock_names: Yields what one daemon alone may have, in addition to the drive's name; nothing
+            where frames of another sender are received.
+    """
+
+    build_port: BuildPort
+    cautions: Callable[[Configuration], Iterator[Flaw]]
+    build_sensors: BuildSensors | None = None
+    time_limits: Callable[[Configuration, Path | str], Iterator[Row]] = stale_limits
+    lock_names: Callable[[Configuration], Iterator[str]] = lambda _: iter(())

@@ -1,0 +1,244 @@
+"""Status messages of a drive, put together, and the frames that were refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.can.mapping import CanMapping, CanSource, StatusFrame
+from adaptdrive.devices.newest import NewestValues
+from adaptdrive.devices.port import Reading
+
+# Putting the status messages of a drive together: the newest good value of each quantity.
+
+
+class StatusAssembly:
+    """The newest values of one drive, and the readings that are made of them.
+
+    Attributes:
+        faults: Faults since the last reading that was handed out.
+        bridge_slack_s: Additional age of the report of the bridge, None for a drive that never
+            reports it.
+        bridge_cycle_s: Time from one report of the bridge to the next, 0 for a drive that never
+            reports it, infinite where nothing says how often the message comes.
+        stop_seen: Whether the drive has reported its bridge off after it had it on, and no reading
+            has carried that yet.
+    """
+
+    def __init__(self, mapping: CanMapping) -> None:
+        self._statuses = mapping.statuses
+        self._sources = {
+            one.quantity: (status, one) for status in mapping.statuses for one in status.sources
+        }
+        bridge = self._sources.get("bridge", (None, None))[1]
+        self._bridge_on = 1.0 if bridge is None else bridge.on
+        self.bridge_slack_s = None if bridge is None else bridge.slack_s
+        self.bridge_cycle_s = 0.0 if bridge is None else bridge.cycle_s
+        slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
+        self._newest = NewestValues(slacks, mapping.others, mapping.faults)
+        self._carried_on = self._come_on = False
+        self.stop_seen = False
+        self.faults = self._newest.faults
+
+    @property
+    def powered(self) -> bool:
+        """True if the drive's last report has its bridge on."""
+        return self._newest.powered
+
+    def forget(self) -> None:
+        """Await a report of the bridge: the bus was opened again; counters may have advanced."""
+        for status in self._statuses:
+            status.codec.resume()
+        self._newest.forget("bridge")
+
+    def keep(
+        self,
+        status: StatusFrame,
+        found: Mapping[str, float],
+        arrival_s: float,
+        *,
+        whole: bool = True,
+    ) -> None:
+        """Keep the good values of a message.
+
+        Args:
+            status: The message.
+            found: Good values by signal.
+            arrival_s: Arrival by the monotonic clock.
+            whole: Whether they are all of its values.
+        """
+        values = self._quantities(status, found)
+        expected = () if whole else status.sources
+        refused = [one.quantity for one in expected if one.quantity not in values]
+        self._newest.keep(values, arrival_s, refused)
+
+    def doubt(self, status: StatusFrame, found: Mapping[str, float]) -> None:
+        """Look at a message that may be an old one: its alive counter leapt, or stands.
+
+        It shows a fault, a bridge that is on, and that a drive which is driven may have stopped.
+
+        Args:
+            status: The message.
+            found: Good values by signal.
+        """
+        self._newest.doubt(self._quantities(status, found))
+
+    def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
+        """Return the values of a message by quantity, and note its report of the bridge."""
+        values = {}
+        for one in status.sources:
+            value = found.get(one.signal)
+            if value is not None:
+                values[one.quantity] = value * one.scale + one.offset
+        if "bridge" in values:
+            on = values["bridge"] == self._bridge_on
+            values["bridge"] = float(on)
+            self._note_bridge(on=on)
+        return values
+
+    def _note_bridge(self, *, on: bool) -> None:
+        """Note a report of the bridge, of which there may be several between two readings.
+
+        Before a reading has had it on, it may bounce: the newest report decides.
+        """
+        self._come_on = self._come_on or on
+        if self._carried_on:
+            self.stop_seen = self.stop_seen or not on
+        else:
+            self.stop_seen = self._come_on and not on
+
+    def carry(self, reading: Reading) -> None:
+        """Note a reading that is handed out; a stop seen after it was composed stays.
+
+        Args:
+            reading: The reading.
+        """
+        if reading.fault or reading.warning:
+            self.faults.clear(reading.fault)
+        self.stop_seen = self.stop_seen and reading.bridge
+        self._carried_on = reading.bridge and self.bridge_slack_s is not None
+        self._come_on = self.powered
+
+    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
+        """Return the newest values and each fault since the last reading; None before all came.
+
+        A drive that came on by command and stopped between two readings has one with its bridge on
+        first.
+
+        Args:
+            arrival_s: Arrival of the clocking message.
+            bridge_sent: Bridge of the last command: a drive that does not report its bridge is
+                assumed to follow.
+            stopped: Whether the safe command is in force.
+        """
+        reading = self._newest.reading(arrival_s, bridge=bridge_sent)
+        if reading is not None and self.stop_seen and not stopped:  # it was driven meanwhile
+            return replace(reading, bridge=bridge_sent and not self._carried_on)
+        return reading
+
+    def fresh(self, now_s: float, stale_s: float) -> dict[str, float]:
+        """Return the values that are not stale, as `NewestValues.fresh` does."""
+        return self._newest.fresh(now_s, stale_s)
+
+    def oldest(self) -> tuple[StatusFrame, CanSource, float, float]:
+        """Return the value that is out of date first: its message, its source, and its arrival.
+
+        The last item is the arrival of the newest value; an arrival is -inf before the first.
+        """
+        quantity, oldest_s, newest_s = self._newest.oldest()
+        return *self._sources[quantity], oldest_s, newest_s
+
+
+# Frames that a port could not use, kept for reports: which, why, and how often.
+
+_KINDS_HELD = 64
+"""Kinds of refused frames remembered: a flood of ids must not fill the memory."""
+
+_REMEDIES = {
+    FrameVerdict.WRONG_LENGTH: "DLC {0}, needed {1}: the DBC describes another version "
+    "of the message",
+    FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; look at the "
+    "cable",
+    FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
+    FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
+    FrameVerdict.OUT_OF_RANGE: "{2}; a sensor of the drive is broken, or the DBC has another sign "
+    "or range",
+}
+
+
+@dataclass(slots=True)
+class _Refusal:
+    """One kind: how often since the start and since the last good frame, and the last frame."""
+
+    count: int = 0
+    in_a_row: int = 0
+    data: bytes = b""
+    codec: MessageCodec | None = None
+
+
+class Refusals:
+    """Refused frames of each message, and frames that are not of this drive."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, dict[FrameVerdict | None, _Refusal]] = {}
+
+    @property
+    def any(self) -> bool:
+        """True if a frame was refused since the start."""
+        return bool(self._seen)
+
+    def note(
+        self,
+        frame: str,
+        verdict: FrameVerdict | None,
+        data: bytes,
+        codec: MessageCodec | None = None,
+    ) -> None:
+        """Remember a frame that failed a check, or of an id that nothing is taken from.
+
+        Args:
+            frame: Its message or id.
+            verdict: The check, None for an id that nothing is taken from.
+            data: Its bytes.
+            codec: Codec of its message, None for such an id.
+        """
+        if verdict is None and frame not in self._seen and len(self._seen) >= _KINDS_HELD:
+            return
+        refusal = self._seen.setdefault(frame, {}).setdefault(verdict, _Refusal())
+        refusal.count += 1
+        refusal.in_a_row += 1
+        refusal.data, refusal.codec = data, codec
+
+    def accept(self, message: str) -> None:
+        """Note a good frame of a message."""
+        for refusal in self._seen.get(message, {}).values():
+            refusal.in_a_row = 0
+
+    def explain(self, message: str) -> str | None:
+        """Return why a message has no good frame, None when none was refused since the last one."""
+        found = self._seen.get(message, {})
+        verdict = max(found, key=lambda one: found[one].in_a_row, default=None)
+        if verdict is None or not found[verdict].in_a_row:
+            return None
+        count, remedy = found[verdict].in_a_row, _remedy(verdict, found[verdict])
+        return f"its frames come and are refused ({verdict}, {count} in a row): {remedy}"
+
+    def lines(self) -> Iterator[str]:
+        """Every kind of refused frame, one line each."""
+        for frame, found in self._seen.items():
+            for verdict, refusal in found.items():
+                shown = f"{refusal.count} x, last [{refusal.data.hex(' ')}]"
+                if verdict is None:
+                    why = f"no entry of [signals] is taken from this id, {shown}"
+                else:
+                    why = f"{verdict} {shown}: {_remedy(verdict, refusal)}"
+                yield f"refused {frame}: {why}"
+
+
+def _remedy(verdict: FrameVerdict, refusal: _Refusal) -> str:
+    codec, data = refusal.codec, refusal.data
+    needed = codec.required(data) if codec and verdict is FrameVerdict.WRONG_LENGTH else 0
+    outside = codec.outside(data) if codec and verdict is FrameVerdict.OUT_OF_RANGE else ""
+    return _REMEDIES[verdict].format(len(data), needed, outside or "its alive counter")

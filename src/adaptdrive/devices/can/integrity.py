@@ -1,0 +1,275 @@
+"""Proofs that a frame is whole and alive: checksums and alive counters.
+
+crccheck works bit by bit and takes 5 to 9 µs for 7 bytes and 45 to 54 µs for 63; these tables take
+0.5 to 0.7 µs and 3 to 7 µs. The tests compare both over crccheck's whole catalogue.
+
+Two checksums have names. Both use the polynomial x⁸+x⁴+x³+x²+1 (0x1D), most significant bit first,
+over every byte of the frame but the one that holds the checksum:
+
+* `sae-j1850`: start value 0xFF, final XOR 0xFF.
+* `autosar-p01`: end-to-end profile 1: start value 0, no final XOR, over the data id and then the
+  frame. Of the data id come its low byte and its high byte (`both`), its low byte alone (`low`),
+  its low byte with an even and its high byte with an odd alive counter (`alternating`), or its low
+  byte and a zero, while the lower half of its high byte travels in the frame (`nibble`).
+
+Every other one is described by its parameters (`crc`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Final, Literal, NamedTuple
+
+from adaptdrive.config.bus import Crc, FrameIntegrity
+
+# Cyclic redundancy checks by the parameters under which catalogues list them.
+
+CHECK_INPUT = b"123456789"
+"""Input of the check value that a catalogue gives for each form."""
+
+
+def crc_function(form: Crc, before: bytes = b"") -> Callable[[bytes], int]:
+    """Return the function from bytes to their checksum.
+
+    Args:
+        form: The parameters.
+        before: Bytes that the checksum always runs over first.
+    """
+    run = _mirrored(form) if form.refin else _plain(form) if form.width > 8 else _single(form)
+    init = _mirror(form.init, form.width) if form.refin else form.init
+    start, width, xorout = run(before, init), form.width, form.xorout
+    if form.refin == form.refout:
+        return lambda data: run(data, start) ^ xorout
+    return lambda data: _mirror(run(data, start), width) ^ xorout
+
+
+def _single(form: Crc) -> Callable[[bytes, int], int]:
+    """Highest bit first, in a register of one byte."""
+    table = tuple(_shifted_out(byte, form) for byte in range(256))
+
+    def run(data: bytes, register: int) -> int:
+        for byte in data:
+            register = table[register ^ byte]
+        return register
+
+    return run
+
+
+def _plain(form: Crc) -> Callable[[bytes, int], int]:
+    """Highest bit first."""
+    shift, mask = form.width - 8, (1 << form.width) - 1
+    table = tuple(_shifted_out(byte << shift, form) for byte in range(256))
+
+    def run(data: bytes, register: int) -> int:
+        for byte in data:
+            register = (register << 8 & mask) ^ table[register >> shift ^ byte]
+        return register
+
+    return run
+
+
+def _mirrored(form: Crc) -> Callable[[bytes, int], int]:
+    """Lowest bit first, with the whole register mirrored."""
+    shift, width = form.width - 8, form.width
+    table = tuple(
+        _mirror(_shifted_out(_mirror(byte, 8) << shift, form), width) for byte in range(256)
+    )
+
+    def run(data: bytes, register: int) -> int:
+        for byte in data:
+            register = register >> 8 ^ table[register & 0xFF ^ byte]
+        return register
+
+    return run
+
+
+def _shifted_out(register: int, form: Crc) -> int:
+    """The register after eight more bits."""
+    top = 1 << form.width - 1
+    for _ in range(8):
+        register = register << 1 ^ (form.poly if register & top else 0)
+    return register & (1 << form.width) - 1
+
+
+def _mirror(value: int, width: int) -> int:
+    return int(f"{value:0{width}b}"[::-1], 2)
+
+
+# Proofs that a frame is whole and alive: checksums and alive counters.
+
+Checksum = Callable[[bytes, int], int]
+"""From the bytes that a checksum covers, and the frame's alive counter, to the checksum."""
+
+_SAE_J1850 = Crc(width=8, poly=0x1D, init=0xFF, xorout=0xFF)
+_AUTOSAR_P01 = Crc(width=8, poly=0x1D)
+
+
+class Span(NamedTuple):
+    """Position of a checksum in its frame: whole bytes.
+
+    Attributes:
+        first: Its first byte.
+        length: How many they are.
+        order: Their order.
+    """
+
+    first: int
+    length: int
+    order: Literal["little", "big"]
+
+    @property
+    def end(self) -> int:
+        """The byte behind it."""
+        return self.first + self.length
+
+    def read(self, data: bytes) -> int:
+        """The checksum that a frame holds."""
+        if self.length == 1:
+            return data[self.first]
+        return int.from_bytes(data[self.first : self.end], self.order)
+
+    def write(self, data: bytes, checksum: int) -> bytes:
+        """The frame with its checksum."""
+        held = checksum.to_bytes(self.length, self.order)
+        return data[: self.first] + held + data[self.end :]
+
+
+def checksum_function(integrity: FrameIntegrity) -> Checksum:
+    """Return the checksum of a message.
+
+    Args:
+        integrity: Its form.
+    """
+    if integrity.algorithm == "autosar-p01":
+        return _profile_1(integrity)
+    form = integrity.crc or _SAE_J1850
+    crc, after = crc_function(form, bytes(form.before)), bytes(form.after)
+    if form.by_counter:
+        last = [after + bytes((byte,)) for byte in form.by_counter]
+        return lambda data, counter: crc(data + last[counter % len(last)])
+    return (lambda data, _: crc(data + after)) if after else (lambda data, _: crc(data))
+
+
+def _profile_1(integrity: FrameIntegrity) -> Checksum:
+    low, high = integrity.data_id.to_bytes(2, "little")
+    if integrity.data_id_mode == "alternating":
+        even, odd = (crc_function(_AUTOSAR_P01, bytes((byte,))) for byte in (low, high))
+        return lambda data, counter: odd(data) if counter % 2 else even(data)
+    begin = {"both": (low, high), "low": (low,), "nibble": (low, 0)}[integrity.data_id_mode]
+    crc = crc_function(_AUTOSAR_P01, bytes(begin))
+    return lambda data, _: crc(data)
+
+
+def covered_bytes(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], bytes]:
+    """Return what takes the bytes that the checksum covers out of a frame.
+
+    Args:
+        integrity: Its form.
+        span: Where the checksum itself lies.
+    """
+    first, end = span.first, span.end
+    covers = integrity.crc.covers if integrity.crc else None
+    if covers is None:
+        return lambda data: data[:first] + data[end:]
+    # the bytes of the checksum itself are taken from the zero that is put behind the frame
+    places = [-1 if first <= at < end else at for at in covers]
+
+    def take(data: bytes) -> bytes:
+        extended = data + b"\0"
+        return bytes([extended[at] for at in places])
+
+    return take
+
+
+class FrameVerdict(StrEnum):
+    """Result of the checks of a frame; a refusal is named after the count that it adds to."""
+
+    GOOD = "good"
+    WRONG_LENGTH = "wrong_length"
+    WRONG_CHECKSUM = "wrong_checksum"
+    COUNTER_STUCK = "counter_stuck"
+    COUNTER_LOST = "counter_lost"
+    OUT_OF_RANGE = "out_of_range"
+
+
+_GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
+
+
+_RECENT_SHARE = 4
+_RECENT_FRAMES = 8
+_RECENT_S = 0.1
+"""The newest counters are old ones: a quarter of the range, and eight at the most, of a time that a
+sender that starts anew among them can lose."""
+
+_BUFFERED_FRAMES = 16
+"""Frames that a gateway may hold: a counter that falls back further is that of a restart."""
+
+
+class AliveCounter:
+    """Follows the alive counter of one message.
+
+    A counter that stands still is a repeated frame. One that leaps further than `max_jump` is
+    refused. So are those after it, until one is the very next of the one before: a restarted sender
+    loses one frame, and of two senders that take turns neither is believed.
+
+    Frames that are repeated in turn are each the next of the one before, too. A counter among the
+    newest ones is refused until one is ahead of them. One that falls back a little further is
+    followed once, as that of a restarted sender. Where one falls back again before any was ahead of
+    the highest, all from there on are refused until one is.
+    """
+
+    def __init__(self, modulus: int, max_jump: int, cycle_s: float = 0.0) -> None:
+        """Start without a frame.
+
+        Args:
+            modulus: Where the counter wraps.
+            max_jump: Largest accepted advance.
+            cycle_s: Time from one frame to the next, 0 for a message of each half cycle.
+        """
+        self._modulus = modulus
+        self._max_jump = max_jump
+        self._back = max(0, min(_BUFFERED_FRAMES, modulus // 2 - 1, modulus - 1 - max_jump))
+        most = _RECENT_FRAMES if cycle_s <= 0.0 else max(1, int(_RECENT_S / cycle_s))
+        self._recent = min(most, _RECENT_FRAMES, modulus // _RECENT_SHARE, self._back + 1) - 1
+        self._newest = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next counter is the first one."""
+        self._last: int | None = None
+        self._below = -1  # how far the newest counter is below the highest one, none above it: -1
+        self._leapt = self._resumed = False
+
+    def check(self, value: int) -> tuple[FrameVerdict, int]:
+        """Compare a counter with those before it.
+
+        Args:
+            value: The counter of the frame at hand, 0…modulus-1.
+
+        Returns:
+            The verdict, and how many frames went missing before this one.
+        """
+        if self._last is None:
+            self._last = self._newest = value
+            return _GOOD, 0
+        jump = (value - self._last) % self._modulus
+        if jump == 0:
+            return FrameVerdict.COUNTER_STUCK, 0
+        self._last = value
+        behind = (self._newest - value) % self._modulus
+        if behind <= (self._recent if self._below < 0 else self._back):
+            self._leapt = True
+            return FrameVerdict.COUNTER_LOST, jump - 1
+        first = behind <= self._back  # the first one that falls back
+        self._below = behind if first else max(-1, self._below - self._modulus + behind)
+        self._newest = value
+        if self._resumed:
+            self._leapt = self._resumed = False
+            return _GOOD, 0
+        self._leapt = jump > (1 if self._leapt else self._max_jump)
+        return FrameVerdict.COUNTER_LOST if self._leapt else _GOOD, jump - 1
+
+    def resume(self) -> None:
+        """Accept any next counter but the newest ones: a repeated frame stays one after a pause."""
+        self._leapt, self._resumed = False, self._last is not None

@@ -1,0 +1,366 @@
+"""The port of a drive on a CAN bus.
+
+Every message keeps its last good values and their arrival. When a good clocking frame arrives and
+every quantity has been heard once, there is a reading, as old as its oldest value. One whose frame
+was read as soon as it came is handed out at once. One whose frame has waited is held back until no
+more frames wait: of readings that piled up while the process did not run, only the newest is worth
+a tick. A frame that fails a check is counted and changes nothing, but for the other values of one
+with a value out of range. Of one whose alive counter leapt or stands, faults and a stop are noted.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, Final
+
+import can
+
+from adaptdrive.config.bus import CanBus
+from adaptdrive.config.timing import OBEY_S
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.can.arrival import PROMPT_S, ArrivalClock
+from adaptdrive.devices.can.assembly import Refusals, StatusAssembly
+from adaptdrive.devices.can.bus import as_received, describe_bus, requests
+from adaptdrive.devices.can.codec import frame_key
+from adaptdrive.devices.can.connection import CanConnection
+from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.can.mapping import CanMapping, StatusFrame
+from adaptdrive.devices.can.orders import CommandFrame, bridge_first
+from adaptdrive.devices.fault_reset import pulse_reset
+from adaptdrive.devices.obedience import LEAPT, Obedience, Relink, Rival
+from adaptdrive.devices.port import Listener, PortStatistics, Reading
+
+_ASK_AGAIN_S = 1.0
+"""Silence of the clock of a drive that is off after which its set-up is sent again: it may have
+started anew, and forgotten the requests for its messages."""
+
+_GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
+
+
+class CanPort:
+    """One connection to one drive on a CAN bus.
+
+    Attributes:
+        description: The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`.
+        counter_modulus: As in `Port`, like all that follow.
+        stop_slack_s: Additional time for the report of the bridge.
+        bridge_cycle_s: Time from one report of the bridge to the next.
+    """
+
+    def __init__(
+        self,
+        config: CanBus,
+        mapping: CanMapping,
+        clock: Callable[[], float],
+        wall_clock: Callable[[], float] = time.time,
+        *,
+        hears_all: bool = False,
+    ) -> None:
+        """Open nothing yet.
+
+        Args:
+            config: `[bus]`.
+            mapping: Messages and properties of the drive.
+            clock: Monotonic clock, in seconds.
+            wall_clock: The clock with which the bus stamps frames, in seconds.
+            hears_all: Whether to receive and record frames with unused ids, too.
+        """
+        self._config = config
+        self._mapping = mapping
+        self._clock = clock
+        self._arrivals = ArrivalClock(clock, wall_clock)
+        self._counts: Counter[str] = Counter()
+        self._connection = CanConnection[Listener](config, self, self._arrivals, self._counts)
+        asked = requests(config, [one.codec for one in mapping.statuses])
+        self._connection.asked = asked, mapping.timing.reading_s
+        self._assembly = StatusAssembly(mapping)
+        self._statuses = {status.codec.key: status for status in mapping.statuses}
+        self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
+        self._rival = Rival(clock)
+        self._refusals = Refusals()
+        self._hears_all = hears_all
+        self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
+        self._stopping = bridge_first(mapping.orders)
+        self.description = describe_bus(config)
+        self.counter_modulus = mapping.counter_modulus
+        self.stop_slack_s = self._assembly.bridge_slack_s
+        self.bridge_cycle_s = self._assembly.bridge_cycle_s
+        limit_s = mapping.timing.obeyed_s(self.bridge_cycle_s)
+        self._obedience = Obedience(limit_s, clock)
+        self._bridge_sent = False
+        self._sent_s: dict[int, float] = {}
+        self._relink = Relink()
+        self._leapt_s = self._asked_s = -math.inf
+        self._newest: Reading | None = None
+        self._made_up = list(_made_up(config, mapping))
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(**self._counts)
+
+    @property
+    def complaint(self) -> str | None:
+        """Another sender, a fault not carried yet, commands not taken, or a stop unheard."""
+        return (
+            self._rival.complaint
+            or self._assembly.faults.complaint
+            or self._connection.uptake.complaint
+            or self._relink.complaint
+        )
+
+    @property
+    def safe_s(self) -> float:
+        """Time at which the bus took the safe command in force, infinite while none is in force."""
+        return self._obedience.heard_s
+
+    def run(self, listener: Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
+        """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
+
+        Args:
+            listener: Receiver of readings and of the state of the bus.
+            opened: Called once, when the bus is open.
+
+        Raises:
+            BusError: The bus cannot be opened at the first attempt.
+        """
+        ids = [] if self._hears_all else [*self._statuses, *self._commands]
+        return self._connection.run(ids, self._serve, listener, opened)
+
+    def send(self, command: Command) -> bool:
+        """Send one command now; one that has the bridge off begins with the frame that says so.
+
+        Args:
+            command: Command to the drive; it must have passed the guard.
+
+        Returns:
+            Whether the bus took it. False is counted, and nothing is sent again. It is withheld
+            in every other second of a drive that stays energised after the safe command: silence
+            lets its own time-out switch it off; and for a command that has the bridge on before
+            the first reading of a bus that was opened again, or the next report of a bridge once an
+            alive counter of its drive has leapt, or the reading with a stop that the drive has
+            reported.
+
+        Raises:
+            ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
+        """
+        bridge = command.bridge
+        orders = self._due(self._mapping.orders if bridge else self._stopping, bridge=bridge)
+        frames = [self._frame(order, command) for order in orders]
+        safe = not bridge and command == SAFE_COMMAND
+        if not safe:
+            self._obedience.forget()
+        self._relink.note(bridge=bridge, safe=safe)
+        if self._disobeyed or self._must_report(bridge=bridge):
+            self._counts["withheld_commands"] += 1
+            return False
+        if not bridge and self._clock() > self._asked_s + _ASK_AGAIN_S:
+            self._set_up()
+        if bridge and not self._bridge_sent and not self._set_up():  # it may have started anew
+            self._connection.uptake.note(taken=False)
+            return False
+        taken = 0
+        for frame in frames:
+            taken += self._connection.send(frame)
+        self._connection.uptake.note(taken=taken == len(frames))
+        if taken < len(frames):  # the frame that energises may be one of those that went out
+            self._bridge_sent = self._bridge_sent or (bridge and taken > 0)
+            return False
+        self._bridge_sent = bridge
+        self._sent_s |= {order.codec.key: self._clock() for order in orders if order.every_s}
+        if safe:
+            self._obedience.hear()
+        return True
+
+    def catch_up(self) -> None:
+        """Process the frames that have arrived, but were not read yet."""
+        self._connection.catch_up()
+
+    def rehearse(self) -> None:
+        """Decode synthetic frames, without a report to the listener."""
+        for status in self._mapping.statuses:
+            status.codec.reset()
+        for received in self._made_up:
+            self.take(received())
+
+    def explain_age(self) -> str:
+        """Return the oldest value, its source, its age, and the likeliest cause of that."""
+        now_s = self._clock()
+        status, source, oldest_s, newest_s = self._assembly.oldest()
+        value = f"{source.quantity} ({status.codec.label}, {source.signal})"
+        age_s, came = now_s - oldest_s, oldest_s > -math.inf
+        # not the age of the reading, which may be that of a value that has come since
+        found = f"is the oldest value, {age_s * 1e3:.0f} ms old" if came else "has never come"
+        others_come = newest_s > oldest_s and now_s - newest_s < 0.5 * age_s
+        why = self._explain_silence(status, came=came, others_come=others_come)
+        return f"{value} {found}: {why}"
+
+    def _explain_silence(self, status: StatusFrame, *, came: bool, others_come: bool) -> str:
+        if self._connection.bus is None:
+            return "the bus is lost"
+        refused = self._refusals.explain(status.codec.label)
+        if refused is not None:
+            return refused
+        if status.codec.name in self._config.polled:
+            return "no reply to its requests: check bus.polled, the id, the drive and its cable"
+        if others_come and came:
+            return (
+                "other messages come, and this one has come before: does the drive still send it, "
+                "and as often as interlocks.stale_s needs?"
+            )
+        if others_come:
+            return "other messages come: is this one switched on in the drive, with this id?"
+        return "no message comes: check the drive's supply, the cable, the bit rate, the ids"
+
+    def details(self) -> list[str]:
+        """Frames that were refused, one line for each kind."""
+        return list(self._refusals.lines())
+
+    def reset_fault(self) -> Coroutine[Any, Any, None]:
+        """Switch the reset of the drive's fault on and off with the next frames, if it has one."""
+        sinks = (part for order in self._mapping.orders for part in order.parts.values())
+        return pulse_reset(sinks, self._mapping.timing.reading_s)
+
+    def take(self, frame: can.Message) -> None:
+        """Take one frame from the bus."""
+        key = frame_key(frame.arbitration_id, extended=frame.is_extended_id)
+        self._counts["received"] += 1
+        status = self._statuses.get(key)
+        if status is None or frame.is_error_frame or frame.is_remote_frame:
+            self._take_foreign(key, frame)
+            return
+        self._take_status(status, frame)
+
+    def take_garbage(self) -> None:
+        """Count a datagram on the bus that is not a CAN frame as foreign."""
+        self._counts["received"] += 1
+        self._counts["foreign"] += 1
+
+    def _take_foreign(self, key: int, frame: can.Message) -> None:
+        """Count a frame that is no measurement; no bus returns what this port has sent."""
+        self._counts["foreign"] += 1
+        if self._hears_all:
+            sender = f" from 0x{key & 0xFF:02X} of J1939" if frame.is_extended_id else ""
+            self._refusals.note(f"0x{frame.arbitration_id:03X}{sender}", None, bytes(frame.data))
+        if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
+            self._counts["foreign_commands"] += 1
+            self._rival.hear(self._commands[key])
+
+    def _take_status(self, status: StatusFrame, frame: can.Message) -> None:
+        waited_s = self._arrivals.waited_s(frame)
+        arrival_s = self._clock() - waited_s
+        decoded = status.codec.decode(bytes(frame.data))
+        verdict = decoded.verdict
+        if decoded.lost:
+            self._counts["counter_lost"] += decoded.lost
+        if verdict is not _GOOD:
+            self._refuse(status, verdict, frame)
+            if verdict is FrameVerdict.COUNTER_LOST:
+                self._doubt(arrival_s)
+            if verdict is not FrameVerdict.OUT_OF_RANGE:
+                self._assembly.doubt(status, decoded.values)
+                return
+        elif self._refusals.any:
+            self._refusals.accept(status.codec.label)
+        self._assembly.keep(status, decoded.values, arrival_s, whole=verdict is _GOOD)
+        if status is self._clocking and self._has_page(status, decoded.values, frame):
+            self._asked_s = max(self._asked_s, arrival_s)
+            stopped = self._obedience.awaited
+            reading = self._assembly.reading(
+                arrival_s, bridge_sent=self._bridge_sent, stopped=stopped
+            )
+            self._newest = reading or self._newest
+            if frame.timestamp and waited_s < PROMPT_S:
+                self.hand_out()
+
+    def _has_page(
+        self, status: StatusFrame, found: Mapping[str, float], frame: can.Message
+    ) -> bool:
+        """Return whether a good frame of the clocking message has the page that clocks."""
+        page = self._mapping.page
+        return page is None or page in found or status.codec.carries(bytes(frame.data), page)
+
+    def _doubt(self, arrival_s: float) -> None:
+        """Let what energises wait for the next report of the bridge: the drive may be a new one.
+
+        Never for one that does not report its bridge: the wait itself would let it stop.
+        """
+        if self.stop_slack_s is None:
+            return
+        self._leapt_s = arrival_s
+        self._relink.open(bridge=self._bridge_sent, how=LEAPT)
+
+    def _refuse(self, status: StatusFrame, verdict: FrameVerdict, frame: can.Message) -> None:
+        """Count a frame that failed a check, and remember it for reports."""
+        # a counter that leapt is in `counter_lost` already, with the length of its leap
+        if verdict is not FrameVerdict.COUNTER_LOST:
+            self._counts[verdict] += 1
+        codec = status.codec
+        self._refusals.note(codec.label, verdict, bytes(frame.data), codec)
+
+    def hand_out(self) -> None:
+        """Pass the newest reading on: no more frames wait."""
+        reading, self._newest = self._newest, None
+        if reading is not None and (listener := self._connection.listener) is not None:
+            self._assembly.carry(reading)
+            self._connection.uptake.hear()
+            if reading.bridge_reported_s > self._leapt_s:
+                self._relink.hear(bridge=reading.bridge)
+            listener.on_reading(reading)
+
+    def _must_report(self, *, bridge: bool) -> bool:
+        """Return whether a command must wait for a report of the drive, or for its reading."""
+        return not self._relink.admits(bridge=bridge) or (bridge and self._assembly.stop_seen)
+
+    @property
+    def _disobeyed(self) -> bool:
+        """True in every other second of a drive that is energised long after the safe command."""
+        seconds = self._obedience.overdue_s(powered=self._assembly.powered) / OBEY_S
+        return seconds >= 0.0 and int(seconds) % 2 == 0
+
+    def _due(self, orders: Sequence[CommandFrame], *, bridge: bool) -> Sequence[CommandFrame]:
+        """Return the frames that go with a command now; all of them where the bridge changes."""
+        if bridge is not self._bridge_sent:
+            self._sent_s.clear()
+        soon_s, sent_s = self._clock() + 0.5 * self._mapping.timing.reading_s, self._sent_s
+        return [
+            one for one in orders if soon_s >= sent_s.get(one.codec.key, -math.inf) + one.every_s
+        ]
+
+    def _frame(self, order: CommandFrame, command: Command) -> can.Message:
+        stale_s = self._mapping.timing.stale_s
+        measured = self._assembly.fresh(self._clock(), stale_s) if order.copies else {}
+        data, fast = order.encode(command, measured), self._config.bitrate_switch
+        return order.codec.frame(data, bitrate_switch=fast)
+
+    def _set_up(self) -> bool:
+        """Send what the drive needs before it is commanded; whether the bus took all of it."""
+        self._asked_s = self._clock()
+        frames = [self._frame(order, SAFE_COMMAND) for order in self._mapping.setup]
+        return all(self._connection.send(frame) for frame in frames)
+
+    def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
+        """Use the open bus until it is lost; return the reason."""
+        self._newest = None
+        self._obedience.forget()
+        self._relink.open(bridge=self._bridge_sent, glimpsed=self._assembly.powered)
+        self._bridge_sent = False
+        self._sent_s.clear()
+        self._assembly.forget()
+        if not self._hears_all:
+            self._set_up()
+        return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
+
+
+def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.Message]]:
+    """Frames as a drive without a fault might send them, each from a function that repeats it."""
+    for status in mapping.statuses:
+        codec = status.codec
+        faults = [one.signal for one in status.sources if one.quantity in mapping.faults]
+        data = codec.example(dict.fromkeys(faults, 0.0))
+        if data is not None:
+            yield as_received(config, codec.frame(data))

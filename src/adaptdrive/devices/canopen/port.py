@@ -1,0 +1,339 @@
+"""The port of a CiA 402 drive on CANopen, and how the daemon builds it.
+
+A reading is what the drive's PDOs carry after one SYNC, as old as that SYNC; of readings that piled
+up while the process did not run, only the newest is handed out. A command is a
+controlword and the commanded values. The daemon's heartbeat goes out with commands only: a daemon
+that commands no more, or whose node is lost, falls silent, and the drive makes itself safe. So does
+one whose drive does not obey the safe command. A lost node gets the safe command alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+
+from adaptdrive.clock.tick_timer import pulsing
+from adaptdrive.config import Configuration
+from adaptdrive.config.bus import CanOpenBus
+from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.bus_kind import BusKind, Row, bus_of, stale_limits
+from adaptdrive.devices.can.arrival import PROMPT_S
+from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
+from adaptdrive.devices.canopen.master import (
+    Emergency,
+    Master,
+    NodeState,
+    parse_emergency,
+    problem_of,
+)
+from adaptdrive.devices.canopen.node import CanOpenWatch, NodePort
+from adaptdrive.devices.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
+from adaptdrive.devices.canopen.reports import Reports
+from adaptdrive.devices.canopen.sdo import describe_node
+from adaptdrive.devices.canopen.setup import SYNC_COB_ID, set_up
+from adaptdrive.devices.demands import demands_of
+from adaptdrive.devices.obedience import Obedience, Rival
+from adaptdrive.devices.port import Port
+from adaptdrive.errors import Flaw
+
+# The port of a CiA 402 drive on CANopen.
+
+_FAULT_RESET_S = 1.0
+"""Longest wait for a drive to leave its fault."""
+
+_SDO_WRITES = frozenset({0, 1, 6})
+"""Client command specifiers of SDO frames that write: segment, initiate and block download."""
+
+_LOOK_S = 0.005
+"""Time between two looks whether the fault is gone: short compared with the longest wait."""
+
+
+class CanOpenPort(NodePort):
+    """One connection to one drive on CANopen."""
+
+    def __init__(
+        self,
+        config: CanOpenBus,
+        mapping: CanOpenMapping,
+        timing: Timing,
+        clock: Callable[[], float],
+    ) -> None:
+        """Prepare for the drive; nothing is opened yet.
+
+        Args:
+            config: `[bus]`.
+            mapping: Which object is which quantity.
+            timing: Times of the drive.
+            clock: Monotonic clock, in seconds.
+        """
+        super().__init__(config, mapping, clock)
+        self.counter_modulus = mapping.counter_modulus
+        self._control = DriveControl()
+        self._unseen = UnseenStop(self._control, timing)
+        self._reports = Reports(mapping, self._control, self._unseen, self._counts)
+        self._master = Master(config, self._set_up, self._connection.put, clock)
+        self._emergency: Emergency | None = None
+        self._half_cycle_s = timing.half_cycle_s
+        self._obedience = Obedience(timing.obeyed_s(0.0), clock)
+        self._beat_s = -math.inf
+        self._been_up = False
+        self._rival = Rival(clock)
+        self._takers |= self._make_takers()
+
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive, None for no reason."""
+        for seen in (self._rival, self._reports.faults, self._connection.uptake):
+            if seen.complaint is not None:
+                return seen.complaint
+        if self._connection.bus is None and self._control.fallen is None:
+            return None  # without a bus there are no readings, which is a separate cause
+        problem = problem_of(self._emergency, self._control, self._master)
+        return None if problem is None else f"{describe_node(self._config)}: {problem}"
+
+    @property
+    def safe_s(self) -> float:
+        """Time at which the bus took the safe command in force, infinite while none is in force."""
+        return self._obedience.heard_s
+
+    def send(self, command: Command) -> bool:
+        """Send one command now, and the daemon's heartbeat when it is due.
+
+        Args:
+            command: Command to the drive; it must have passed the guard.
+
+        Returns:
+            Whether the bus took it; False is counted, and nothing is sent again. It is False, too,
+            for a node that is lost, although the safe command is sent to it.
+
+        Raises:
+            ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
+        """
+        self._unseen.look(self._clock())
+        word = self._control.controlword(command)
+        self._unseen.note(word)
+        frames = [order.encode(command, word) for order in self._mapping.orders]
+        if command != SAFE_COMMAND:
+            self._obedience.forget()
+        if not self._master.ready:
+            self._counts["send_drops"] += 1
+            if command == SAFE_COMMAND:
+                self._disable_lost()
+            return False
+        taken = [self._connection.put(*frame) for frame in frames]
+        self._connection.uptake.note(taken=all(taken))
+        if not all(taken):
+            return False
+        if self._obedience.overdue_s(powered=self._control.powered) <= 0.0:
+            self._beat()
+        if command == SAFE_COMMAND:
+            self._obedience.hear()
+        return True
+
+    def catch_up(self) -> None:
+        """Process the frames that have arrived, but were not read yet."""
+        self._connection.catch_up()
+
+    def explain_age(self) -> str:
+        """Return the PDO that is missing for a reading, and the likeliest cause."""
+        return self._reports.explain()
+
+    def details(self) -> list[str]:
+        """Return the missing PDOs of the node."""
+        return [self.explain_age()] if self._reports.missing else []
+
+    async def reset_fault(self) -> None:
+        """Have the drive leave its fault by an edge of the reset bit; ends in a second at most.
+
+        A drive that is in no fault any more has its emergency forgotten, too.
+        """
+        if not self._master.ready:
+            return
+        self._control.ask_reset()
+        deadline_s = self._clock() + _FAULT_RESET_S
+        while self._control.faulty and self._clock() < deadline_s:  # noqa: ASYNC110 - a frame
+            await asyncio.sleep(_LOOK_S)
+        if not self._control.faulty:
+            self._emergency = None
+
+    def _make_takers(self) -> dict[int, Callable[[can.Message], None]]:
+        """Return the handler of each frame.
+
+        No bus returns the frames that this port sends: another sender commands the drive with the
+        same. Its heartbeat under the daemon's own id does, too: the drive would obey its last
+        command for as long as that node lives, however long ago this daemon has died. Its SYNC
+        would let control run too fast. NMT is no command: a node that it stops or restarts reports
+        that itself.
+        """
+        node, own, taken_by = self._config.node_id, self._config.own_node_id, functools.partial
+        another = taken_by(self._take_rival, "SYNC of another node")
+        takers: dict[int, Callable[[can.Message], None]] = {
+            SYNC_COB_ID: self._take_sync if self._config.sync == "drive" else another,
+            0x080 + node: self._take_emergency,
+            0x600 + node: self._take_sdo_request,
+            0x700 + node: self._take_heartbeat,
+            0x700 + own: taken_by(
+                self._take_rival, "heartbeat of another node with bus.own_node_id"
+            ),
+        }
+        for status in self._mapping.statuses:
+            takers[status.codec.frame_id] = taken_by(self._take_pdo, status)
+        for order in self._mapping.orders:
+            takers[order.codec.frame_id] = taken_by(self._take_rival, order.codec.name)
+        return takers
+
+    def _take_rival(self, name: str, frame: can.Message) -> None:
+        self._counts["foreign"] += 1
+        self._counts["foreign_commands"] += 1
+        self._rival.hear(f"0x{frame.arbitration_id:03X} ({name})")
+
+    def _take_sdo_request(self, frame: can.Message) -> None:
+        """Note that another sender writes an object; one that reads objects does no harm."""
+        if frame.data and frame.data[0] >> 5 in _SDO_WRITES:
+            self._take_rival("SDO write", frame)
+            self._master.overwritten = True
+        else:
+            self._counts["foreign"] += 1
+
+    def _take_sync(self, frame: can.Message) -> None:
+        self._reports.begin(self._clock() - self._arrivals.waited_s(frame))
+
+    def _take_heartbeat(self, frame: can.Message) -> None:
+        if not frame.data:
+            self._counts["wrong_length"] += 1
+            return
+        state = frame.data[0] & 0x7F
+        if state == NodeState.BOOT_UP:
+            self._emergency = None
+        self._master.hear(state)
+
+    def _take_emergency(self, frame: can.Message) -> None:
+        emergency = parse_emergency(bytes(frame.data))
+        if emergency is None:
+            self._counts["wrong_length"] += 1
+        elif emergency.over:
+            self._emergency = None
+        else:
+            self._emergency = emergency
+            self._control.fall(str(emergency))
+
+    def _take_pdo(self, status: StatusPdo, frame: can.Message) -> None:
+        if not self._master.ready:
+            return  # whatever it carries, it is not what the drive has been set up for
+        waited_s = self._arrivals.waited_s(frame)
+        whole = self._reports.take(status, bytes(frame.data), self._clock() - waited_s)
+        if whole and frame.timestamp and waited_s < PROMPT_S:
+            self.hand_out()
+
+    def hand_out(self) -> None:
+        """Pass the newest reading on: no more frames wait."""
+        listener = self._connection.listener
+        if listener is not None and (reading := self._reports.hand_out()) is not None:
+            self._connection.uptake.hear()
+            listener.on_reading(reading)
+
+    async def _set_up(self) -> None:
+        half_s = self._half_cycle_s
+        await self._sdo.run(lambda server: set_up(server, self._config, self._mapping, half_s))
+
+    def _send_sync(self) -> None:
+        self.catch_up()  # what waits belongs to the SYNC before
+        if self._master.ready:
+            self._reports.begin(self._clock())
+            self._connection.put(SYNC_COB_ID, b"")
+
+    def _disable_lost(self) -> None:
+        """Send the safe command, and no heartbeat, to a lost node that may still take it."""
+        if self._master.mapped:
+            for order in self._mapping.orders:
+                self._connection.put(*order.encode(SAFE_COMMAND, DISABLE_VOLTAGE))
+
+    def _beat(self) -> None:
+        """Send the daemon's heartbeat where the next command would be too late for it."""
+        now_s = self._clock()
+        if now_s - self._beat_s > self._config.heartbeat_s - self._half_cycle_s:
+            self._beat_s = now_s
+            self._connection.put(0x700 + self._config.own_node_id, bytes((NodeState.OPERATIONAL,)))
+
+    async def _serve(self, announce: Callable[[], None]) -> str:
+        """Use the open bus until it is lost; return the reason."""
+        syncs = [self._send_sync] if self._config.sync == "daemon" else []
+        try:
+            with pulsing(self._half_cycle_s, *syncs):
+                announce()
+                node = self._master.run(self._report_node, lambda: self._rival.complaint is None)
+                return await self._connection.read_beside(node, "node")
+        except Exception:
+            self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
+            raise
+        finally:
+            self._master.leave("bus lost")
+            self._on_node("bus lost")
+
+    def _report_node(self, problem: str | None) -> None:
+        """Report that the node is ready, or why it is not."""
+        if problem is None:
+            self._counts["reconnects"] += self._been_up
+            self._been_up = True
+        else:
+            self._disable_lost()
+        self._on_node(problem)
+        self._connection.report(up=problem is None, detail=problem or "operational")
+
+    def _on_node(self, problem: str | None) -> None:
+        """Forget all values that were received before the node came up or was lost."""
+        if problem is not None:
+            self._control.fall(problem)
+            self._obedience.forget()
+        self._control.forget()
+        self._reports.forget()
+
+
+# A CiA 402 drive on CANopen, as the daemon builds it.
+
+_LOST_HEARTBEATS = 2
+"""Heartbeats in a row that a bus may lose now and then without a fault: one of 50 frames lost."""
+
+
+def _build(
+    configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
+) -> Port:
+    bus, mapping = bus_of(configuration, CanOpenBus), _mapped(configuration, source)
+    if passive:
+        return CanOpenWatch(bus, mapping, clock)
+    return CanOpenPort(bus, mapping, configuration.timing, clock)
+
+
+def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:
+    """Return the objects of a drive, held against what its limits ask."""
+    bus, demands = bus_of(configuration, CanOpenBus), demands_of(configuration)
+    return map_drive(bus, configuration.signals, source, demands)
+
+
+def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
+    yield from stale_limits(configuration, source)
+    timeout_s = bus_of(configuration, CanOpenBus).heartbeat_timeout_s
+    yield "silent node", timeout_s, "bus.heartbeat_timeout_s"
+
+
+def _cautions(configuration: Configuration) -> Iterator[Flaw]:
+    """Yield that a few lost frames may stop the drive, and what is wrong in its EDS."""
+    bus = bus_of(configuration, CanOpenBus)
+    yield from _mapped(configuration).cautions
+    survived = math.ceil(bus.heartbeat_timeout_s / bus.heartbeat_s - 1e-9) - 2
+    if survived < _LOST_HEARTBEATS:
+        yield Flaw(
+            "bus.heartbeat_s",
+            f"{bus.heartbeat_s:g} s: of the heartbeats within bus.heartbeat_timeout_s = "
+            f"{bus.heartbeat_timeout_s:g} s no more than {survived} in a row may be lost before "
+            "the drive stops, or the daemon trips; shorten it, or lengthen that time-out",
+        )
+
+
+CANOPEN = BusKind(_build, _cautions, time_limits=_time_limits)

@@ -1,0 +1,308 @@
+"""A drive on Modbus and the sensors beside it: their ports, and how the daemon builds them.
+
+Each block that comes is handed out as old as its request. A value that must not be used is left
+out, a module that does not answer leaves out its own: what is held then grows old at whoever holds
+it. Nothing is ever written.
+
+A missing reply keeps the link busy for a whole time-out, on a serial line for three. So a
+block whose last reply is missing comes after those that answer, and waits where the cycle is used
+up. Of the blocks that stay silent until their values are too old to be used, the one that was asked
+least is asked for once in ten cycles, or as soon as there is time for a missing reply.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+
+from adaptdrive.config import Configuration
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
+from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
+from adaptdrive.config.timing import LATE_READINGS, Timing
+from adaptdrive.devices.binding import Source, sensor_entries
+from adaptdrive.devices.bus_kind import BusKind, polled_cautions, tcp_locks
+from adaptdrive.devices.demands import NO_DEMANDS, Demands
+from adaptdrive.devices.modbus.frames import are_alike
+from adaptdrive.devices.modbus.link import ModbusConnection, SerialPort, describe_bus, miss_s
+from adaptdrive.devices.polled.capacity import Exchange, cycle_flaws, plan_blocks
+from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Polling
+from adaptdrive.devices.polled.mapping import (
+    Named,
+    Poll,
+    RegisterCatalogue,
+    inside,
+    planned,
+    value_in,
+)
+from adaptdrive.devices.polled.port import PolledPort
+from adaptdrive.devices.port import Port, SensorListener
+from adaptdrive.errors import ConfigurationError, Flaw
+
+# Sensors on a Modbus link: modules that are polled in a cycle of their own.
+
+SELDOM_CYCLES = 10
+"""Cycles between two requests to silent blocks that do not fit: one in ten may be late."""
+
+_UNANSWERED = frozenset({None, 10, 11})
+"""No exception reply, or the codes of a gateway for a device behind it that does not answer."""
+
+
+@dataclass(slots=True, eq=False)
+class SensorBlock:
+    """Registers that are asked for at once, with what became of the requests on an open link.
+
+    Attributes:
+        exchange: The request.
+        sources: Values in the registers.
+        misses: Replies that are missing in a row.
+    """
+
+    exchange: Exchange
+    sources: tuple[Source[Named], ...]
+    misses: int = 0
+
+
+class Turns:
+    """The blocks of one open link, those with the fewest missing replies first."""
+
+    def __init__(self, blocks: tuple[SensorBlock, ...], patience: int) -> None:
+        """Ask for every block in the first cycle.
+
+        Args:
+            blocks: The blocks in the order in which they are asked for while all answer.
+            patience: Replies missing in a row after which a block is silent.
+        """
+        self._blocks = [replace(block) for block in blocks]
+        self._patience = patience
+        self._cycle = 0
+        self._missing: set[int | None] = set()
+
+    def due(self, left_s: Callable[[], float], miss_s: float) -> Iterator[SensorBlock]:
+        """Yield what is asked for in a cycle; each must be noted before the next one is taken.
+
+        Args:
+            left_s: Returns the time that is left of the cycle, in s.
+            miss_s: Time for which a missing reply keeps the link busy, in s.
+        """
+        self._cycle += 1
+        self._missing.clear()
+        order = sorted(self._blocks, key=lambda one: one.misses)
+        for block in order:
+            silent, device = block.misses >= self._patience, block.exchange.device_id
+            doubtful = device in self._missing or (block.misses and self._missing)
+            wanted = block is order[0] if silent else not doubtful
+            needed_s = miss_s if silent and self._cycle % SELDOM_CYCLES else 0.0
+            if wanted or left_s() >= needed_s:
+                yield block
+
+    def note(self, block: SensorBlock, *, answered: bool) -> None:
+        """Note what became of a request; a silent device that answers is awake as a whole."""
+        found = answered and block.misses >= self._patience
+        block.misses = 0 if answered else block.misses + 1
+        if not answered:
+            self._missing.add(block.exchange.device_id)
+        for one in self._blocks:
+            if found and one.exchange.device_id == block.exchange.device_id:
+                one.misses = 0
+
+
+def build_modbus_sensors(
+    bus: ModbusTcpSensors | ModbusRtuSensors,
+    place: str,
+    clock: Callable[[], float],
+    source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
+) -> ModbusSensorPort:
+    """Build the port of one sensor bus; nothing is opened yet.
+
+    Args:
+        bus: One entry of `[[sensor_bus]]`; its references are those of a validated configuration.
+        place: Where it stands in the configuration.
+        clock: Monotonic clock in seconds.
+        source: The configuration, for the error message.
+        demands: What the registers must be able to carry.
+
+    Raises:
+        ConfigurationError: The wanted cycle does not fit on the link.
+    """
+    catalogue = RegisterCatalogue(bus.registers)
+    sources = catalogue.sources(sensor_entries(bus, place), demands)
+    blocks = tuple(_blocks(bus, sources))
+    exchanges = [one.exchange for one in blocks]
+    flaws = [*catalogue.flaws, *cycle_flaws(bus, exchanges, bus.cycle_s, f"{place}.cycle_s")]
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    return ModbusSensorPort(bus, blocks, clock)
+
+
+class ModbusSensorPort(Polling[ModbusConnection, SensorListener]):
+    """One connection to the modules on one link."""
+
+    def __init__(
+        self,
+        config: ModbusTcpSensors | ModbusRtuSensors,
+        blocks: tuple[SensorBlock, ...],
+        clock: Callable[[], float],
+    ) -> None:
+        super().__init__(describe_bus(config), config.cycle_s, clock)
+        self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
+        self._config = config
+        self._blocks = blocks
+        self._alike = are_alike(config, [block.exchange for block in blocks])
+        self._patience = math.ceil(config.oldest_s / config.cycle_s - 1e-6)
+
+    async def run(self, listener: SensorListener) -> None:
+        """Poll until cancelled; a link that is lost or not there is opened again.
+
+        Args:
+            listener: Receiver of values and of the state of the bus.
+        """
+        self._listener = listener
+        await self._run(*await self._try())
+
+    def _new_link(self) -> ModbusConnection:
+        return ModbusConnection(
+            self._config, self._counts, self._clock, len(self._blocks), serial=self._serial
+        )
+
+    async def _serve(self, link: ModbusConnection) -> None:
+        next_s = self._clock()
+        turns = Turns(self._blocks, self._patience)
+        while link.lost is None and not self._closing:
+            await self._poll(link, turns)
+            next_s = self._next(next_s)
+            await self._sleep(next_s - self._clock())
+
+    async def _poll(self, link: ModbusConnection, turns: Turns) -> None:
+        """Ask for the blocks that are due; one that does not come leaves the others wanted."""
+        end_s = self._clock() + self._config.cycle_s
+        heard, problem = False, ""
+        self._begin_cycle()
+        for block in turns.due(lambda: end_s - self._clock() - link.unsettled_s(), link.miss_s):
+            if link.lost is not None or self._closing:
+                return
+            try:
+                words = await link.exchange(block.exchange, [], lambda: self._closing)
+            except ExchangeError as failure:
+                turns.note(block, answered=failure.code not in _UNANSWERED)
+                problem = failure.problem
+                continue
+            turns.note(block, answered=True)
+            heard = True
+            self._note_bus(up=True)
+            if self._listener is not None and not self._is_mixed_up:
+                self._listener.on_values(self._values(block, words), link.asked_s)
+        if self._is_mixed_up:
+            link.suspect()  # the replies that are left would answer the next cycle
+        if heard:
+            self._silent = 0
+        else:
+            self._note_silence(problem)
+
+    def _values(self, block: SensorBlock, words: list[int]) -> dict[str, float]:
+        """The values of a block that may be used, by name."""
+        read = block.exchange.read
+        assert read is not None  # noqa: S101 - sensors are read, never written
+        values = {one.quantity: value_in(one, read, words) for one in block.sources}
+        good = {name: value for name, value in values.items() if value is not None}
+        self._counts["out_of_range"] += len(values) - len(good)
+        return good
+
+
+def _blocks(
+    bus: ModbusTcpSensors | ModbusRtuSensors, sources: list[Source[Named]]
+) -> Iterator[SensorBlock]:
+    """Blocks of every device on the link, one device after the other."""
+
+    def device(source: Source[Named]) -> int:
+        return bus.registers[source.item.name].device_id or bus.device_id
+
+    for device_id, found in groupby(sorted(sources, key=device), key=device):
+        taken = [*found]
+        registers = (one.item.register for one in taken)
+        for block in plan_blocks(registers, bus.max_gap, bus.max_block):
+            yield SensorBlock(Exchange(read=block, device_id=device_id), inside(block, taken))
+
+
+# A drive on Modbus: its port, and how the daemon builds it.
+
+_LOST_REPLIES = 2
+"""Replies in a row that may be lost on a drive that runs."""
+
+
+class ModbusPort(PolledPort):
+    """One connection to one drive on Modbus."""
+
+    def __init__(
+        self, config: ModbusTcp | ModbusRtu, poll: Poll, timing: Timing, clock: Callable[[], float]
+    ) -> None:
+        super().__init__(describe_bus(config), config, poll, timing, clock)
+        self._config = config
+        self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
+        self.must_open = self._serial is not None
+        self._alike = are_alike(config, [Exchange(read=block) for block, _ in poll.reads])
+
+    def _new_link(self) -> PolledLink:
+        return ModbusConnection(self._config, self._counts, self._clock, serial=self._serial)
+
+
+def _build(
+    configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
+) -> Port:
+    bus = _bus(configuration)
+    poll = planned(configuration, bus, source, passive=passive)
+    return ModbusPort(bus, poll, configuration.timing, clock)
+
+
+def _cautions(configuration: Configuration) -> Iterator[Flaw]:
+    """Yield what time-outs and lost replies do not fit, and a report that may be an echo."""
+    yield from polled_cautions(configuration)
+    yield from _loss_cautions(_bus(configuration), configuration.timing)
+    yield from _echo_cautions(_bus(configuration), configuration.signals)
+
+
+def _loss_cautions(bus: ModbusTcp | ModbusRtu, timing: Timing) -> Iterator[Flaw]:
+    """Yield one word on a drive that trips as soon as few replies are lost or late."""
+    least_s = LATE_READINGS * timing.reading_s + _LOST_REPLIES * miss_s(bus)
+    if timing.stale_s < least_s and not math.isclose(timing.stale_s, least_s):
+        text = f"{timing.stale_s:g} s is shorter than {least_s:.4g} s, {LATE_READINGS:g} polls and"
+        lost = f"the {_LOST_REPLIES * miss_s(bus):.4g} s of {_LOST_REPLIES} lost replies"
+        yield Flaw("interlocks.stale_s", f"{text} {lost} (bus.timeout_s): they trip it")
+
+
+def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Flaw]:
+    """Yield one word on a report of the bridge in the register of its command."""
+    report, command = signals.bridge, signals.command.bridge
+    if report is None or command is None:
+        return
+    read, written = bus.registers[report.signal], bus.registers[command.signal]
+    same = read.table == written.table or (read.table, written.table) == ("discrete", "coil")
+    if not same or read.address != written.address:
+        return
+    yield Flaw(
+        "signals.bridge",
+        f"{report.signal!r} lies in the register of signals.command.bridge: where the drive only "
+        "keeps there what was written, each stop is confirmed, of a drive that does not obey too; "
+        "name a register that follows the power stage, or see with the drive in local mode that "
+        "the register does not follow the command",
+    )
+
+
+def _lock_names(configuration: Configuration) -> Iterator[str]:
+    """Yield a device over TCP, by its addresses, too; a serial line is locked as a whole."""
+    bus = _bus(configuration)
+    if isinstance(bus, ModbusTcp):
+        yield describe_bus(bus)
+        yield from tcp_locks("modbus-tcp", bus.host, bus.port, f" device {bus.device_id}")
+
+
+def _bus(configuration: Configuration) -> ModbusTcp | ModbusRtu:
+    assert isinstance(configuration.bus, ModbusTcp | ModbusRtu)  # noqa: S101 - selected by its type
+    return configuration.bus
+
+
+MODBUS = BusKind(_build, _cautions, build_modbus_sensors, lock_names=_lock_names)

@@ -1,0 +1,309 @@
+"""Writing of commands to a drive on Modbus, and what the drive has acknowledged of them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+
+from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.obedience import Obedience
+from adaptdrive.devices.polled.capacity import Block, Exchange
+from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void
+from adaptdrive.devices.polled.mapping import HEARTBEAT, Poll, block_words
+from adaptdrive.devices.polled.pace import UntakenCommands, WritePace, has_switch
+from adaptdrive.devices.polled.reports import PollWitness
+
+
+class Commander:
+    """The newest command of one drive; nothing is queued behind it.
+
+    Attributes:
+        safe_s: Time at which it acknowledged the safe command, infinite without one in force.
+    """
+
+    def __init__(
+        self,
+        poll: Poll,
+        witness: PollWitness,
+        counts: Counter[str],
+        clock: Callable[[], float],
+        timing: Timing,
+    ) -> None:
+        """Hold no command yet.
+
+        Args:
+            poll: Registers of the drive.
+            witness: Knows what the drive has reported and taken.
+            counts: `sent`, `send_drops` and `withheld_commands` are counted here.
+            clock: Monotonic clock, in s.
+            timing: Times of the drive.
+        """
+        self._poll = poll
+        self._pace = WritePace(poll, clock)
+        self._counts = counts
+        self._clock = clock
+        self._command: Command | None = None
+        self._written: Command | None = None
+        self._withheld = False
+        self._witness = witness
+        self._untaken = UntakenCommands()
+        self._alive = 0
+        self._begun_s = -math.inf
+        self._taken_s = timing.taken_s
+        self._obedience = Obedience(timing.obeyed_s(timing.reading_s), clock)
+        self.safe_s = math.inf
+
+    @property
+    def refused_write(self) -> str:
+        """Reason why the last command was not taken, empty if it was."""
+        return f"command: {self._untaken.last}" if self._untaken.last else ""
+
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive: it does not accept its commands, or has stopped."""
+        return self._untaken.complaint or self._witness.complaint
+
+    @property
+    def urgent(self) -> bool:
+        """True if the safe command must be sent before anything else."""
+        return self._command == SAFE_COMMAND and self.safe_s == math.inf
+
+    @property
+    def _at_once(self) -> bool:
+        """True if the command cannot wait for a silent line, unless only silence can prove it."""
+        return self.urgent and not self._untaken.doubtful
+
+    @property
+    def _disobeyed(self) -> bool:
+        """True if the drive is still energised, or may be, long after it was commanded safe."""
+        on = self._obedience.overdue_s(powered=self._witness.may_be_on) > 0.0
+        untaken_s = self._clock() - max(self._obedience.heard_s, self._begun_s)
+        return on or (self.safe_s == math.inf and untaken_s > self._taken_s)
+
+    @property
+    def pending(self) -> bool:
+        """True if a command must be written after the read of a poll."""
+        return not self._poll.combined or self._command != self._written
+
+    def set(self, command: Command) -> None:
+        """Make a command the newest.
+
+        Raises:
+            ValueError: A value is not finite, or its register cannot hold it.
+        """
+        for block, sinks in self._poll.writes:
+            block_words(block, sinks, command, 0)
+        if command != SAFE_COMMAND:
+            self._obedience.forget()
+        self._witness.renew(command)
+        self._command = command
+        self._withheld = False
+
+    def begin(self) -> None:
+        """Forget what was acknowledged on the link before."""
+        self.safe_s = math.inf
+        self._untaken.clear()
+        self._pace.forget()
+        self._witness.begin()
+        self._begun_s = self._clock()
+
+    def note_read(self, *, answered: bool) -> None:
+        """Note the end of a poll, which gives no reading unless its bridge is noted next.
+
+        Args:
+            answered: Whether the drive answered.
+        """
+        if not answered:  # it may have started anew
+            self._pace.forget()
+        self._witness.note_read(answered=answered)
+
+    def begin_poll(self) -> bool:
+        """Begin a poll; return whether the command goes with its first read.
+
+        A command that energises does so only while nothing is unusual: the drive takes it before
+        it reports, and one that had stopped by itself would be switched on unseen. Otherwise the
+        drive is read first, and the command follows.
+        """
+        joins = self._poll.combined and self._newest(joined=True) is not None
+        if not joins:
+            self._written = None  # it takes none with this read
+            self._witness.forget_report()
+        return joins
+
+    def is_starved(self, since_s: float) -> bool:
+        """Return whether a drive that is commanded on has taken no command since a time."""
+        command = self._command
+        return command is not None and command.bridge and self._witness.fed_s < since_s
+
+    async def read(self, link: PolledLink, exchange: Exchange, *, joined: bool) -> list[int]:
+        """Read a block, and write the command with it where it joins the read.
+
+        Raises:
+            ExchangeError: The drive did not give the block.
+        """
+        command = self._newest(joined=True) if joined else None
+        try:
+            if command is None:
+                registers = await self._read(link, exchange)
+            else:
+                registers = await self._read_with(link, exchange, command)
+        finally:
+            if joined:
+                self._witness.forget_report()
+        if self._poll.bridge_block in {None, exchange.read}:
+            self._witness.reported_s = link.asked_s
+        return registers
+
+    async def _read_with(self, link: PolledLink, exchange: Exchange, command: Command) -> list[int]:
+        """Read a block and write a command at once.
+
+        Raises:
+            ExchangeError: The drive did not give the block.
+        """
+        block, _ = self._poll.writes[0]
+        words = self._words(command)[0]
+        void = None if self._at_once else lambda: not self._may_go(command, joined=True)
+        self._doubt(command)
+        both = Exchange(exchange.read, block)
+        try:
+            registers = await self._exchange(link, both, words, void)
+        except OvertakenError:
+            return await self._read(link, exchange)
+        except ExchangeError as failure:
+            self._untaken.note(failure, silent=self._witness.silent)
+            if failure.code is None:
+                raise
+            return await self._read(link, exchange)
+        self._confirm(command, link.asked_s)
+        return registers
+
+    async def write(self, link: PolledLink) -> None:
+        """Write the newest command, unless it is void, or the drive was not seen in this poll.
+
+        One that has the bridge off begins with that: the other writes may have no answer.
+        """
+        command = self._newest()
+        if command is None:
+            self._count_withheld()
+            return
+        void = None if self._at_once else lambda: not self._may_go(command)
+        parts = [*zip(self._poll.writes, self._words(command), strict=True)]
+        if not command.bridge:
+            parts.sort(key=lambda part: not has_switch(part[0][1]))
+        must_stop = command == SAFE_COMMAND and (self.urgent or self._witness.may_be_on)
+        self._doubt(command)
+        taken, sent = True, False
+        for (block, sinks), registers in parts:
+            if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
+                continue
+            if any(sink.only not in {None, command.bridge} for sink in sinks):
+                self._pace.note(block)  # the other coil ends what it has begun
+                continue
+            if not (must_stop or self._pace.is_due(block, registers)):
+                continue
+            sent = True
+            if taken or (command == SAFE_COMMAND and link.lost is None):
+                taken &= await self._wrote(link, block, registers, void)
+        if taken:
+            self._confirm(command, link.asked_s, sent=sent)
+
+    async def leave_safe(self, link: PolledLink) -> None:
+        """Write the safe command as the last one, unless it is in force or none was ever given."""
+        if link.lost is None and self.safe_s == math.inf and self._command is not None:
+            self._command = SAFE_COMMAND
+            await self.write(link)
+
+    async def _read(self, link: PolledLink, exchange: Exchange) -> list[int]:
+        """Read a block, unless the safe command becomes urgent before it is asked for.
+
+        Each look during the wait for a silent line is a step: the wait is no standstill.
+        """
+        known = self.urgent
+
+        def overtaken() -> bool:
+            self._witness.note_step()
+            return self.urgent and not known
+
+        return await self._exchange(link, exchange, [], overtaken)
+
+    async def _exchange(
+        self, link: PolledLink, exchange: Exchange, words: list[int], void: Void | None
+    ) -> list[int]:
+        """Ask the link, and note that the process runs.
+
+        Raises:
+            ExchangeError: As the link does.
+        """
+        self._witness.note_step()
+        try:
+            return await link.exchange(exchange, words, void)
+        finally:
+            self._witness.note_step()
+
+    async def _wrote(
+        self, link: PolledLink, block: Block, words: list[int], void: Void | None
+    ) -> bool:
+        """Write one block of a command; whether the drive has taken it."""
+        self._pace.note(block)
+        try:
+            await self._exchange(link, Exchange(write=block), words, void)
+        except OvertakenError:
+            self._count_withheld()
+            return False
+        except ExchangeError as failure:
+            self._counts["send_drops"] += 1
+            self._untaken.note(failure, silent=self._witness.silent)
+            return False
+        self._pace.note(block, words)
+        return True
+
+    def _count_withheld(self) -> None:
+        """Count the newest command once if it must not go out; one that is replaced is not it."""
+        if self._command is not None and not self._withheld and self._newest() is None:
+            self._withheld = True
+            self._counts["withheld_commands"] += 1
+
+    def _newest(self, *, joined: bool = False) -> Command | None:
+        """Return the newest command, None where it must not go out as for `_may_go`."""
+        command = self._command
+        return command if command is not None and self._may_go(command, joined=joined) else None
+
+    def _may_go(self, command: Command, *, joined: bool = False) -> bool:
+        """Return whether a command may be written now, joined with a read or after the read.
+
+        One that is not safe may do so while the newest one is not safe either, and still valid.
+        """
+        newest = self._command
+        if command == SAFE_COMMAND or newest is None:
+            return True
+        valid = newest != SAFE_COMMAND and self._witness.admits(newest)
+        return valid and self._witness.may_go(command, joined=joined)
+
+    def _words(self, command: Command) -> list[list[int]]:
+        """The registers of every block that is written, with the next heartbeat.
+
+        The heartbeat stands still for a drive that does not obey: its own watchdog ends that.
+        """
+        self._alive += not self._disobeyed
+        return [
+            block_words(block, sinks, command, self._alive) for block, sinks in self._poll.writes
+        ]
+
+    def _doubt(self, command: Command) -> None:
+        """Mark the drive's command as unknown, from the first byte sent until the reply."""
+        self._written = None
+        self._witness.attempt(command)
+        if command == SAFE_COMMAND:
+            self._obedience.hear()
+        else:
+            self.safe_s = math.inf
+
+    def _confirm(self, command: Command, asked_s: float, *, sent: bool = True) -> None:
+        self._counts["sent"] += sent
+        self._written = command
+        self._witness.take(command, asked_s)
+        self._untaken.clear()
+        if command == SAFE_COMMAND:
+            self.safe_s = min(self.safe_s, self._clock())

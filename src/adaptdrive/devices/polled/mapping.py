@@ -1,0 +1,288 @@
+"""Mapping of registers to quantities, with as few exchanges per poll as possible.
+
+Everything that can be wrong is found here, before a link is opened, and all of it at once.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from adaptdrive.config import Configuration
+from adaptdrive.config.bus import CommandSwitch, Signals
+from adaptdrive.config.modbus import ModbusBus, Register
+from adaptdrive.control.signals import Command
+from adaptdrive.devices.binding import (
+    BRIDGE,
+    Catalogue,
+    Sink,
+    Source,
+    Use,
+    other_names,
+    watched_words,
+)
+from adaptdrive.devices.demands import NO_DEMANDS, Demands, demands_of
+from adaptdrive.devices.faults import FaultWord
+from adaptdrive.devices.field import Field
+from adaptdrive.devices.polled.capacity import Block, Exchange, cycle_flaws, plan_blocks
+from adaptdrive.devices.polled.codec import count, decode, encode_count, refusal, register_field
+from adaptdrive.errors import ConfigurationError, Flaw
+
+HEARTBEAT = "bus.heartbeat"
+"""No name of a register, which has no dot."""
+
+_MAX_WRITE = 121
+"""Registers that function 23 can write (Modbus application protocol, 6.17)."""
+
+
+Bound = TypeVar("Bound", Source["Named"], Sink["Named"])
+
+
+class Named(NamedTuple):
+    """A register and its name in the map."""
+
+    name: str
+    register: Register
+
+
+class RegisterCatalogue(Catalogue[Named]):
+    """Finds registers by name."""
+
+    on = None
+
+    def __init__(self, registers: Mapping[str, Register]) -> None:
+        super().__init__()
+        self._registers = registers
+
+    def find(self, reference: str, place: str) -> Named | None:  # noqa: ARG002 - none is missing
+        """The register that a reference of a validated configuration names."""
+        return Named(reference, self._registers[reference])
+
+    def field(self, item: Named, use: Use) -> Field:
+        """Return how a register is coded."""
+        return register_field(item.name, item.register, use)
+
+    def count_problem(self, item: Named) -> str | None:  # noqa: ARG002 - polls are counted by none
+        """Return None: no tick is counted by a register."""
+        return None
+
+    def _switches(self, switch: CommandSwitch | None, name: str = BRIDGE) -> Iterator[Sink[Named]]:
+        if switch is None or switch.off_signal is None or name != BRIDGE:
+            yield from super()._switches(switch, name)
+            return
+        place = "signals.command.bridge"
+        if switch.on is not None or switch.off is not None:
+            self.note(place, "with off_signal both coils are set to 1: leave on and off out")
+        for coil, on in ((switch.signal, True), (switch.off_signal, False)):
+            item = Named(coil, self._registers[coil])
+            if item.register.table != "coil":
+                self.note(place, f"{coil!r} is no coil, which off_signal needs")
+            field = self.field(item, "command")
+            yield Sink(BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
+
+    def switch(self, item: Named) -> tuple[float, float]:
+        """Return the counts that switch on and off."""
+        return float(item.register.on), float(item.register.off)
+
+
+def value_in(source: Source[Named], block: Block, words: list[int]) -> float | None:
+    """Return a quantity from the registers of its block, None when it must not be used."""
+    taken = _words(source, block, words)
+    value = decode(source.item.register, source.field, taken)
+    if value is None:
+        return None
+    if source.on is not None:
+        value = float(value == source.on)
+    if not value and count(source.item.register, taken) in source.field.blanks:
+        return None  # it only reads as off
+    return value * source.scale + source.offset
+
+
+def explain(source: Source[Named], block: Block, words: list[int]) -> str:
+    """Return why a quantity must not be used: its name, its place and what is there."""
+    register, taken = source.item.register, _words(source, block, words)
+    place = f"{source.quantity}: {Block(register.table, register.address, register.words)}"
+    return f"{place} {refusal(register, source.field, taken)}"
+
+
+def _words(source: Source[Named], block: Block, words: list[int]) -> list[int]:
+    register = source.item.register
+    start = register.address - block.address
+    return words[start : start + register.words]
+
+
+def block_words(
+    block: Block, sinks: Iterable[Sink[Named]], command: Command, heartbeat: int
+) -> list[int]:
+    """Return the registers of a block; fields of one register are put together.
+
+    Raises:
+        ValueError: They cannot hold their part of the command.
+    """
+    words = [0] * block.count
+    for sink in sinks:
+        first = sink.item.register.address - block.address
+        for number, word in enumerate(written(sink, command, heartbeat), first):
+            words[number] |= word
+    return words
+
+
+def written(sink: Sink[Named], command: Command, heartbeat: int) -> list[int]:
+    """Return the registers of a part of a command, or of the daemon's heartbeat.
+
+    Raises:
+        ValueError: They cannot hold it.
+    """
+    register = sink.item.register
+    if sink.name == HEARTBEAT:  # a signed register stays positive
+        bits = 16 * register.words - register.type.startswith("int")
+        return encode_count(register, heartbeat % (1 << bits))
+    return encode_count(register, sink.field.raw(sink.value(command)))
+
+
+@dataclass(frozen=True, slots=True)
+class Poll:
+    """Exchanges with the drive in one poll cycle.
+
+    Attributes:
+        reads: Blocks to read, and what is taken from each.
+        writes: Blocks to write, and what goes into each.
+        combined: Whether the only write travels with the first read.
+        interval_s: Longest time between two writes of the same registers, 0 for each poll.
+        setup: What is written before the drive is commanded, whether it reads as written.
+        other: Names of more values of the drive.
+        faults: Watched words of the drive, of faults and warnings.
+    """
+
+    reads: tuple[tuple[Block, tuple[Source[Named], ...]], ...]
+    writes: tuple[tuple[Block, tuple[Sink[Named], ...]], ...]
+    combined: bool
+    interval_s: float = 0.0
+    setup: tuple[tuple[Block, Sink[Named], bool], ...] = ()
+    other: tuple[str, ...] = ()
+    faults: Mapping[str, FaultWord] = field(default_factory=dict)
+
+    @property
+    def bridge_block(self) -> Block | None:
+        """The block with the report of the bridge, None for a drive without one."""
+        return next((read[0] for read in self.reads if _has_bridge(read)), None)
+
+    @property
+    def bridge_last(self) -> tuple[tuple[Block, tuple[Source[Named], ...]], ...]:
+        """The reads, that of the bridge last: a command that follows knows the newest report."""
+        return tuple(sorted(self.reads, key=_has_bridge))
+
+    def exchanges(self) -> Iterator[Exchange]:
+        """Every exchange of a poll in which a new command goes out."""
+        for number, (block, _) in enumerate(self.reads):
+            together = self.combined and number == 0
+            yield Exchange(read=block, write=self.writes[0][0] if together else None)
+        for block, _ in self.writes:
+            yield Exchange(write=block)
+
+
+def _has_bridge(block: tuple[Block, tuple[Source[Named], ...]]) -> bool:
+    return any(source.quantity == BRIDGE for source in block[1])
+
+
+def map_drive(
+    bus: ModbusBus,
+    signals: Signals,
+    half_cycle_s: float,
+    source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
+) -> Poll:
+    """Plan the polls of a drive.
+
+    Args:
+        bus: `[bus]`; its references are those of a validated configuration.
+        signals: `[signals]`.
+        half_cycle_s: Half a line cycle.
+        source: The configuration, for the error message.
+        demands: What the registers must be able to carry.
+
+    Raises:
+        ConfigurationError: Something does not fit; every flaw is listed.
+    """
+    catalogue = RegisterCatalogue(bus.registers)
+    bound = catalogue.sources(signals.entries(), demands)
+    sources, sinks = [*bound], catalogue.sinks(signals.command, demands)
+    setup = catalogue.settings(bus.setup, "bus.setup", "setup")
+    if bus.heartbeat.drive is not None:
+        beat = Named(bus.heartbeat.drive, bus.registers[bus.heartbeat.drive])
+        field = catalogue.field(beat, "word")
+        sources.append(Source(HEARTBEAT, beat, field, 1.0, 0.0, None, "bus.heartbeat.drive"))
+    if bus.heartbeat.daemon is not None:
+        beat = Named(bus.heartbeat.daemon, bus.registers[bus.heartbeat.daemon])
+        sinks.append(Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
+    reads = plan_blocks((one.item.register for one in sources), bus.max_gap, bus.max_block)
+    # function 23 takes holding registers only, and takes its write before its read
+    reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
+    longest = 1 if bus.write == "single" else _MAX_WRITE
+    plan = functools.partial(plan_blocks, max_gap=0, max_count=longest, write=True)
+    written_to = [one.item.register for one in sinks]
+    limited = [one for one in written_to if one.write_limit is not None]
+    writes = *plan(one for one in written_to if one.write_limit is None), *plan(limited)
+    poll = Poll(
+        reads=tuple((block, inside(block, sources)) for block in reads),
+        writes=tuple((block, inside(block, sinks)) for block in writes),
+        combined=bus.read_write,
+        interval_s=bus.command_interval_s,
+        setup=tuple(
+            (block, one, one.name not in bus.setup_unread)
+            for one in setup
+            for block in plan([one.item.register])
+        ),
+        other=other_names(bound),
+        faults=watched_words(bound),
+    )
+    flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
+    if not flaws:
+        wanted = (bus.poll_ticks * half_cycle_s, "bus.poll_ticks", half_cycle_s)
+        flaws += cycle_flaws(bus, [*poll.exchanges()], *wanted)
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    return poll
+
+
+def planned(
+    configuration: Configuration, bus: ModbusBus, source: Path | str, *, passive: bool
+) -> Poll:
+    """Return the polls of a drive.
+
+    Args:
+        configuration: The drive.
+        bus: `[bus]`, with a register for each value.
+        source: The configuration's file, for error messages.
+        passive: Whether nothing may be written to the drive.
+
+    Raises:
+        ConfigurationError: Bus and signals do not fit; every flaw is listed.
+    """
+    half_cycle_s, demands = configuration.timing.half_cycle_s, demands_of(configuration)
+    poll = map_drive(bus, configuration.signals, half_cycle_s, source, demands)
+    return replace(poll, setup=()) if passive else poll  # without a command, nothing is written
+
+
+def inside(block: Block, bound: Iterable[Bound]) -> tuple[Bound, ...]:
+    """Return what is taken from a block, or goes into it."""
+    return tuple(one for one in bound if block.holds(one.item.register))
+
+
+def _combined_flaws(
+    bus: ModbusBus, reads: tuple[Block, ...], writes: tuple[Block, ...]
+) -> Iterator[Flaw]:
+    alone = [block for block in writes if bus.write == "single" and block.count > 1]
+    for block in alone:
+        yield Flaw("bus.write", f"'single' writes one register, and one value takes {block}")
+    if not bus.read_write:
+        return
+    if bus.write == "single":
+        yield Flaw("bus.read_write", "writes several registers, and bus.write = 'single' one")
+    if len(writes) != 1:
+        yield Flaw("bus.read_write", f"the command must be one block, it is {len(writes)}")
+    if not reads or reads[0].table != "holding":
+        yield Flaw("bus.read_write", "function 23 reads holding registers, and none is measured")

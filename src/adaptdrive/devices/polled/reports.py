@@ -1,0 +1,294 @@
+"""Reports of a drive that is polled: its readings, and whether commands may follow them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from adaptdrive.config.modbus import Heartbeat
+from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.binding import BRIDGE, Source
+from adaptdrive.devices.newest import NewestValues
+from adaptdrive.devices.obedience import UNANSWERED, UNREAD, Relink
+from adaptdrive.devices.polled.capacity import Block
+from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in
+from adaptdrive.devices.port import Reading
+
+# Reports of a drive that is polled, and the judgement whether what energises may follow them.
+
+_LOOK_TIMEOUTS = 0.5
+"""Age of a report at which a write still follows, in time-outs besides those of the exchanges."""
+
+
+class PollWitness:
+    """Notes what the polls of a drive have shown, and what it has taken, each with its time.
+
+    Times count from the request: the process may have stood still with the reply in its buffer.
+    The drive may stop by itself at any time. One that does not report its bridge shows nothing, and
+    is commanded all the same. The safe command is always valid.
+
+    Attributes:
+        bridge: Bridge of the last command that the drive acknowledged.
+        silent: Whether the drive did not answer the last poll.
+        may_be_on: Whether the last report, on this link or before, has the bridge on, or it is
+            assumed to be.
+        reported_s: When the last report of the bridge was asked for.
+        fed_s: When the last command that the drive took was sent.
+    """
+
+    def __init__(
+        self, reported: bool, timing: Timing, look_s: float, clock: Callable[[], float]
+    ) -> None:
+        """Know nothing of the drive yet.
+
+        Args:
+            reported: Whether the drive reports its bridge.
+            timing: Times of the drive.
+            look_s: Age of a report at which a write still follows it, in s.
+            clock: Monotonic clock, in s.
+        """
+        self._reported = reported
+        self._timing = timing
+        self._look_s = look_s
+        self._clock = clock
+        self._relink = Relink()
+        self._blank = True
+        self._powered = self._tried = self._outdated = False
+        self._read_s = self._seen_s = -math.inf
+        self._stepped_s = math.inf
+        self.bridge = self.silent = self.may_be_on = False
+        self.reported_s = self.fed_s = -math.inf
+
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive: it has stopped; None for none."""
+        return self._relink.complaint
+
+    def renew(self, command: Command) -> None:
+        """Note that a new command was decided."""
+        self._relink.note(bridge=command.bridge, safe=command == SAFE_COMMAND)
+        self._outdated = False
+
+    def attempt(self, command: Command) -> None:
+        """Note that the drive may receive a command from now on."""
+        self._tried = command.bridge
+
+    def take(self, command: Command, asked_s: float) -> None:
+        """Note that the drive has acknowledged a command, which was sent at `asked_s`."""
+        self.bridge, self.fed_s = command.bridge, asked_s
+
+    def begin(self) -> None:
+        """Begin a link: nothing is known of the drive on it."""
+        self._relink.open(bridge=self._given_on)
+        self.silent = self.bridge = self._powered = self._tried = False
+        self._blank = True
+        self.forget_report()
+        self._stepped_s = self._clock()
+
+    def note_step(self) -> None:
+        """Note that the port does its work; a command from before a standstill is void."""
+        now_s = self._clock()  # one look: the process may stand still between two
+        self._outdated = self._outdated or self._stands_still(now_s)
+        self._stepped_s = now_s
+
+    def note_read(self, *, answered: bool) -> None:
+        """Note the end of a poll, which reports no bridge unless that is noted next.
+
+        A drive that has given none for as long as its own time-out may be, or has neither answered
+        a read nor acknowledged a command, may have stopped: what energises waits for a report, as
+        after a lost link.
+
+        Args:
+            answered: Whether the drive answered: a silent one ignores more than commands.
+        """
+        self.silent = self.silent or not answered
+        if self._is_unheard:
+            self._relink.open(bridge=self._given_on, how=UNANSWERED if self.silent else UNREAD)
+        self.silent, self._blank = not answered, True
+
+    def note_bridge(self, *, powered: bool) -> None:
+        """Note whether the drive reports its bridge on, or is assumed to have it on."""
+        if self.bridge and self._powered and not powered:
+            self._outdated = True  # a command from before the bridge went off
+        self._powered = self.may_be_on = powered
+        self._seen_s = self._read_s = self.reported_s
+        self._blank = False
+        self._relink.hear(bridge=powered)
+
+    def forget_report(self) -> None:
+        """Begin a poll: reports of the one before do not count for its commands."""
+        self._seen_s = -math.inf
+
+    def admits(self, command: Command) -> bool:
+        """Return whether a command is still valid.
+
+        A process that did not run for long finds here what it decided before: that is void. So is
+        one for a drive that was on when its link was lost or a read failed, before it is read, and
+        one that was decided by a reading of long ago.
+        """
+        if command == SAFE_COMMAND:
+            return True
+        void = self._outdated or self._stands_still(self._clock()) or self._is_unheard
+        return not void and self._relink.admits(bridge=command.bridge)
+
+    def may_go(self, command: Command, *, joined: bool) -> bool:
+        """Return whether a valid command may be written: the poll has a report still good.
+
+        Args:
+            command: The command.
+            joined: Whether it goes with the read that would show a stop, before its reply.
+        """
+        if not (command.bridge and self._reported):
+            return True
+        age_s, timing = self._clock() - self._seen_s, self._timing
+        if joined:  # now and then, commands would be far apart
+            usual = age_s <= timing.usual_s and timing.silent_s >= timing.reading_s
+            return usual and not self._may_have_timed_out
+        return age_s < math.inf and (age_s <= self._look_s or not self._may_have_timed_out)
+
+    @property
+    def _given_on(self) -> bool:
+        """True if the last command that the drive may have received had the bridge on."""
+        return self.bridge or self._tried
+
+    @property
+    def _may_have_timed_out(self) -> bool:
+        """True if the drive has taken no command for as long as its own time-out may be."""
+        return self._clock() - self.fed_s > self._timing.silent_s
+
+    @property
+    def _is_unheard(self) -> bool:
+        """True if the drive may have stopped: it neither answers nor takes, or gives no reading."""
+        unread = self._blank and self._clock() - self._read_s > self._timing.silent_s
+        return unread or (self.silent and self._may_have_timed_out)
+
+    def _stands_still(self, now_s: float) -> bool:
+        return now_s - self._stepped_s > self._timing.frozen_s
+
+
+def look_limit_s(timeout_s: float, writes: int) -> float:
+    """Return the age of a report at which a write still follows it, in s.
+
+    It is that of a drive that answers the read, and each write before the last, just in time.
+
+    Args:
+        timeout_s: Longest time from a request to its reply, in s.
+        writes: Writes that make one command.
+    """
+    return (writes + _LOOK_TIMEOUTS) * timeout_s
+
+
+# Putting the blocks of one poll together: a reading, or the reason why there is none.
+
+STANDS_STILL = "the drive's heartbeat register stands still: its controller hangs"
+
+
+class PollAssembly:
+    """Collects the values of the blocks of a poll.
+
+    Attributes:
+        faults: Fault word of the drive.
+        raw: Registers of each block that was read last.
+    """
+
+    def __init__(self, poll: Poll, explain: Callable[..., str] = explain) -> None:
+        self._poll = poll
+        self._explain = explain
+        sources = (one.quantity for _, read in poll.reads for one in read)
+        slacks = {name: 0.0 for name in sources if name != HEARTBEAT}
+        self._newest = NewestValues(slacks, poll.other, poll.faults)
+        self._values: dict[str, float] = {}
+        self._refused: dict[str, str] = {}
+        self.faults = self._newest.faults
+        self.raw: dict[Block, list[int]] = {}
+
+    @property
+    def heartbeat(self) -> float | None:
+        """Heartbeat of the drive in this poll, None where it must not be used."""
+        return self._values.get(HEARTBEAT)
+
+    @property
+    def refusal(self) -> str:
+        """Reason why values of the poll must not be used, empty where all may be."""
+        if not self._refused:
+            return ""
+        first, *others = self._refused.values()
+        return f"{first}, and {len(others)} more" if others else first
+
+    def begin(self) -> None:
+        """Begin a poll."""
+        self._values.clear()
+        self._refused.clear()
+
+    def take(self, block: Block, sources: Sequence[Source[Named]], words: list[int]) -> None:
+        """Take one block.
+
+        Args:
+            block: Which registers.
+            sources: Quantities in them.
+            words: Their contents.
+        """
+        self.raw[block] = words
+        for source in sources:
+            value = value_in(source, block, words)
+            if value is not None:
+                self._values[source.quantity] = value
+            else:
+                self._refused[source.quantity] = self._explain(source, block, words)
+        self.faults.see(self._values)
+
+    def bridge(self, sent: bool) -> bool | None:
+        """Return the bridge of this poll, None where it must not be used.
+
+        Args:
+            sent: Bridge of the last command that the drive took: a drive that does not report its
+                bridge is assumed to follow it.
+        """
+        reported = self._values.get(BRIDGE)
+        if reported is None:
+            return None if self._poll.bridge_block else sent
+        return reported != 0.0
+
+    def reading(self, arrival_s: float, start_s: float, *, bridge_sent: bool) -> Reading | None:
+        """Return the reading that a poll makes, None before every value has been good once.
+
+        Args:
+            arrival_s: When the last reply came, monotonic clock.
+            start_s: When the poll began.
+            bridge_sent: As for `bridge`.
+        """
+        values = {name: value for name, value in self._values.items() if name != HEARTBEAT}
+        self._newest.keep(values, start_s, self._refused)
+        return self._newest.reading(arrival_s, bridge=bridge_sent, set_s=start_s)
+
+
+class DriveHeartbeat:
+    """Judges from poll to poll whether a drive's heartbeat advances."""
+
+    def __init__(self, config: Heartbeat) -> None:
+        self._watched = config.drive is not None
+        self._patience_s = config.drive_timeout_s or 0.0
+        self._known: float | None = None
+        self._advanced_s = -math.inf
+
+    def forget(self) -> None:
+        """Forget the last value: the link was opened again."""
+        self._known, self._advanced_s = None, -math.inf
+
+    def beats(self, value: float | None, now_s: float) -> bool | None:
+        """Return whether the drive is alive, None while that is not known.
+
+        Args:
+            value: Heartbeat of a poll, None where it must not be used.
+            now_s: When the poll began, monotonic clock.
+        """
+        if not self._watched:
+            return True
+        known, self._known = self._known, value
+        if known is None:
+            return None  # one value alone shows no life, and neither does the same one again
+        if value != known:
+            self._advanced_s = now_s
+            return True
+        return now_s - self._advanced_s <= self._patience_s

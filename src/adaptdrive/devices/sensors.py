@@ -1,0 +1,263 @@
+"""Sensor buses, the values derived from them, and the port of a drive that has them.
+
+A value keeps the time of its measurement for as long as it is held. The drive's own port clocks and
+commands. Each of its readings is completed with what the sensor buses said last and with what is
+derived from all of it. Nothing is waited for: a sensor that is silent leaves its last value, which
+grows old until the port complains.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+from adaptdrive.config.bus import MEASURED
+from adaptdrive.config.supply import Derived, Rule, needed_names
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.port import (
+    FAREWELL_GAP_S,
+    FAREWELLS,
+    Listener,
+    Port,
+    PortStatistics,
+    Reading,
+    SensorPort,
+)
+
+
+@dataclass(slots=True)
+class SensorBus:
+    """One sensor bus with its latest values. Listens to its port.
+
+    Attributes:
+        name: Name of the bus.
+        port: Where its values come from.
+        stale_s: Oldest usable value.
+        needed: Names of those values without which the drive must not be energised.
+        report: Called when the bus is lost or open again.
+        values: Latest values by name.
+        taken_s: When each was measured, at the earliest; monotonic.
+        up: Whether the bus answers.
+        detail: Its latest report.
+        news: Whether values have come since this was last cleared.
+    """
+
+    name: str
+    port: SensorPort
+    stale_s: float
+    needed: tuple[str, ...]
+    report: Callable[[bool, str], None] = lambda _up, _detail: None
+    values: dict[str, float] = field(default_factory=dict)
+    taken_s: dict[str, float] = field(default_factory=dict)
+    up: bool = True
+    detail: str = ""
+    news: bool = False
+
+    def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
+        """Keep checked values."""
+        self.values.update(values)
+        self.taken_s.update(dict.fromkeys(values, taken_s))
+        self.news = True
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Store the state, and report it."""
+        self.up, self.detail = up, detail
+        self.report(up, f"sensor bus {self.name}: {detail}")
+
+    def complaint(self, now_s: float) -> str | None:
+        """The needed value that is too old, or that never came, in words."""
+        for name in self.needed:
+            taken_s = self.taken_s.get(name)
+            if taken_s is None:
+                return f"stale: {self.name}.{name}: no measurement yet{self._why()}"
+            age_s = now_s - taken_s
+            if not age_s <= self.stale_s:
+                return (
+                    f"stale: {self.name}.{name} is {age_s * 1e3:.0f} ms old, "
+                    f"limit {self.stale_s * 1e3:g} ms{self._why()}"
+                )
+        return None
+
+    def _why(self) -> str:
+        if self.up:
+            return "; its bus answers: check the sensor, its wire and its module"
+        return f" ({self.detail})"
+
+
+def _unless_nan(pick: Callable[[Sequence[float]], float]) -> Callable[[Sequence[float]], float]:
+    """Return what picks one of several values, NaN when any is."""
+    return lambda values: math.nan if any(map(math.isnan, values)) else pick(values)
+
+
+RULES: Mapping[Rule, Callable[[Sequence[float]], float]] = {
+    "sum": sum,
+    "mean": lambda values: sum(values) / len(values),
+    "difference": lambda values: values[0] - values[1],
+    "product": math.prod,
+    "ratio": lambda values: values[0] / values[1] if values[1] else math.nan,
+    "smallest": _unless_nan(min),
+    "largest": _unless_nan(max),
+}
+"""Functions of the rules of `[derived]`, each from the values that it names to the derived one."""
+
+
+def derived_value(one: Derived, values: Mapping[str, float]) -> float:
+    """Return a value that is made of others, NaN while one of them is not there.
+
+    Args:
+        one: How it is made of them.
+        values: By name.
+    """
+    parts = [values.get(name, math.nan) for name in one.of]
+    return RULES[one.rule](parts) * one.scale + one.offset
+
+
+class SensoredPort:
+    """A drive and its separate sensors, as one port.
+
+    Attributes:
+        counter_modulus: As of the drive's own port, like all that follow.
+        stop_slack_s: Additional time for the report of the bridge.
+        bridge_cycle_s: Time from one report of the bridge to the next.
+        catch_up: Hands over what has arrived from the drive; sensors are never caught up with.
+        rehearse: Does what a reading of the drive costs.
+        explain_age: Returns the oldest value of the drive; those of sensors are in the complaint.
+        details: Returns the messages of the drive's bus that were not used.
+        reset_fault: Resets a latched fault of the drive.
+    """
+
+    def __init__(
+        self,
+        drive: Port,
+        buses: Sequence[SensorBus],
+        derived: Mapping[str, Derived],
+        clock: Callable[[], float],
+        stated: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        """Join a drive and its sensors.
+
+        Args:
+            drive: The drive's own port.
+            buses: Its sensor buses.
+            derived: Values made of others, each after those that it is made of.
+            clock: Monotonic clock in seconds.
+            stated: Values that nobody measures.
+        """
+        self._stated = stated
+        self._drive = drive
+        self.counter_modulus = drive.counter_modulus
+        self.stop_slack_s = drive.stop_slack_s
+        self.bridge_cycle_s = drive.bridge_cycle_s
+        self.catch_up = drive.catch_up
+        self.rehearse = drive.rehearse
+        self.explain_age = drive.explain_age
+        self.details = drive.details
+        self.reset_fault = drive.reset_fault
+        self.buses = tuple(buses)
+        self._derived = derived
+        self._voltage_parts = needed_names(derived, ("boost_voltage_V",))
+        self._clock = clock
+        self._listener: Listener | None = None
+        self._ends = False
+        self.sampled: Callable[[], None] = lambda: None
+        """Called after a reading of the drive that had new values of a sensor bus."""
+
+    @property
+    def description(self) -> str:
+        """The drive's bus and those of the sensors in one phrase."""
+        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self.buses]
+        return "; ".join([self._drive.description, *sensors])
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts of the drive's own port."""
+        return self._drive.statistics
+
+    @property
+    def complaint(self) -> str | None:
+        """Complaint of the drive's protocol, else the sensor value that is too old."""
+        complaint, now_s = self._drive.complaint, self._clock()
+        for bus in self.buses:
+            complaint = complaint or bus.complaint(now_s)
+        return complaint
+
+    @property
+    def safe_s(self) -> float:
+        """Time at which the safe command in force was taken, infinite while none is in force."""
+        return self._drive.safe_s
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Serve the drive and the sensors until cancelled; the sensors end first.
+
+        Args:
+            listener: Receiver of readings and of the states of the buses.
+            opened: Called once, when the drive's bus is open.
+
+        Raises:
+            ExceptionGroup: A task died; a `BusError` in it when the drive's bus cannot be opened.
+        """
+        self._listener = listener
+        for bus in self.buses:
+            bus.report = listener.on_bus
+        async with asyncio.TaskGroup() as tasks:
+            for bus in self.buses:
+                tasks.create_task(self._sense(bus), name=f"sensor bus {bus.name}")
+            tasks.create_task(self._drive.run(self, opened), name="drive")
+
+    async def _sense(self, bus: SensorBus) -> None:
+        """Serve a sensor bus; an error in that leaves the drive safe before its bus is closed."""
+        try:
+            await bus.port.run(bus)
+        except Exception:
+            self._ends = True  # no other command goes out from now on
+            for _ in range(FAREWELLS):
+                self._drive.send(SAFE_COMMAND)
+                await asyncio.sleep(FAREWELL_GAP_S)
+            raise
+
+    def send(self, command: Command) -> bool:
+        """Send one command to the drive now, the safe one once a sensor bus has failed."""
+        return self._drive.send(SAFE_COMMAND if self._ends else command)
+
+    def on_reading(self, reading: Reading) -> None:
+        """Complete a reading of the drive and pass it on."""
+        if self._listener is not None:
+            self._listener.on_reading(self.completed(reading))
+            news = [bus for bus in self.buses if bus.news]
+            for bus in news:
+                bus.news = False
+            if news:
+                self.sampled()
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Pass on that the drive's bus was lost or came back."""
+        if self._listener is not None:
+            self._listener.on_bus(up, detail)
+
+    def completed(self, reading: Reading) -> Reading:
+        """Return a reading with the values of the sensors and those that are derived.
+
+        Args:
+            reading: Reading of the drive.
+        """
+        values = {name: getattr(reading, name) for name in MEASURED}
+        values.update(reading.other)
+        values.update(self._stated)
+        for bus in self.buses:
+            values.update(bus.values)
+        for name, one in self._derived.items():
+            values[name] = derived_value(one, values)
+        found = {name: values.get(name, math.nan) for name in MEASURED}
+        return replace(reading, other=values, voltage_s=self._voltage_s(reading), **found)
+
+    def _voltage_s(self, reading: Reading) -> float | None:
+        """Return when the oldest sensor value of which v_bst is made was taken."""
+        times = [
+            bus.taken_s[name]
+            for bus in self.buses
+            for name in self._voltage_parts.intersection(bus.taken_s)
+        ]
+        return min(times, default=reading.voltage_s)

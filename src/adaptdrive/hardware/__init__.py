@@ -1,1 +1,0 @@
-"""Hardware: how a measurement arrives and a command leaves."""

@@ -1,3 +1,0 @@
-"""CiA 402 drives on CANopen: described by an EDS, set up over SDO, served over PDOs."""
-
-import adaptdrive.hardware.link  # noqa: F401 - before python-can is imported
