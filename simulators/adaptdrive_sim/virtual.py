@@ -13,9 +13,9 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import SAFE_COMMAND, Decision, Mode, Stage
 from adaptdrive.errors import RefusedError
-from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
+from adaptdrive.runtime.state_machine import Machine
 from adaptdrive_sim.course import PERIODS, Run
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World

@@ -14,8 +14,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, parse_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, LoadReport, Severity
+from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
 from tests.config.documents import parse
 from tests.runtime.bench import until
 

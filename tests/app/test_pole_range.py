@@ -18,8 +18,8 @@ from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.errors import RefusedError
 from adaptdrive.recording.what_if import reconfigured
-from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.requests import SetPole
+from adaptdrive.runtime.state_machine import Machine
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 

@@ -11,7 +11,7 @@ from adaptdrive.app.checkpoint import Learnt
 from adaptdrive.app.recording import build_recorder
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.memory import Recalled
-from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import Hub
 from tests.config.documents import parse
 
 

@@ -11,7 +11,7 @@ from adaptdrive.app.interlocks import response_limits
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.response import Response, ResponseLimits
+from adaptdrive.runtime.plausibility import Response, ResponseLimits
 from tests.hardware.bench import EXAMPLES
 from tests.runtime.bench import CALM
 

@@ -21,8 +21,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.runtime.daemon import Daemon
-from adaptdrive.runtime.hub import Hub, Subscription
-from adaptdrive.runtime.reports import LoadReport, Report, State
+from adaptdrive.runtime.reports import Hub, LoadReport, Report, State, Subscription
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.watchdog import ServiceManager
 from adaptdrive_sim.device_main import build_drive, build_node, build_sensors

@@ -23,8 +23,7 @@ from adaptdrive.devices.port import Reading
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, LoadReport, State
+from adaptdrive.runtime.reports import Event, Hub, LoadReport, State
 from adaptdrive.runtime.requests import Request
 from adaptdrive.runtime.watchdog import ServiceManager
 from tests.loopback_port import LoopbackPort

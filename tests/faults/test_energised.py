@@ -10,8 +10,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from adaptdrive.config.timing import Timing
-from adaptdrive.runtime.bridge_watch import BridgeWatch
-from adaptdrive.runtime.interlock_board import InterlockBoard
+from adaptdrive.runtime.interlock_board import BridgeWatch, InterlockBoard
 from tests.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 
 STORIES = int(os.environ.get("STORIES", "8"))

@@ -21,7 +21,7 @@ from adaptdrive.devices.obedience import QUIET_S
 from adaptdrive.devices.port import Reading
 from adaptdrive.errors import BusError
 from adaptdrive.runtime.interlocks import Limits, find_cause
-from adaptdrive.runtime.stop_watch import Stop, StopWatch
+from adaptdrive.runtime.stopping import Stop, StopWatch
 from tests.hardware.bench import (
     STATUS,
     TIMING,

@@ -20,9 +20,9 @@ from adaptdrive.devices.sensors import RULES, SensorBus, SensoredPort, derived_v
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.accounts import sensor_report
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import SensorSample, State
 from adaptdrive.runtime.requests import Enable, Reset
+from adaptdrive.runtime.state_machine import Machine
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, FAST, SETTINGS, TICK_S, Around, MotorController
 

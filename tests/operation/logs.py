@@ -21,7 +21,7 @@ from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.recorder_settings import Place
 from adaptdrive.recording.records import Header
-from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import Hub
 from tests.recording.material import INFO
 
 PATIENCE_S = 60.0

@@ -28,9 +28,9 @@ from adaptdrive.control.signals import (
 from adaptdrive.errors import RefusedError
 from adaptdrive.operation.messages import Output, Profile
 from adaptdrive.operation.service import MqttService
-from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
     DriveReport,
+    Hub,
     LoadReport,
     Quantiles,
     SensorReport,

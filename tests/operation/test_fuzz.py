@@ -22,10 +22,9 @@ from adaptdrive.operation.commands import FORMS, PING
 from adaptdrive.operation.desk import Desk
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import encode
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Enable, Request, SetMode
+from adaptdrive.runtime.state_machine import Machine
 from tests.operation.contract import validators
 from tests.runtime.test_machine import LIMITS
 

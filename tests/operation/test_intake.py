@@ -10,8 +10,7 @@ import pytest
 from adaptdrive.operation.board import Outbox, StateBoard
 from adaptdrive.operation.intake import REPORTS_HELD, History, Intake
 from adaptdrive.operation.messages import Output
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import STANDBY, Bench, listening, profile
 

@@ -19,8 +19,7 @@ from adaptdrive.recording.log import Log
 from adaptdrive.recording.log_files import log_files, recall
 from adaptdrive.recording.memory import EVENTS
 from adaptdrive.recording.records import EventRow
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import Request
 from tests.operation.logs import Time, memory_of, open_log, remembering
 from tests.recording.disk import Disk

@@ -25,8 +25,7 @@ from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories
 from adaptdrive.recording.verify import verify
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import CommandReport, Event, Severity
+from adaptdrive.runtime.reports import CommandReport, Event, Hub, Severity
 from tests.recording.disk import Disk, archive_in_process
 from tests.recording.material import INFO, make_tick
 

@@ -27,9 +27,9 @@ from adaptdrive.control.signals import (
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
-from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable, Request
+from adaptdrive.runtime.state_machine import Machine
 from tests.loopback_port import LoopbackPort
 
 MOTOR = load_configuration(Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml")

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.runtime.counter_watch import CounterWatch
-from adaptdrive.runtime.half_cycles import HalfCycles
+from adaptdrive.runtime.timebase import CounterWatch, HalfCycles
 
 TICK_S = 2.0**-7
 """A half cycle whose multiples are exact."""

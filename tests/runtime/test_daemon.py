@@ -15,11 +15,11 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurem
 from adaptdrive.devices.port import Listener
 from adaptdrive.errors import BusError, RefusedError
 from adaptdrive.runtime.daemon import Daemon
-from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.loop_interface import DaemonSettings
 from adaptdrive.runtime.reports import (
     DriveReport,
     Event,
+    Hub,
     LoadReport,
     Report,
     Severity,

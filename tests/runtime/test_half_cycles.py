@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.runtime.half_cycles import HalfCycles
+from adaptdrive.runtime.timebase import HalfCycles
 
 TICK_S = 2.0**-7
 """A half cycle whose multiples are exact."""

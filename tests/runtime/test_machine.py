@@ -13,8 +13,7 @@ from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
-from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.machine_limits import FLOOR_REACHED, MachineLimits
+from adaptdrive.runtime.limits import FLOOR_REACHED, MachineLimits
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -27,6 +26,7 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from adaptdrive.runtime.state_machine import Machine
 
 LIMITS = MachineLimits(
     reference_min=0.0,

@@ -14,8 +14,7 @@ from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
 from adaptdrive.quantity import Given
-from adaptdrive.runtime.machine_limits import MachineLimits
-from adaptdrive.runtime.manual import ManualVoltage
+from adaptdrive.runtime.limits import MachineLimits, ManualVoltage
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,

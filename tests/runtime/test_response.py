@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.app.interlocks import response_limits
 from adaptdrive.config import load_configuration
-from adaptdrive.runtime.response import Response, ResponseLimits
+from adaptdrive.runtime.plausibility import Response, ResponseLimits
 from tests.hardware.bench import EXAMPLES
 from tests.runtime.bench import CALM
 

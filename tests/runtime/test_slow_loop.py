@@ -10,9 +10,8 @@ import pytest
 
 from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.runtime.accounts import status_line
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, LoadReport, Severity, State, StateReport
-from adaptdrive.runtime.slow_loop import SlowLoop
+from adaptdrive.runtime.daemon import SlowLoop
+from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity, State, StateReport
 from tests.runtime.bench import decision, snapshot, until
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.devices.port import PortStatistics
-from adaptdrive.runtime.refused_share import WINDOW_S, RefusedShare
+from adaptdrive.runtime.interlocks import WINDOW_S, RefusedShare
 from adaptdrive.runtime.reports import Quantiles
 from adaptdrive.runtime.statistics import BINS, TimeWindow
 

@@ -13,7 +13,7 @@ from scipy import signal
 
 from adaptdrive.app.interlocks import stillness_limits
 from adaptdrive.config import load_configuration
-from adaptdrive.runtime.stillness import Stillness, StillnessLimits, StillnessWatch
+from adaptdrive.runtime.plausibility import Stillness, StillnessLimits, StillnessWatch
 from tests.hardware.bench import EXAMPLES
 from tests.runtime.bench import CALM
 

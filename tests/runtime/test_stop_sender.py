@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import cast
 
 from adaptdrive.devices.port import FAREWELLS
+from adaptdrive.runtime.daemon import StopSender
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.requests import Enable
-from adaptdrive.runtime.stop_sender import StopSender
 from tests.runtime.test_machine import Desk
 
 

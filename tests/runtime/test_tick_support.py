@@ -17,9 +17,8 @@ from adaptdrive.app.realtime import Rehearsal
 from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Realtime
 from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.latency import LatencyDetector
 from adaptdrive.runtime.realtime import real_time
-from adaptdrive.runtime.tick_support import IdleCollector, TickSupport
+from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector, TickSupport
 from tests.hardware.bench import EXAMPLES
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, SETTINGS, TICK_S, FastBench, LoopTimer, fast_bench

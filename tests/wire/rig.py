@@ -21,8 +21,15 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.devices.port import Port
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.daemon import Daemon
-from adaptdrive.runtime.hub import Hub, Subscription
-from adaptdrive.runtime.reports import DriveReport, Event, State, StateReport, TickReport
+from adaptdrive.runtime.reports import (
+    DriveReport,
+    Event,
+    Hub,
+    State,
+    StateReport,
+    Subscription,
+    TickReport,
+)
 from adaptdrive.runtime.requests import Enable, Request, Reset, SetSetpoint
 from adaptdrive.runtime.watchdog import ServiceManager
 from tests.runtime.bench import LoopTimer

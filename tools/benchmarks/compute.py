@@ -28,9 +28,9 @@ from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable
+from adaptdrive.runtime.state_machine import Machine
 from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
 from tests.loopback_port import LoopbackPort, Quiet
 from tools.benchmarks.rows import Extent, Row, alternating, quantile

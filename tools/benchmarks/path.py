@@ -25,11 +25,9 @@ from adaptdrive.devices.port import PortStatistics
 from adaptdrive.operation.messages import Output, drive_message, encode
 from adaptdrive.recording.records import packed_ticks
 from adaptdrive.runtime.accounts import drive_report
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.latency import LatencyDetector
-from adaptdrive.runtime.reports import TickReport
+from adaptdrive.runtime.reports import Hub, TickReport
 from adaptdrive.runtime.statistics import TimeWindow
-from adaptdrive.runtime.tick_support import IdleCollector
+from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector
 from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING
 from tools.benchmarks import compute
 from tools.benchmarks.rows import Extent, Row

@@ -38,17 +38,17 @@ _VOLTAGE = (
     "start_V=self.manual.value(tick), target_V=value, since_tick=tick, hold_s=hold_s, hold_ticks="
 )
 _HOLD = " if hold_s is None else math.ceil(hold_s / self._limits.tick_s))"
-_MACHINE = "runtime.machine:Machine.__init__: "
+_MACHINE = "runtime.state_machine:Machine.__init__: "
 _LOOP = "runtime.fast_loop:FastLoop."
-_CYCLES = "runtime.half_cycles:HalfCycles."
+_CYCLES = "runtime.timebase:HalfCycles."
 _RATE = "runtime.frame_rate:"
-_COUNTER = "runtime.counter_watch:CounterWatch."
-_BRIDGE = "runtime.bridge_watch:BridgeWatch."
+_COUNTER = "runtime.timebase:CounterWatch."
+_BRIDGE = "runtime.interlock_board:BridgeWatch."
 
 RUNTIME: dict[str, str] = {
-    "runtime.manual:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
+    "runtime.limits:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
     "if abs(distance_V) < way_V:": "a way of just the distance ends at the target too",
-    "runtime.manual:ManualVoltage.value: return self.start_V + (way_V if distance_V > 0.0 else "
+    "runtime.limits:ManualVoltage.value: return self.start_V + (way_V if distance_V > 0.0 else "
     "-way_V) -> return self.start_V + (way_V if distance_V >= 0.0 else -way_V)": _RETURNED,
     f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
     "self.manual = self._limits.held(limits.floor_V, 1)": "a V_c that stays has no beginning",
@@ -59,7 +59,7 @@ RUNTIME: dict[str, str] = {
     f"{_MACHINE}self._precharging = False -> self._precharging = True": _SET_BEFORE_USE,
     f"{_MACHINE}self._waveform_tick = 0 -> pass": _SET_BEFORE_USE,
     f"{_MACHINE}self._waveform_tick = 0 -> self._waveform_tick = 1": _SET_BEFORE_USE,
-    "runtime.machine:Machine._set_voltage: self.manual = replace(self.manual, "
+    "runtime.state_machine:Machine._set_voltage: self.manual = replace(self.manual, "
     f"{_VOLTAGE}0{_HOLD} -> self.manual = replace(self.manual, {_VOLTAGE}1{_HOLD}": _UNLIMITED,
     f"{_LOOP}__init__: self._wanted = SAFE_COMMAND -> pass": _SET_BEFORE_USE,
     f"{_LOOP}__init__: self._deadline_s = math.inf -> pass": _SET_BEFORE_USE,

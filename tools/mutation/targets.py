@@ -23,28 +23,28 @@ RUNTIME: dict[str, tuple[str, ...]] = {
         *_LOOP,
     ),
     "adaptdrive.runtime.guard": ("tests/runtime/test_guard.py", *_LOOP),
-    "adaptdrive.runtime.machine": (*_MACHINE, "tests/runtime/test_fast_loop_decisions.py"),
-    "adaptdrive.runtime.machine_limits": ("tests/runtime/test_machine_manual.py", *_MACHINE),
-    "adaptdrive.runtime.manual": ("tests/runtime/test_machine_manual.py",),
+    "adaptdrive.runtime.state_machine": (*_MACHINE, "tests/runtime/test_fast_loop_decisions.py"),
+    "adaptdrive.runtime.limits": (
+        "tests/runtime/test_machine_manual.py",
+        *_MACHINE,
+    ),
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
-    "adaptdrive.runtime.interlock_board": ("tests/runtime/test_interlock_board.py", *_LOOP),
-    "adaptdrive.runtime.bridge_watch": (
+    "adaptdrive.runtime.interlock_board": (
+        "tests/runtime/test_interlock_board.py",
+        *_LOOP,
         "tests/runtime/test_bridge_watch.py",
         "tests/runtime/test_fast_loop.py",
     ),
-    "adaptdrive.runtime.counter_watch": (
+    "adaptdrive.runtime.timebase": (
         "tests/runtime/test_counter_watch.py",
         *_RATE,
-        "tests/runtime/test_fast_loop.py",
-    ),
-    "adaptdrive.runtime.half_cycles": (
-        *_RATE,
-        "tests/runtime/test_counter_watch.py",
         "tests/runtime/test_fast_loop.py",
     ),
     "adaptdrive.runtime.frame_rate": (*_RATE, "tests/runtime/test_counter_watch.py"),
-    "adaptdrive.runtime.stop_watch": _STOP,
-    "adaptdrive.runtime.stopping": (*_STOP, "tests/runtime/test_frame_rate.py"),
+    "adaptdrive.runtime.stopping": (
+        *_STOP,
+        "tests/runtime/test_frame_rate.py",
+    ),
     "adaptdrive.runtime.statistics": ("tests/runtime/test_statistics.py",),
     "adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP),  # the loop's order
 }

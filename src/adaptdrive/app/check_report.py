@@ -15,8 +15,8 @@ from adaptdrive.app.settings import daemon_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.devices.bus_kind import Row
 from adaptdrive.errors import ConfigurationError, escaped
-from adaptdrive.runtime.refused_share import WINDOW_S
-from adaptdrive.runtime.response import ResponseLimits
+from adaptdrive.runtime.interlocks import WINDOW_S
+from adaptdrive.runtime.plausibility import ResponseLimits
 
 _WHOLE_TICKS = 1e4
 """Number of half cycles from which on all digits are printed."""

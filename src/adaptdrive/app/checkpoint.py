@@ -20,8 +20,7 @@ from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.devices.description import description_text
 from adaptdrive.errors import NOT_JSON
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, LoadReport, Severity
+from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
 
 _EVERY_S = 60.0
 """Shortest time between two records."""

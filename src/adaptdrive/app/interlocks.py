@@ -14,8 +14,12 @@ from adaptdrive.config.supply import absent_names, moved_inputs
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.runtime.interlocks import Limits, Watch
-from adaptdrive.runtime.response import Response, ResponseLimits
-from adaptdrive.runtime.stillness import StillnessLimits, StillnessWatch
+from adaptdrive.runtime.plausibility import (
+    Response,
+    ResponseLimits,
+    StillnessLimits,
+    StillnessWatch,
+)
 
 _POWER_FACTOR = 2.0  # a power is measured, and half of it at most is lost on the way to the load
 _BELOW_RANGE = 0.25  # noise of 5 % and the overshoot of a step downwards stay above

@@ -10,8 +10,7 @@ from adaptdrive.app.reload import Given
 from adaptdrive.files import directory_flaw
 from adaptdrive.lines import Level, log
 from adaptdrive.recording.memory import Recalled
-from adaptdrive.runtime.hub import Keep, Subscription
-from adaptdrive.runtime.reports import Event, Report, Severity
+from adaptdrive.runtime.reports import Event, Keep, Report, Severity, Subscription
 
 _LEVELS: dict[Severity, Level] = {
     Severity.INFO: "info",

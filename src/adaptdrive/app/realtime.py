@@ -20,11 +20,10 @@ from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Mode, Snapshot
 from adaptdrive.devices.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.realtime import Grant, real_time
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import Event, Hub, Severity
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
+from adaptdrive.runtime.state_machine import Machine
 
 _PERIODS = 4
 _READINGS_AT_MOST = 2400

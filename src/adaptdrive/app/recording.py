@@ -21,7 +21,7 @@ from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.session import SensorColumn, SessionInfo, sessions_directory
-from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import Hub
 
 
 def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive

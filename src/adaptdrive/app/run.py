@@ -49,9 +49,8 @@ from adaptdrive.recording.log_files import recall as recall_log
 from adaptdrive.recording.memory import Recalled
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.runtime.daemon import Daemon
-from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.realtime import helper_thread
-from adaptdrive.runtime.reports import Event
+from adaptdrive.runtime.reports import Event, Hub
 from adaptdrive.runtime.watchdog import ServiceManager
 from adaptdrive.tasks import repeat, uncaught_errors_end
 

@@ -24,8 +24,8 @@ from adaptdrive.control.settings import (
 from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.guard import CommandLimits
+from adaptdrive.runtime.limits import MachineLimits
 from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
-from adaptdrive.runtime.machine_limits import MachineLimits
 
 _LOWEST_LINE = 0.5
 """Share of the nominal line voltage below which the voltage loop does not divide by it."""

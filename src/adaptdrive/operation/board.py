@@ -9,8 +9,7 @@ from typing import TypeVar
 
 from adaptdrive.operation.clock import Synchronisation, WallClock
 from adaptdrive.operation.messages import LastTrip, Payload, Profile, Standing, state_message
-from adaptdrive.runtime.hub import Bounded
-from adaptdrive.runtime.reports import State, StateReport
+from adaptdrive.runtime.reports import Bounded, State, StateReport
 from adaptdrive.runtime.trips import remedy
 
 T = TypeVar("T")

@@ -20,8 +20,7 @@ from adaptdrive.operation.commands import LONGEST_ID, PING, STOP, Payload
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.payloads import printable
-from adaptdrive.runtime.hub import Keep
-from adaptdrive.runtime.reports import CommandReport, State
+from adaptdrive.runtime.reports import CommandReport, Keep, State
 from adaptdrive.runtime.requests import Host, Request
 
 INTERRUPTED = "the daemon stopped while it carried this out; it may or may not have taken effect"

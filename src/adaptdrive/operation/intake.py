@@ -29,10 +29,10 @@ from adaptdrive.operation.messages import (
     histogram_message,
     load_message,
 )
-from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
     DriveReport,
     Event,
+    Hub,
     LoadReport,
     Report,
     Severity,

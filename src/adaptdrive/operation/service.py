@@ -32,8 +32,7 @@ from adaptdrive.operation.messages import OFFLINE, LastTrip, Profile, Topics, en
 from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.session import BrokerSession
 from adaptdrive.operation.steady import SteadyClient
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import Event, Hub, Severity
 from adaptdrive.runtime.requests import Host
 from adaptdrive.runtime.trips import remedy
 from adaptdrive.tasks import repeat

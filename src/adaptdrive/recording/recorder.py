@@ -20,11 +20,11 @@ from adaptdrive.recording.memory import TRIP, Recalled
 from adaptdrive.recording.recorder_settings import DEFAULT_PACE, Place, RecordingPace
 from adaptdrive.recording.records import Header, note_row, packed_ticks, sensor_row, slow_row
 from adaptdrive.recording.session import Dropped
-from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
     CommandReport,
     DriveReport,
     Event,
+    Hub,
     LoadReport,
     Report,
     SensorSample,

@@ -10,11 +10,10 @@ from adaptdrive.control.signals import Decision, Mode
 from adaptdrive.devices.port import PortStatistics
 from adaptdrive.devices.sensors import SensorBus
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import (
     DriveReport,
     Event,
+    Hub,
     SensorReport,
     SensorSample,
     Severity,
@@ -22,6 +21,7 @@ from adaptdrive.runtime.reports import (
     StateReport,
     StopWord,
 )
+from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.watchdog import ServiceManager
 
 _WARNING_S = 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import math
 from collections.abc import Awaitable, Callable
 
@@ -11,16 +12,15 @@ from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
-from adaptdrive.devices.port import Port, Reading
+from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.accounts import Announcer, drive_report
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.interlocks import RefusedShares
 from adaptdrive.runtime.loop_interface import DaemonSettings
-from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.refused_share import RefusedShares
 from adaptdrive.runtime.reports import (
     DriveReport,
+    Hub,
     LoadReport,
     SensorReport,
     Severity,
@@ -28,10 +28,105 @@ from adaptdrive.runtime.reports import (
     TickReport,
 )
 from adaptdrive.runtime.requests import Reload, Request, Reset
-from adaptdrive.runtime.slow_loop import SlowLoop
-from adaptdrive.runtime.stop_sender import StopSender
+from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.tick_support import TickSupport
 from adaptdrive.runtime.watchdog import ServiceManager
+
+# Safe commands outside of ticks: on each stop, and repeatedly when the daemon ends.
+
+_STOP_GAP_S = 0.004
+"""Least time between the safe commands of a flood of stops: half a tick, for the bus's sake."""
+
+
+class StopSender:
+    """Brings one drive into its safe state."""
+
+    def __init__(self, machine: Machine, fast: FastLoop, clock: Callable[[], float]) -> None:
+        """Send nothing yet.
+
+        Args:
+            machine: The state machine.
+            fast: Sends the commands.
+            clock: Monotonic clock in seconds.
+        """
+        self._machine = machine
+        self._fast = fast
+        self._clock = clock
+        self._stopped_s = -math.inf
+
+    def stop(self) -> None:
+        """Send only safe commands from now on, and the first one at once."""
+        self._machine.disable()
+        self._fast.send_safe()
+
+    def stop_again(self) -> None:
+        """Do the same for one of many requests; a flood of them does not fill the bus."""
+        now_s = self._clock()
+        if self._machine.energised or now_s - self._stopped_s >= _STOP_GAP_S:
+            self.stop()
+            self._stopped_s = now_s
+
+    async def await_stop(self) -> None:
+        """Send safe commands until the drive confirms its stop, or has had the time to."""
+        end_s = self._clock() + self._fast.stop_limit_s + FAREWELL_GAP_S
+        for number in itertools.count():
+            late = self._clock() > end_s  # judged once more then, however long this process slept
+            self._fast.send_safe()
+            ended = late or self._machine.state is not State.STOPPING
+            if ended and number >= FAREWELLS:
+                break
+            await asyncio.sleep(FAREWELL_GAP_S)
+
+    async def say_farewell(self) -> None:
+        """Stop the drive more than once: a frame can be lost."""
+        for _ in range(FAREWELLS):
+            self.stop()
+            await asyncio.sleep(FAREWELL_GAP_S)
+
+
+# The slow loop: a task that turns snapshots into decisions between two ticks.
+
+_WAITING_AT_MOST = 3
+"""Snapshots that may wait for a decision; the drive trips at the next one."""
+
+
+class SlowLoop:
+    """Decides on every snapshot, in order, outside the tick that took it."""
+
+    def __init__(
+        self, decide: Callable[[Snapshot], Decision], deliver: Callable[[Snapshot, Decision], None]
+    ) -> None:
+        """Join the slow half of the controller to the fast loop.
+
+        Args:
+            decide: Makes a decision of a snapshot: the slow half of the controller.
+            deliver: Where each decision goes, with the snapshot it was made of.
+        """
+        self._decide = decide
+        self._deliver = deliver
+        self._snapshots: asyncio.Queue[Snapshot] = asyncio.Queue(maxsize=_WAITING_AT_MOST)
+
+    def offer(self, snapshot: Snapshot) -> bool:
+        """Hand over a snapshot; False when the slow loop has fallen hopelessly behind."""
+        try:
+            self._snapshots.put_nowait(snapshot)
+        except asyncio.QueueFull:
+            return False
+        return True
+
+    def forget(self) -> None:
+        """Drop what waits: the drive has left the run that the snapshots belong to."""
+        while not self._snapshots.empty():
+            self._snapshots.get_nowait()
+
+    async def run(self) -> None:
+        """Decide until cancelled."""
+        while True:
+            snapshot = await self._snapshots.get()
+            self._deliver(snapshot, self._decide(snapshot))
+
+
+# The daemon of one drive: its tasks, their ownership, and their reports.
 
 
 class Daemon:

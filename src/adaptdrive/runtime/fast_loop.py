@@ -26,13 +26,13 @@ from adaptdrive.control.signals import (
 from adaptdrive.devices.port import Port, Reading, assuming
 from adaptdrive.runtime.capacitor import CapacitorBalance
 from adaptdrive.runtime.guard import Guard
-from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.loop_interface import FastLoopSettings, LoopSurroundings, TickCounts
-from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import StopWord, TickReport
+from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stopping import Stopping
+from adaptdrive.runtime.timebase import HalfCycles
 
 _OFF: Final[Stage] = Stage.OFF  # found at once by compiled code
 _PRECHARGE: Final[Stage] = Stage.PRECHARGE

@@ -12,7 +12,7 @@ from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.interlocks import Limits, Watch
-from adaptdrive.runtime.machine_limits import MachineLimits
+from adaptdrive.runtime.limits import MachineLimits
 from adaptdrive.runtime.reports import TickReport
 
 

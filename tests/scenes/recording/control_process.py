@@ -14,8 +14,7 @@ from adaptdrive.app.news import log_events
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.recording.material import INFO, make_tick
 
 

@@ -24,8 +24,7 @@ from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import Ending, session_directories
 from adaptdrive.recording.verify import verify
-from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.recording.material import INFO, archive_all, make_batch, make_tick, write_log
 from tests.recording.test_archive import Place as Archived
 from tests.recording.test_archive import fingerprint, sequences, trip_in, trips_of

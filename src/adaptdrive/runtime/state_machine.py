@@ -19,7 +19,7 @@ from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime import requests
-from adaptdrive.runtime.machine_limits import MachineLimits
+from adaptdrive.runtime.limits import MachineLimits
 from adaptdrive.runtime.reports import State
 
 # compiled code finds a constant of its module at once, and a member of an enumeration in 0.1 us

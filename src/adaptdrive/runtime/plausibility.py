@@ -1,4 +1,20 @@
-"""A measured output that stands still while it cannot.
+"""Measured outputs that no load could have: one that stands still, or that stays too low.
+
+A sensor that is reversed, that dies slowly or whose wire is broken reads low, and the controller
+answers with all the power there is. Two limits of a load hold whatever it is:
+
+* It responds. With f = `factor`, a load may have 1/f of the gain K of its model, and lags τ that
+  are f times as long or as short, from one moment to the next; a torque or a loss may take a tenth
+  of the largest input. The lowest output of all such loads is found by a chain of lags, each
+  of which rises as slowly and falls as fast as it may:
+
+      x' = (level - x) / (f·τ) where level > x, else f·(level - x) / τ
+      level = K/f · (u - 0.1 u_max), or the x of the lag before
+
+* It stores. Its output cannot fall faster than the shortest lag lets it.
+
+The current of a battery depends on its own voltage too, which is not known. But the drive measures
+the power that it gives, and that over the boost voltage is the current. A current can fall at once.
 
 A sensor may freeze while its messages come with live counters. An honest value may stand still
 too: at rest, where its last digit is coarse. The input distinguishes them. From the moment at
@@ -22,6 +38,122 @@ from dataclasses import dataclass
 
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.interlocks import OutputModel
+
+# An output that is lower than any load of the kind would have it after what it was fed with.
+
+_LOAD_SHARE = 0.1
+"""Torque or loss not in the model, as a share of the largest input: 40 V of 400 V for a motor."""
+
+_MARGIN = 0.05
+"""Distance below the lowest output that trips, as a share of the set-point range: seven standard
+deviations of a noise of 5 %, smoothed."""
+
+_SMOOTHING_S = 0.2
+"""Time constant of the smoothed output, against the noise of single readings."""
+
+_FALL_MARGIN = 0.15
+"""The same for a fall, which is compared with the highest of many noisy values."""
+
+_FASTEST = 10.0
+"""Permitted ratio of the model's shortest lag to the load's: a bath is emptied, or filled with
+cold water, faster than it cools."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseLimits(OutputModel):
+    """The load with the lowest plausible output.
+
+    Attributes:
+        input_max: Largest input.
+        reference_range: Highest less lowest set-point.
+    """
+
+    input_max: float
+    reference_range: float
+
+    @property
+    def margin(self) -> float:
+        """Distance below the lowest output at which the drive trips."""
+        return _MARGIN * self.reference_range
+
+    @property
+    def fastest_s(self) -> float:
+        """Shortest time constant with which an output that is stored may fall."""
+        return min(self.lags_s) / _FASTEST
+
+    def at_rest(self, input_value: float) -> float:
+        """Return the lowest output at rest.
+
+        Args:
+            input_value: The constant input.
+        """
+        return max(0.0, self.gain / self.factor * (input_value - _LOAD_SHARE * self.input_max))
+
+
+class Response:
+    """Watches the output of a running drive."""
+
+    def __init__(self, limits: ResponseLimits) -> None:
+        self._limits = limits
+        self._arrival_s = math.nan
+        self._output = self._highest = 0.0
+        self._stages = [0.0] * len(limits.lags_s)
+
+    def forget(self) -> None:
+        """Begin anew: the drive is not running."""
+        self._arrival_s = math.nan
+
+    def find_cause(self, reading: Reading) -> str | None:
+        """Return why the output is too low to be true, None while it is not.
+
+        Args:
+            reading: The newest, again where there is no newer one.
+        """
+        if math.isnan(self._arrival_s):
+            self._begin(reading)
+        period_s, self._arrival_s = reading.arrival_s - self._arrival_s, reading.arrival_s
+        if period_s <= 0.0:
+            return None
+        self._output += (reading.output - self._output) * -math.expm1(-period_s / _SMOOTHING_S)
+        level = self._limits.at_rest(self._limits.input(reading))
+        lowest = self._limits.pass_on(self._stages, level, period_s)
+        return self._low(lowest) or self._fallen(period_s)
+
+    def _begin(self, reading: Reading) -> None:
+        """Take the present output as it is: a bath may be colder than its inflow."""
+        self._arrival_s = reading.arrival_s
+        self._output = self._highest = reading.output
+        self._stages = [min(0.0, reading.output)] * len(self._stages)
+
+    def _low(self, lowest: float) -> str | None:
+        limits = self._limits
+        if self._output >= lowest - limits.margin:
+            return None
+        return (
+            f"no response: {limits.output_name} = {self._value(self._output)}, and with this input "
+            f"must be above {self._value(lowest)}: is the sensor reversed or its wire broken, is "
+            "the load blocked?"
+        )
+
+    def _fallen(self, period_s: float) -> str | None:
+        """Compare with the fastest fall from the highest output so far."""
+        limits = self._limits
+        if limits.by_power:
+            return None
+        self._highest = max(self._highest * math.exp(-period_s / limits.fastest_s), self._output)
+        if self._output >= self._highest - _FALL_MARGIN * limits.reference_range:
+            return None
+        return (
+            f"no response: {limits.output_name} fell to {self._value(self._output)}, and the load "
+            f"cannot have fallen below {self._value(self._highest)} yet: is the sensor's wire "
+            "broken?"
+        )
+
+    def _value(self, output: float) -> str:
+        return f"{output:.3g} {self._limits.output_unit}".rstrip()
+
+
+# A measured output that stands still while it cannot.
 
 _DIGITS = 20.0
 """Digits of a coarse value that it must have been moved by. Where a movement turns round, it stands
