@@ -21,7 +21,7 @@ from adaptdrive.analysis.plot import plot
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 from tests.analysis.conftest import SECONDS
 
 

@@ -17,7 +17,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.errors import RefusedError
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 from adaptdrive.runtime.requests import SetPole
 from adaptdrive.runtime.state_machine import Machine
 

@@ -10,7 +10,7 @@ import pytest
 from adaptdrive.app.checkpoint import Learnt
 from adaptdrive.app.recording import build_recorder
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.runtime.reports import Hub
 from tests.config.documents import parse
 

@@ -17,7 +17,7 @@ from adaptdrive.commission.course import Phase
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.target import Target, build_target
 from adaptdrive.config.root import Configuration
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters

@@ -15,7 +15,7 @@ from adaptdrive.control.design import compensator_gains, loop_delay_ticks, windo
 from adaptdrive.control.discretise import held_model
 from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.identification.result import IdentifiedLoad
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.experiments.examples import FOLDER
 from tests.commission.draws import Draw
 

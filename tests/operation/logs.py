@@ -14,13 +14,10 @@ import msgspec
 from adaptdrive.app.run import surroundings_of
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.service import ServiceSurroundings
-from adaptdrive.recording.frames import Kind
-from adaptdrive.recording.log import Log
-from adaptdrive.recording.log_files import recall
-from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.journal import Log, Place
+from adaptdrive.recording.journal_files import Recalled, recall
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.recorder_settings import Place
-from adaptdrive.recording.records import Header
+from adaptdrive.recording.records import Header, Kind
 from adaptdrive.runtime.reports import Hub
 from tests.recording.material import INFO
 

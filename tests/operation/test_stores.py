@@ -14,11 +14,9 @@ from adaptdrive.operation.clock import LogRation
 from adaptdrive.operation.desk import INTERRUPTED, Desk
 from adaptdrive.operation.memory import UNREADABLE, ReplyMemory
 from adaptdrive.operation.messages import Reply
-from adaptdrive.recording.frames import Kind
-from adaptdrive.recording.log import Log
-from adaptdrive.recording.log_files import log_files, recall
-from adaptdrive.recording.memory import EVENTS
-from adaptdrive.recording.records import EventRow
+from adaptdrive.recording.journal import Log
+from adaptdrive.recording.journal_files import EVENTS, log_files, recall
+from adaptdrive.recording.records import EventRow, Kind
 from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import Request
 from tests.operation.logs import Time, memory_of, open_log, remembering

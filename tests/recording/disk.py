@@ -18,10 +18,10 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.recording import archive_run, log_writer
+from adaptdrive.recording import archive_run
+from adaptdrive.recording import writer as writing
 from adaptdrive.recording.archive import ERRORS, archive
-from adaptdrive.recording.log_syncs import sync_for_ever
-from adaptdrive.recording.log_writer import LogWriter
+from adaptdrive.recording.writer import LogWriter, sync_for_ever
 from adaptdrive.runtime.reports import Severity
 
 RETRY_S = 0.5
@@ -51,8 +51,8 @@ class Disk:
         self._writers: list[LogWriter] = []
         patch.setattr(LogWriter, "start", partialmethod(_passed, self._start))
         patch.setattr(LogWriter, "wake", partialmethod(_passed, self._wake))
-        patch.setattr(log_writer, "_PAUSE_S", 0.0)
-        patch.setattr(log_writer, "time", SimpleNamespace(sleep=lambda _: None))
+        patch.setattr(writing, "_PAUSE_S", 0.0)
+        patch.setattr(writing, "time", SimpleNamespace(sleep=lambda _: None))
 
     @contextmanager
     def stalled(self) -> Iterator[None]:

@@ -15,14 +15,15 @@ import msgspec
 from adaptdrive.clock.now import now_s
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Stage
 from adaptdrive.recording.archive import archive, close_segment
-from adaptdrive.recording.frames import Kind, Record, framed
-from adaptdrive.recording.log_files import LogFile, log_files, new_file
-from adaptdrive.recording.memory import Begin
+from adaptdrive.recording.journal_files import Begin, LogFile, log_files, new_file
 from adaptdrive.recording.records import (
     CommandRow,
     EventRow,
     Header,
+    Kind,
+    Record,
     Ticks,
+    framed,
     packed_ticks,
     slow_row,
 )

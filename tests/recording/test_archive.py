@@ -11,8 +11,8 @@ import msgspec
 import pytest
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.log_files import log_files
-from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.journal_files import log_files
+from adaptdrive.recording.reader import Session, read_session, verify
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import (
     Ending,
@@ -20,7 +20,6 @@ from adaptdrive.recording.session import (
     read_info,
     session_directories,
 )
-from adaptdrive.recording.verify import verify
 from tests.recording.material import (
     INFO,
     Batch,

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptdrive.recording.frames import Kind, Loss, Record, framed, read_frames
+from adaptdrive.recording.records import Kind, Loss, Record, framed, read_frames
 
 SIZE = 200_000
 STRIDES = [

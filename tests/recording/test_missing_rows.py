@@ -9,10 +9,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.reader import Verification, read_session, verify
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import Dropped, SensorColumn, read_info, write_info
-from adaptdrive.recording.verify import Verification, verify
 from tests.operation.peers import load_report
 from tests.recording.material import INFO, Batch, make_batch, make_tick, record_messages
 

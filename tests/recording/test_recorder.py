@@ -17,14 +17,13 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.recording.archive import archive
-from adaptdrive.recording.log_files import log_files
-from adaptdrive.recording.reader import Session, read_session, session_notes
+from adaptdrive.recording.journal import Place, RecordingPace
+from adaptdrive.recording.journal_files import log_files
+from adaptdrive.recording.reader import Session, read_session, session_notes, verify
 from adaptdrive.recording.recorder import EVENT_KIND, Recorder
-from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories
-from adaptdrive.recording.verify import verify
 from adaptdrive.runtime.reports import CommandReport, Event, Hub, Severity
 from tests.recording.disk import Disk, archive_in_process
 from tests.recording.material import INFO, make_tick

@@ -2,7 +2,7 @@ import pytest
 
 from adaptdrive.config import Configuration
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 from tests.config.documents import SOURCE, document
 
 

@@ -24,15 +24,12 @@ from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.frames import Kind, Record, framed
-from adaptdrive.recording.log_files import LogFile, new_file, recall
-from adaptdrive.recording.memory import Begin, Recalled
-from adaptdrive.recording.parquet import write_parquet
+from adaptdrive.recording.journal_files import Begin, LogFile, Recalled, new_file, recall
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.records import EventRow, Header
+from adaptdrive.recording.records import EventRow, Header, Kind, Record, framed
 from adaptdrive.recording.segments import logged_batches
 from adaptdrive.recording.session import CONFIG_FILE, INFO_FILE, NOTES, TABLES, TableName
-from adaptdrive.recording.tables import table_schema
+from adaptdrive.recording.tables import table_schema, write_parquet
 from tests.recording.material import INFO, make_batch, make_tick, write_log
 from tools.fuzz.target import EXAMPLES, Target, scratch
 

@@ -110,7 +110,7 @@ OPERATION: dict[str, tuple[str, ...]] = {
 }
 
 RECORDING: dict[str, tuple[str, ...]] = {
-    "adaptdrive.recording.log_writer": (
+    "adaptdrive.recording.writer": (
         "tests/recording/test_log.py",
         "tests/recording/test_recorder.py",
         "tests/operation/test_stores.py",

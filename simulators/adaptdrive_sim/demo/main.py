@@ -20,8 +20,8 @@ from rich.text import Text
 
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.household.processes import ProcessDiedError
-from adaptdrive.recording.marks import SessionMark, write_marks
 from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.session import SessionMark, write_marks
 from adaptdrive.watch.main import run_view
 from adaptdrive.watch.plot import CONTROLLERS, plot
 from adaptdrive.watch.terminal import refuse_dumb_terminal

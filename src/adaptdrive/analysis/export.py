@@ -20,9 +20,9 @@ from pyarrow import parquet as pq
 
 from adaptdrive.analysis.curves import session_clock
 from adaptdrive.analysis.flat import flat_batches, flat_schema
-from adaptdrive.recording.parquet import open_file
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.session import TABLES
+from adaptdrive.recording.tables import open_file
 
 _NANOSECONDS = 1_000_000_000
 _LONGEST_FIELD = 63

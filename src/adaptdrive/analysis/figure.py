@@ -17,8 +17,8 @@ from adaptdrive.analysis.curves import Curves
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
 from adaptdrive.quantity import Given
-from adaptdrive.recording.marks import read_marks
 from adaptdrive.recording.reader import Session
+from adaptdrive.recording.session import read_marks
 
 _TRIP: style.Look = {"color": "#c1121f", "linewidth": 1.0}
 _DONE: style.Look = {"color": "#7b2d8b", "linewidth": 0.9, "linestyle": "--"}

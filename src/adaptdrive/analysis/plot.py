@@ -12,7 +12,7 @@ from adaptdrive.analysis.figure import draw_session
 from adaptdrive.errors import escaped
 from adaptdrive.files import replace_result
 from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>

@@ -21,7 +21,7 @@ from adaptdrive.identification.identify import identify_any
 from adaptdrive.identification.proposal import proposed_model, time_constants
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 
 _MOST_BLOCKS = 4000
 

@@ -21,7 +21,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.errors import ConfigurationError, Flaw, IdentificationError
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 
 Array = NDArray[np.float64]
 

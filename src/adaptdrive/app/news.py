@@ -9,7 +9,7 @@ from adaptdrive.app.recording import state_directory
 from adaptdrive.app.reload import Given
 from adaptdrive.files import directory_flaw
 from adaptdrive.lines import Level, log
-from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.runtime.reports import Event, Keep, Report, Severity, Subscription
 
 _LEVELS: dict[Severity, Level] = {

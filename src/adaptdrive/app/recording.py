@@ -15,10 +15,9 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
 from adaptdrive.errors import RecordingError, escaped
-from adaptdrive.recording.log_files import log_folder
-from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.journal import Place, RecordingPace
+from adaptdrive.recording.journal_files import Recalled, log_folder
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.session import SensorColumn, SessionInfo, sessions_directory
 from adaptdrive.runtime.reports import Hub

@@ -44,10 +44,10 @@ from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.lines import log
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.pure import build_name
-from adaptdrive.recording.frames import Kind
-from adaptdrive.recording.log_files import recall as recall_log
-from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.journal_files import Recalled
+from adaptdrive.recording.journal_files import recall as recall_log
 from adaptdrive.recording.recorder import Recorder
+from adaptdrive.recording.records import Kind
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.realtime import helper_thread
 from adaptdrive.runtime.reports import Event, Hub

@@ -15,8 +15,8 @@ from adaptdrive.cli.options import Json, print_json
 from adaptdrive.errors import ConfigurationError, Flaw, RecordingError, escaped
 
 if TYPE_CHECKING:  # `--help` reads no recordings
+    from adaptdrive.recording.reader import Verification
     from adaptdrive.recording.records import EventRow
-    from adaptdrive.recording.verify import Verification
 
 app = App(name="sessions")
 
@@ -139,10 +139,9 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     Returns:
         0 when nothing is damaged, nothing is missing and nothing waits to be written, else 1.
     """
-    from adaptdrive.recording.reader import read_session  # noqa: PLC0415
+    from adaptdrive.recording.reader import Verification, read_session  # noqa: PLC0415
+    from adaptdrive.recording.reader import verify as verify_session  # noqa: PLC0415
     from adaptdrive.recording.session import recorded_directories  # noqa: PLC0415
-    from adaptdrive.recording.verify import Verification  # noqa: PLC0415
-    from adaptdrive.recording.verify import verify as verify_session  # noqa: PLC0415
 
     status = 0
     verdicts: dict[str, object] = {}
@@ -240,7 +239,7 @@ def _shown(events: list[EventRow]) -> list[EventRow]:
 
 def _is_left(path: Path) -> bool:
     """Return whether a daemon that was killed has left a part of a session in its log."""
-    from adaptdrive.recording.log_files import in_progress, unarchived  # noqa: PLC0415
+    from adaptdrive.recording.journal_files import in_progress, unarchived  # noqa: PLC0415
     from adaptdrive.recording.session import read_info  # noqa: PLC0415
 
     try:

@@ -21,7 +21,7 @@ from adaptdrive.control.signals import Estimate
 from adaptdrive.errors import CommissionError
 from adaptdrive.identification.proposal import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
-from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.recording.replay import reconfigured
 
 Array = NDArray[np.float64]
 

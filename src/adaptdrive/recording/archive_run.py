@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.aside import in_thread
-from adaptdrive.recording.recorder_settings import Place, RecordingPace
+from adaptdrive.recording.journal import Place, RecordingPace
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session, session_of
 from adaptdrive.runtime.reports import Severity

@@ -13,13 +13,11 @@ from typing import Any
 import msgspec
 
 from adaptdrive.recording.archive_run import Archiving
-from adaptdrive.recording.frames import Kind
-from adaptdrive.recording.log import Clock, Log
-from adaptdrive.recording.log_syncs import SYNC, LogNews
-from adaptdrive.recording.memory import TRIP, Recalled
-from adaptdrive.recording.recorder_settings import DEFAULT_PACE, Place, RecordingPace
-from adaptdrive.recording.records import Header, note_row, packed_ticks, sensor_row, slow_row
+from adaptdrive.recording.journal import DEFAULT_PACE, Clock, Log, Place, RecordingPace
+from adaptdrive.recording.journal_files import TRIP, Recalled
+from adaptdrive.recording.records import Header, Kind, note_row, packed_ticks, sensor_row, slow_row
 from adaptdrive.recording.session import Dropped
+from adaptdrive.recording.writer import SYNC, LogNews
 from adaptdrive.runtime.reports import (
     CommandReport,
     DriveReport,

@@ -1,4 +1,4 @@
-"""Replay: the controller runs again on recorded measurements, and its commands are compared.
+"""Replay: the controller runs again on recorded measurements, with the same or other settings.
 
 The order of calls is that of `control.schedule`. The record holds the tick at which each
 decision took effect, which may be late, and on which snapshots the daemon decided at all.
@@ -8,19 +8,25 @@ from __future__ import annotations
 
 import math
 import struct
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
+from adaptdrive.config import Configuration
+from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.columns import rebuild
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import Command, Decision, Snapshot
-from adaptdrive.errors import RecordingError
+from adaptdrive.errors import ConfigurationError, Flaw, RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import INFO_FILE, TableName
 from adaptdrive.runtime.reports import TICK_COLUMNS, TickReport
+
+# Replay: the controller runs again on recorded measurements, and its commands are compared.
 
 _COLUMNS = tuple(column.name for column in TICK_COLUMNS)
 _COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
@@ -245,3 +251,53 @@ def _distance(recorded: object, replayed: object) -> float:
 
 def _text(values: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} = {value!r}" for name, value in values.items())
+
+
+# Replay of a recorded configuration with some of its keys changed.
+
+
+def reconfigured(text: str, source: Path, settings: Sequence[str]) -> Configuration:
+    """Validate a configuration after setting keys such as `estimator.forgetting=0.95` in it.
+
+    Args:
+        text: The configuration, as TOML.
+        source: Where it came from.
+        settings: `KEY=VALUE`; the value as in TOML, but a string needs no quotes.
+
+    Returns:
+        The configuration, whole and consistent.
+
+    Raises:
+        ConfigurationError: A setting or its outcome is not valid; the key is named.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as problem:
+        raise ConfigurationError(source, [Flaw("TOML", str(problem))]) from problem
+    flaws = [flaw for setting in settings if (flaw := _set(tables, setting))]
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    return validate_configuration(tables, source)
+
+
+def _set(tables: dict[str, Any], setting: str) -> Flaw | None:
+    """Set one key in place; tables on the way are made. The flaw that prevents it, if any."""
+    key, equals, value = setting.partition("=")
+    path = [part.strip() for part in key.split(".")]
+    if not equals or not all(path):
+        return Flaw(setting, "is not KEY=VALUE, such as estimator.forgetting=0.95")
+    table: Any = tables
+    for depth, part in enumerate(path[:-1], 1):
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            return Flaw(key.strip(), f"{'.'.join(path[:depth])} is a value, not a table")
+    table[path[-1]] = _value(value.strip())
+    return None
+
+
+def _value(text: str) -> Any:  # noqa: ANN401  whatever TOML can say
+    try:
+        tables = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return tables["value"] if len(tables) == 1 else text

@@ -19,7 +19,7 @@ from datetime import datetime
 from pathlib import Path
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.log_files import in_progress
+from adaptdrive.recording.journal_files import in_progress
 from adaptdrive.recording.records import Keep
 from adaptdrive.recording.segments import closed_segments
 from adaptdrive.recording.session import NOTES, read_info, session_directories

@@ -15,12 +15,10 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.errors import NOT_JSON
-from adaptdrive.recording.frames import ROW_KINDS, Kind, Record
-from adaptdrive.recording.log_files import LogFile, records, unarchived
-from adaptdrive.recording.parquet import read_parquet, write_parquet
-from adaptdrive.recording.records import CommandRow, EventRow, Ticks
+from adaptdrive.recording.journal_files import LogFile, records, unarchived
+from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Kind, Record, Ticks
 from adaptdrive.recording.session import NOTES, SessionInfo, TableName
-from adaptdrive.recording.tables import rows_batch, ticks_batch
+from adaptdrive.recording.tables import read_parquet, rows_batch, ticks_batch, write_parquet
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.runtime.statistics import BINS, bin_of
 

@@ -1,4 +1,4 @@
-"""A session's directory: its name, and the facts about it in `session.json`.
+"""A session's directory: its name, the facts about it in `session.json`, and its marks.
 
 A session holds `session.json`, `config.toml`, and the segments of its tables (`segments.py`). The
 directory appears with its first files in it, so that none is ever empty. What of a session is in
@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import shutil
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from enum import StrEnum
@@ -23,6 +23,8 @@ import msgspec
 from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
 from adaptdrive.files import read_regular, replace_regular
 from adaptdrive.quantity import BOOST, Given
+
+# A session's directory: its name, and the facts about it in `session.json`.
 
 FORMAT = 1
 
@@ -300,3 +302,38 @@ def read_info(directory: Path) -> SessionInfo:
         raise RecordingError(path, reason_of(problem)) from problem
     except NOT_JSON as problem:
         raise RecordingError(path, str(problem)) from problem
+
+
+# Marks of a session: what somebody did to the load, of which no measurement shows the time.
+
+MARKS_FILE = "marks.json"
+
+
+class SessionMark(msgspec.Struct, frozen=True):
+    """One mark.
+
+    Attributes:
+        time: When it was done, UTC.
+        text: What was done, in some words.
+    """
+
+    time: datetime
+    text: str
+
+
+def write_marks(session: Path, marks: Sequence[SessionMark]) -> None:
+    """Write the marks of a session into its folder.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    (session / MARKS_FILE).write_bytes(msgspec.json.encode(marks))
+
+
+def read_marks(session: Path) -> list[SessionMark]:
+    """Return the marks of a session, none where there are none or they cannot be read."""
+    try:
+        content = (session / MARKS_FILE).read_bytes()
+        return msgspec.json.decode(content, type=list[SessionMark])
+    except (OSError, ValueError):
+        return []

@@ -11,8 +11,8 @@ from itertools import count
 from pathlib import Path
 
 from adaptdrive.app.news import log_events
+from adaptdrive.recording.journal import Place, RecordingPace
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.recording.material import INFO, make_tick

@@ -18,12 +18,11 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.journal import Place, RecordingPace
+from adaptdrive.recording.reader import Session, read_session, verify
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.recorder_settings import Place, RecordingPace
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import Ending, session_directories
-from adaptdrive.recording.verify import verify
 from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.recording.material import INFO, archive_all, make_batch, make_tick, write_log
 from tests.recording.test_archive import Place as Archived

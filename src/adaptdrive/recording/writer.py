@@ -1,4 +1,4 @@
-"""The log as the thread that writes it sees it: files that are appended to.
+"""Threads that write the journal: files that are appended to, and kept by the disk in groups.
 
 A disk may hold it up for as long as it likes. Another thread has the disk keep what was written
 (`log_syncs.py`), so that rows and events go into the file while that takes its time.
@@ -7,9 +7,11 @@ A disk may hold it up for as long as it likes. Another thread has the disk keep 
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import queue
+import shutil
 import threading
 import time
 import zlib
@@ -18,15 +20,103 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 
 import msgspec
 
-from adaptdrive.recording import reserve
-from adaptdrive.recording.frames import Kind, Record, framed
-from adaptdrive.recording.log_files import new_file
-from adaptdrive.recording.log_syncs import Job, LogNews, sync_for_ever
-from adaptdrive.recording.memory import Begin, LogMemory, Recalled
-from adaptdrive.recording.records import Header
+from adaptdrive.files import require_regular
+from adaptdrive.recording.journal_files import Begin, LogMemory, Recalled, new_file
+from adaptdrive.recording.records import Header, Kind, Record, framed
+
+# The thread that has the disk keep what is written to the log, in groups for those who wait.
+
+SYNC = "sync"
+
+Job = tuple[int | None, int | None]
+"""A file (None to end), and the records but rows that the log has by now (None to close it)."""
+
+
+class LogNews(msgspec.Struct, frozen=True):
+    """Reports of the threads to the event loop.
+
+    Attributes:
+        synced: Records other than rows that the disk keeps by now, None for no news of them.
+        problems: Why nothing, no rows, or nothing that outlasts a power cut is written, by name;
+            an empty text where it is again.
+        part: Segment of the session that has begun, 0 for no news.
+        written: Whether all is written, and nothing more will be.
+        ended: Whether the disk keeps all of it, too, and the file is closed.
+    """
+
+    synced: int | None = None
+    problems: dict[str, str] = {}
+    part: int = 0
+    written: bool = False
+    ended: bool = False
+
+
+def sync_for_ever(jobs: SimpleQueue[Job], tell: Callable[[LogNews], None]) -> None:
+    """Have the disk keep files of the log, each with all that was written to it before.
+
+    Args:
+        jobs: What there is to do, until a job without a file.
+        tell: Takes what there is to report.
+    """
+    while True:
+        descriptor, notes = jobs.get()
+        if descriptor is None:
+            tell(LogNews(notes, ended=True))
+            return
+        if notes is None or jobs.empty():  # a later sync of this file serves those before it
+            problem = ""
+            try:
+                os.fdatasync(descriptor)
+            except OSError as failure:
+                problem = str(failure)
+            tell(LogNews(notes, {SYNC: problem}))
+        if notes is None:
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+
+
+# Disk space set aside for a full disk: the end of a session, and the record of a trip.
+
+_FILE = ".reserve"
+_BYTES = 2 << 20
+"""Two records of a trip, each of 70 s at full rate."""
+
+
+def set_aside(folder: Path) -> None:
+    """Occupy the reserve, where that is not done yet.
+
+    Raises:
+        OSError: There is too little space for the reserve and as much again to record into, or
+            something that is no file has its name.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path, held = folder / _FILE, 0
+    if path.exists():
+        require_regular(path)
+        held = path.stat().st_size
+    if held >= _BYTES:
+        return
+    if shutil.disk_usage(folder).free < 2 * _BYTES - held:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+    with path.open("ab") as file:
+        os.posix_fallocate(file.fileno(), 0, _BYTES)
+
+
+def release(folder: Path) -> None:
+    """Give the reserve back to the disk."""
+    (folder / _FILE).unlink(missing_ok=True)
+
+
+def is_full(problem: BaseException) -> bool:
+    """Return whether an error means that the disk or a quota is full."""
+    return isinstance(problem, OSError) and problem.errno in {errno.ENOSPC, errno.EDQUOT}
+
+
+# The log as the thread that writes it sees it: files that are appended to.
 
 _LARGEST_FILE_BYTES = 4 << 20
 _AT_ONCE = 50
@@ -148,9 +238,9 @@ class LogWriter:
             try:
                 self._append(self._taken)
             except OSError as problem:
-                if not reserve.is_full(problem):
+                if not is_full(problem):
                     raise
-                reserve.release(self._folder)
+                release(self._folder)
                 self._append(self._taken)
             self._notes_written += len(self._taken)
             self._taken.clear()
@@ -160,7 +250,7 @@ class LogWriter:
         self._begin_rows()
         while _fill(self._taken_rows, self.rows):
             # the last space of a disk is for events and for the record of a trip
-            reserve.set_aside(self._folder)
+            set_aside(self._folder)
             taken = self._taken_rows
             self._append([replace(one, payload=zlib.compress(one.payload, _FAST)) for one in taken])
             self.rows_written += sum(len(item.payload) for item in taken)
