@@ -78,8 +78,8 @@ def disturb(
     """
     import asyncio  # noqa: PLC0415  # keeps --help fast
 
-    from adaptdrive.operation.conversation import NoAnswerError  # noqa: PLC0415
-    from adaptdrive.operation.sender import disturb as ask  # noqa: PLC0415
+    from adaptdrive.mqtt.client import NoAnswerError  # noqa: PLC0415
+    from adaptdrive.mqtt.client import disturb as ask  # noqa: PLC0415
     from adaptdrive_sim.disturbances import from_words  # noqa: PLC0415
 
     request = from_words(action, values)

@@ -14,10 +14,8 @@ from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import read_status, telemetry
-from adaptdrive.operation.messages import Reply
-from adaptdrive.operation.sender import send_command
+from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command, telemetry
+from adaptdrive.mqtt.contract import Reply
 from adaptdrive.recording.session import SessionInfo
 
 if TYPE_CHECKING:  # they need libraries that `Drive` does without

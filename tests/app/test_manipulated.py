@@ -24,8 +24,8 @@ from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.port import Reading
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.home_assistant import discovery
-from adaptdrive.operation.listener import DriveStatus
+from adaptdrive.mqtt.client import DriveStatus
+from adaptdrive.mqtt.discovery import discovery
 from adaptdrive.recording.tables import table_schema
 from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.interlocks import find_cause

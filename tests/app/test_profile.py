@@ -5,7 +5,7 @@ import pytest
 from adaptdrive import __version__
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.config.file import load_configuration
-from adaptdrive.operation.messages import Output
+from adaptdrive.mqtt.contract import Output
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 

@@ -26,10 +26,9 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.operation.commands import Payload
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import DriveStatus
-from adaptdrive.operation.messages import Reply
+from adaptdrive.mqtt.client import DriveStatus, NoAnswerError
+from adaptdrive.mqtt.commands import Payload
+from adaptdrive.mqtt.contract import Reply
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     REQUESTS,

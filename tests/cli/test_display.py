@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from adaptdrive.cli.display import describe, refusal_advice, site_table
-from adaptdrive.operation.conversation import json_object
-from adaptdrive.operation.listener import DriveStatus
+from adaptdrive.mqtt.client import DriveStatus, json_object
 
 _STATE = ("state", "trip", "last_trip", "output", "waveform", "setpoint", "pole", "since")
 _LOAD = ("estimates", "reference", "boost_reference_V", "k")

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 from typing import Any
 
-from adaptdrive.operation.steady import SteadyClient
+from adaptdrive.mqtt.steady import SteadyClient
 from tests.support import Broker
 
 PERIOD_S = 0.05

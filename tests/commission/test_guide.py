@@ -22,9 +22,8 @@ from adaptdrive.commission.target import build_target
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import DriveStatus
-from adaptdrive.operation.messages import Reply
+from adaptdrive.mqtt.client import DriveStatus, NoAnswerError
+from adaptdrive.mqtt.contract import Reply
 from adaptdrive.watch.ending import whole
 from tests.commission.test_experiment import TARGET, lag
 from tests.hardware.bench import EXAMPLES

@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.app.run import surroundings_of
-from adaptdrive.operation.memory import ReplyMemory
-from adaptdrive.operation.service import ServiceSurroundings
+from adaptdrive.mqtt.desk import ReplyMemory
+from adaptdrive.mqtt.service import ServiceSurroundings
 from adaptdrive.recording.journal import Log, Place
 from adaptdrive.recording.journal_files import Recalled, recall
 from adaptdrive.recording.recorder import Recorder

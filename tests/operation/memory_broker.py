@@ -1,4 +1,4 @@
-"""A broker in this process: the clients of `adaptdrive.operation` talk to it without a socket.
+"""A broker in this process: the clients of `adaptdrive.mqtt` talk to it without a socket.
 
 It takes the place of the MQTT library under `SteadyClient`. What it does is what mosquitto does:
 it keeps retained messages, passes on the flag of live ones as a subscription of MQTT 5 asks for,
@@ -54,8 +54,8 @@ class MemoryBroker:
     def joined(self) -> Iterator[None]:
         """Have every client of the product connect here."""
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("adaptdrive.operation.link.SteadyClient", partial(MemoryClient, self))
-            patch.setattr("adaptdrive.operation.link.find", _found)
+            patch.setattr("adaptdrive.mqtt.connection.SteadyClient", partial(MemoryClient, self))
+            patch.setattr("adaptdrive.mqtt.connection.find", _found)
             yield
 
     def kill(self) -> None:

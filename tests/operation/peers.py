@@ -26,8 +26,8 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.messages import Output, Profile
-from adaptdrive.operation.service import MqttService
+from adaptdrive.mqtt.contract import Output, Profile
+from adaptdrive.mqtt.service import MqttService
 from adaptdrive.runtime.reports import (
     DriveReport,
     Hub,

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.commands import Payload
-from adaptdrive.operation.messages import Reply, encode
+from adaptdrive.mqtt.commands import Payload
+from adaptdrive.mqtt.contract import Reply, encode
 from adaptdrive.runtime.requests import REQUESTS, SetSetpoint
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text()

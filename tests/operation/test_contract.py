@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.operation.commands import FORMS
+from adaptdrive.mqtt.commands import FORMS
 from adaptdrive.runtime.reports import Event, Severity, State
 from tests.operation.contract import validators
 from tests.operation.memory_broker import MemoryBroker

@@ -12,16 +12,16 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.clock import LogRation
-from adaptdrive.operation.desk import (
+from adaptdrive.mqtt.clock import LogRation
+from adaptdrive.mqtt.contract import Reply
+from adaptdrive.mqtt.desk import (
     INTERRUPTED,
     OVERTAKEN,
     RETAINED,
     Desk,
     OperatorCommand,
+    ReplyMemory,
 )
-from adaptdrive.operation.memory import ReplyMemory
-from adaptdrive.operation.messages import Reply
 from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Request
 from tests.operation.logs import Time, remembering

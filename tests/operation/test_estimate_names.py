@@ -7,7 +7,7 @@ from types import ModuleType
 import pytest
 
 from adaptdrive.control.loads import bath, battery, motor
-from adaptdrive.operation.payloads import quantity_and_unit
+from adaptdrive.mqtt.commands import quantity_and_unit
 
 UNITS = {
     motor: ["V/V", "s", "s²", "V"],

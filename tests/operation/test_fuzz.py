@@ -17,11 +17,10 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.operation.clock import LogRation
-from adaptdrive.operation.commands import FORMS, PING
-from adaptdrive.operation.desk import Desk
-from adaptdrive.operation.memory import ReplyMemory
-from adaptdrive.operation.messages import encode
+from adaptdrive.mqtt.clock import LogRation
+from adaptdrive.mqtt.commands import FORMS, PING
+from adaptdrive.mqtt.contract import encode
+from adaptdrive.mqtt.desk import Desk, ReplyMemory
 from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Enable, Request, SetMode
 from adaptdrive.runtime.state_machine import Machine

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.signals import Command
-from adaptdrive.operation.intake import BUCKET_S, KEYS, PAGE_READINGS, PAGE_ROWS, History
-from adaptdrive.operation.messages import Output, Payload, encode, load_message
+from adaptdrive.mqtt.contract import Output, Payload, encode, load_message
+from adaptdrive.mqtt.publisher import BUCKET_S, KEYS, PAGE_READINGS, PAGE_ROWS, History
 from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import listening, load_report, publish, serving
 

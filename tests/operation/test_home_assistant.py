@@ -13,9 +13,9 @@ import jinja2
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.operation.commands import Payload
-from adaptdrive.operation.home_assistant import discovery
-from adaptdrive.operation.messages import Output, encode
+from adaptdrive.mqtt.commands import Payload
+from adaptdrive.mqtt.contract import Output, encode
+from adaptdrive.mqtt.discovery import discovery
 from adaptdrive.quantity import Given
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from tests.operation.contract import validators

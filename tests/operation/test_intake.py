@@ -7,9 +7,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from adaptdrive.operation.board import Outbox, StateBoard
-from adaptdrive.operation.intake import REPORTS_HELD, History, Intake
-from adaptdrive.operation.messages import Output
+from adaptdrive.mqtt.contract import Output
+from adaptdrive.mqtt.publisher import REPORTS_HELD, History, Intake, Outbox, StateBoard
 from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import STANDBY, Bench, listening, profile

@@ -11,8 +11,7 @@ import pytest
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.lab import Drive
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import follow
+from adaptdrive.mqtt.client import NoAnswerError, follow
 from tests.operation.memory_broker import MemoryBroker
 
 

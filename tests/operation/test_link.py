@@ -11,11 +11,9 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.clock import (
-    BrokerBackoff,
-)
-from adaptdrive.operation.messages import Profile
-from adaptdrive.operation.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.clock import BrokerBackoff
+from adaptdrive.mqtt.contract import Profile
+from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import Disable, Request, Reset, SetSetpoint
 from tests.operation.memory_broker import V311, MemoryBroker, MemoryClient

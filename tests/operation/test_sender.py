@@ -14,10 +14,16 @@ import pytest
 from aiomqtt import Message
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.conversation import NoAnswerError, decoded
-from adaptdrive.operation.listener import read_site, read_status
-from adaptdrive.operation.messages import DISTURB, REPLY, simulator_topic
-from adaptdrive.operation.sender import _Timed, disturb, send_command
+from adaptdrive.mqtt.client import (
+    NoAnswerError,
+    _Timed,
+    decoded,
+    disturb,
+    read_site,
+    read_status,
+    send_command,
+)
+from adaptdrive.mqtt.contract import DISTURB, REPLY, simulator_topic
 from tests.operation.memory_broker import MemoryBroker, MemoryClient
 
 TIMEOUT_S = 4.0
@@ -38,7 +44,7 @@ decoded(b"{}", _Timed)  # its types are those of the real clock
 
 @pytest.fixture(autouse=True)
 def _clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adaptdrive.operation.sender.datetime", VirtualClock)
+    monkeypatch.setattr("adaptdrive.mqtt.client.datetime", VirtualClock)
 
 
 @asynccontextmanager

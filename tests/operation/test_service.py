@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.operation.clock import Synchronisation
-from adaptdrive.operation.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.clock import Synchronisation
+from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import (
     Disable,

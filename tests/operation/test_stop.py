@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.operation.session import COMMANDS_HELD
+from adaptdrive.mqtt.session import COMMANDS_HELD
 from adaptdrive.runtime.requests import Disable, SetMode, SetSetpoint
 from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import Bench, RememberingHost, ask, listening, publish, serving

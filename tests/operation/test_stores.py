@@ -9,11 +9,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.operation.board import Outbox
-from adaptdrive.operation.clock import LogRation
-from adaptdrive.operation.desk import INTERRUPTED, Desk
-from adaptdrive.operation.memory import UNREADABLE, ReplyMemory
-from adaptdrive.operation.messages import Reply
+from adaptdrive.mqtt.clock import LogRation
+from adaptdrive.mqtt.contract import Reply
+from adaptdrive.mqtt.desk import FORGOTTEN as UNREADABLE
+from adaptdrive.mqtt.desk import INTERRUPTED, Desk, ReplyMemory
+from adaptdrive.mqtt.publisher import Outbox
 from adaptdrive.recording.journal import Log
 from adaptdrive.recording.journal_files import EVENTS, log_files, recall
 from adaptdrive.recording.records import EventRow, Kind

@@ -15,9 +15,9 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from adaptdrive.operation.intake import KEYS
-from adaptdrive.operation.listener import LIVE_S
-from adaptdrive.operation.messages import Output, drive_message, encode, load_message
+from adaptdrive.mqtt.client import LIVE_S
+from adaptdrive.mqtt.contract import Output, drive_message, encode, load_message
+from adaptdrive.mqtt.publisher import KEYS
 from adaptdrive.watch import view
 from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.plot import PlotPoint, plot

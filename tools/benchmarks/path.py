@@ -22,7 +22,7 @@ from adaptdrive.devices.can.bus import LoopbackMulticast, parse
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.port import PortStatistics
-from adaptdrive.operation.messages import Output, drive_message, encode
+from adaptdrive.mqtt.contract import Output, drive_message, encode
 from adaptdrive.recording.records import packed_ticks
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.reports import Hub, TickReport

@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from adaptdrive.operation.commands import FORMS, PING, STOP
+from adaptdrive.mqtt.commands import FORMS, PING, STOP
 from tests.operation.contract import validators
 from tests.scenes.system.site import Site
 from tests.support import MosquittoLauncher, free_port, resident_MiB

@@ -1,7 +1,7 @@
 """Which lines and branches do a module's own tests run? `python -m tools.branches [PART ...]`.
 
 A part is the beginning of the names of some modules of `tools/mutation/targets.py`: `runtime` or
-`operation.desk`. Each module is measured with the tests that hold it there, and with no others.
+`mqtt.desk`. Each module is measured with the tests that hold it there, and with no others.
 What they leave out is listed, and makes the run fail.
 """
 

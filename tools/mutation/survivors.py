@@ -113,8 +113,8 @@ RUNTIME: dict[str, str] = {
 }
 
 OPERATION: dict[str, str] = {
-    "operation.desk:Desk.__init__: self._stops = 0 -> self._stops = 1": _COMPARED,
-    "operation.desk:Desk.receive: self._stops += 1 -> self._stops += 2": _COMPARED,
+    "mqtt.desk:Desk.__init__: self._stops = 0 -> self._stops = 1": _COMPARED,
+    "mqtt.desk:Desk.receive: self._stops += 1 -> self._stops += 2": _COMPARED,
 }
 
 CONTROL: dict[str, str] = {

@@ -90,23 +90,22 @@ HARDWARE: dict[str, tuple[str, ...]] = {
 }
 
 OPERATION: dict[str, tuple[str, ...]] = {
-    "adaptdrive.operation.desk": ("tests/operation/test_desk.py",),
-    "adaptdrive.operation.intake": (
+    "adaptdrive.mqtt.desk": ("tests/operation/test_desk.py",),
+    "adaptdrive.mqtt.publisher": (
         "tests/operation/test_intake.py",
         "tests/operation/test_history.py",
         "tests/operation/test_service.py",
         "tests/operation/test_link.py",
     ),
-    "adaptdrive.operation.commands": (
+    "adaptdrive.mqtt.commands": (
         "tests/operation/test_commands.py",
         "tests/operation/test_desk.py",
         "tests/operation/test_service.py",
     ),
-    "adaptdrive.operation.conversation": (
+    "adaptdrive.mqtt.client": (
         "tests/operation/test_sender.py",
         "tests/operation/test_lab_drive.py",
     ),
-    "adaptdrive.operation.sender": ("tests/operation/test_sender.py",),
 }
 
 RECORDING: dict[str, tuple[str, ...]] = {

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from adaptdrive import __version__
-from adaptdrive.operation.commands import FORMS
+from adaptdrive.mqtt.commands import FORMS
 from tools.pages.topic_table import Availability, Topic, attributes, simulator_topics, topics
 
 Document = dict[str, Any]

@@ -17,9 +17,8 @@ import msgspec
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.columns import Column, columns_of
 from adaptdrive.control.signals import Estimate, Measurement
-from adaptdrive.operation.commands import FORMS
-from adaptdrive.operation.intake import KEYS
-from adaptdrive.operation.messages import (
+from adaptdrive.mqtt.commands import FORMS
+from adaptdrive.mqtt.contract import (
     DISTURB,
     REPLY,
     SIMULATED,
@@ -32,6 +31,7 @@ from adaptdrive.operation.messages import (
     Topics,
     simulator_topic,
 )
+from adaptdrive.mqtt.publisher import KEYS
 from adaptdrive.runtime.reports import (
     SLOW_COLUMNS,
     DriveReport,

@@ -7,9 +7,9 @@ from typing import Protocol
 
 import msgspec
 
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.messages import DeviceReply, Reply
-from adaptdrive.operation.payloads import number
+from adaptdrive.mqtt.client import NoAnswerError
+from adaptdrive.mqtt.commands import number
+from adaptdrive.mqtt.contract import DeviceReply, Reply
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError

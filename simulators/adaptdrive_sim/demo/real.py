@@ -23,8 +23,8 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import RecordingError
 from adaptdrive.household.ports import Ports
 from adaptdrive.household.processes import BROKER, Child, Household
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.messages import DeviceReply, Reply
+from adaptdrive.mqtt.client import NoAnswerError
+from adaptdrive.mqtt.contract import DeviceReply, Reply
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.main import follow_drive, over_mqtt

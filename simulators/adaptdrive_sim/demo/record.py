@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptdrive.analysis.steps import judge_step
-from adaptdrive.operation.payloads import number
+from adaptdrive.mqtt.commands import number
 from adaptdrive.watch.plot import Mark
 from adaptdrive.watch.record import Payload, WatchRecord
 from adaptdrive_sim.demo.story import Story

@@ -15,10 +15,10 @@ from adaptdrive.app.profile import operator_profile
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation import messages
-from adaptdrive.operation.clock import Synchronisation
-from adaptdrive.operation.commands import Payload
-from adaptdrive.operation.messages import DeviceReply
+from adaptdrive.mqtt import contract
+from adaptdrive.mqtt.clock import Synchronisation
+from adaptdrive.mqtt.commands import Payload
+from adaptdrive.mqtt.contract import DeviceReply
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
 from adaptdrive.watch.keys import KeyCommand
@@ -118,7 +118,7 @@ class VirtualStage:
             self._tick()
         await asyncio.sleep(_BREAK_s if self.time_s >= self._due_s else 0.0)
 
-    async def ask(self, command: KeyCommand) -> messages.Reply | DeviceReply:
+    async def ask(self, command: KeyCommand) -> contract.Reply | DeviceReply:
         """Carry out a command or a disturbance."""
         content = {"id": "demo"} | dict(command.disturbance or {"value": command.value})
         raw, reason = json.dumps(content).encode(), ""
@@ -132,7 +132,7 @@ class VirtualStage:
             reason = refusal.reason
         self._publish_state()
         state = self.drive.machine.state
-        return messages.Reply("demo", command.verb, not reason, reason, state)
+        return contract.Reply("demo", command.verb, not reason, reason, state)
 
     def _tick(self) -> None:
         """Run one half line cycle."""
@@ -142,7 +142,7 @@ class VirtualStage:
             self._report()
         if decided and drive.snapshot is not None and drive.decision is not None:
             report = LoadReport(drive.snapshot, drive.decision, drive.time_s)
-            load = messages.load_message(report, self._now, self._profile.output)
+            load = contract.load_message(report, self._now, self._profile.output)
             self._publish("telemetry/load", load)
             self._publish_truth()
             self._publish_state()
@@ -170,9 +170,9 @@ class VirtualStage:
         """Publish the state, and its change as an event."""
         drive, machine = self.drive, self.drive.machine
         report = state_report(machine, drive.decision, StopWord.CONFIRMED)
-        last = messages.LastTrip(self._now, machine.trip, "") if machine.trip else None
-        standing = messages.Standing(self._now, last, Synchronisation.UNKNOWN, self._now)
-        self._publish("state", messages.state_message(report, standing, self._profile))
+        last = contract.LastTrip(self._now, machine.trip, "") if machine.trip else None
+        standing = contract.Standing(self._now, last, Synchronisation.UNKNOWN, self._now)
+        self._publish("state", contract.state_message(report, standing, self._profile))
         if machine.state == self._told:
             return
         if self._told:
@@ -185,8 +185,8 @@ class VirtualStage:
 
     def _event(self, kind: str, detail: str, severity: Severity = Severity.INFO) -> None:
         event = Event(kind, severity, detail, self.drive.ticks)
-        self._publish("event", messages.event_message(event, self._now))
+        self._publish("event", contract.event_message(event, self._now))
 
     def _publish(self, name: str, content: Mapping[str, Any]) -> None:
         if self.record is not None:
-            self.record.take(name, msgspec.json.decode(messages.encode(dict(content))))
+            self.record.take(name, msgspec.json.decode(contract.encode(dict(content))))

@@ -16,8 +16,8 @@ import aiomqtt
 import msgspec
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.messages import DeviceReply, simulator_topic
-from adaptdrive.operation.steady import SteadyClient
+from adaptdrive.mqtt.contract import DeviceReply, simulator_topic
+from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.disturbances import answer, features_of, refused
 

@@ -7,7 +7,7 @@ from adaptdrive.app.interlocks import trip_limits
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode
-from adaptdrive.operation.messages import Output, Profile
+from adaptdrive.mqtt.contract import Output, Profile
 
 
 def operator_profile(configuration: Configuration) -> Profile:

@@ -20,7 +20,7 @@ from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import digest_of, read_text
 from adaptdrive.errors import ConfigurationError, RefusedError
-from adaptdrive.operation.service import COMMAND_PATIENCE_S
+from adaptdrive.mqtt.service import COMMAND_PATIENCE_S
 from adaptdrive.runtime.requests import Reload
 from adaptdrive.runtime.watchdog import ServiceManager
 

@@ -42,7 +42,7 @@ from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.lines import log
-from adaptdrive.operation.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.pure import build_name
 from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.recording.journal_files import recall as recall_log

@@ -7,8 +7,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from adaptdrive.operation.listener import LIVE_S, DriveStatus
-from adaptdrive.operation.payloads import (
+from adaptdrive.mqtt.client import LIVE_S, DriveStatus
+from adaptdrive.mqtt.commands import (
     given_in,
     number,
     part,

@@ -18,9 +18,7 @@ from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.display import describe, refusal_advice, site_table
 from adaptdrive.cli.options import Number
 from adaptdrive.cli.standard_files import UNUSABLE, discard_output
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import read_site, read_status
-from adaptdrive.operation.sender import send_command
+from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 
 ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
 _HERE = Contact()

@@ -7,9 +7,7 @@ import time
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import LIVE_S, read_status
-from adaptdrive.operation.sender import send_command
+from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, read_status, send_command
 from adaptdrive.watch.ending import ended_once, tell, whole
 
 LONGEST_S = 60.0

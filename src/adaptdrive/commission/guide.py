@@ -15,9 +15,7 @@ from adaptdrive.commission.readings import FastReading, WantedVoltage, fast_read
 from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, CommissionError, first_error
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import read_status
-from adaptdrive.operation.sender import send_command
+from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command
 from adaptdrive.watch.ending import whole
 
 HOLD_S = 5.0

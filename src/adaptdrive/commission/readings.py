@@ -12,9 +12,8 @@ from typing import Any
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import telemetry
-from adaptdrive.operation.payloads import number, part
+from adaptdrive.mqtt.client import NoAnswerError, telemetry
+from adaptdrive.mqtt.commands import number, part
 
 _SILENCE_S = 4.0
 """Longest time without telemetry, and without a measurement in it; largest step of its time."""

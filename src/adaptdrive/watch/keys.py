@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from adaptdrive.operation.commands import STOP
-from adaptdrive.operation.payloads import number, part
+from adaptdrive.mqtt.commands import STOP, number, part
 from adaptdrive.watch.record import WatchRecord
 
 QUIT = "q"

@@ -15,11 +15,9 @@ from typing import Any
 from rich.layout import Layout
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import follow
-from adaptdrive.operation.messages import DeviceReply, Reply
-from adaptdrive.operation.payloads import printable
-from adaptdrive.operation.sender import disturb, send_command
+from adaptdrive.mqtt.client import NoAnswerError, disturb, follow, send_command
+from adaptdrive.mqtt.commands import printable
+from adaptdrive.mqtt.contract import DeviceReply, Reply
 from adaptdrive.watch.ending import ended_once, tell_last, whole
 from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord

@@ -10,8 +10,8 @@ from datetime import datetime
 from itertools import islice
 from typing import Any
 
-from adaptdrive.operation.listener import LIVE_S
-from adaptdrive.operation.payloads import number, part
+from adaptdrive.mqtt.client import LIVE_S
+from adaptdrive.mqtt.commands import number, part
 from adaptdrive.watch.plot import Mark, PlotPoint
 
 Payload = dict[str, Any]

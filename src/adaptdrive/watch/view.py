@@ -11,7 +11,7 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.operation.payloads import (
+from adaptdrive.mqtt.commands import (
     given_in,
     is_known,
     number,

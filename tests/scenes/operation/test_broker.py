@@ -17,10 +17,9 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.messages import Profile
-from adaptdrive.operation.sender import send_command
-from adaptdrive.operation.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.client import NoAnswerError, send_command
+from adaptdrive.mqtt.contract import Profile
+from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import Disable, SetSetpoint
 from tests.operation.peers import (
@@ -149,8 +148,8 @@ async def test_a_daemon_whose_commands_are_not_delivered_raises_an_alarm(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """mosquitto accepts its subscription; the list is wrong, then right."""
-    monkeypatch.setattr("adaptdrive.operation.session.PROBE_EVERY_S", 0.1)
-    monkeypatch.setattr("adaptdrive.operation.probe.PATIENCE_S", 1.0)
+    monkeypatch.setattr("adaptdrive.mqtt.session.PROBE_EVERY_S", 0.1)
+    monkeypatch.setattr("adaptdrive.mqtt.session.PATIENCE_S", 1.0)
     rights = tmp_path / "rights"
     rights.write_text("topic write #\n")
     launcher = replace(mosquitto_launcher, more=f"acl_file {rights}\nuser root\n")

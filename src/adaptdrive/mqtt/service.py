@@ -13,8 +13,7 @@ from functools import partial
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.board import Outbox, StateBoard
-from adaptdrive.operation.clock import (
+from adaptdrive.mqtt.clock import (
     BrokerBackoff,
     LogRation,
     Monotonic,
@@ -23,15 +22,13 @@ from adaptdrive.operation.clock import (
     kernel_synchronisation,
     utc_now,
 )
-from adaptdrive.operation.desk import Desk
-from adaptdrive.operation.home_assistant import discovery
-from adaptdrive.operation.intake import History, Intake
-from adaptdrive.operation.link import BrokerLink
-from adaptdrive.operation.memory import Recalled, ReplyMemory
-from adaptdrive.operation.messages import OFFLINE, LastTrip, Profile, Topics, encode, event_message
-from adaptdrive.operation.name import ClientName
-from adaptdrive.operation.session import BrokerSession
-from adaptdrive.operation.steady import SteadyClient
+from adaptdrive.mqtt.connection import BrokerLink, ClientName
+from adaptdrive.mqtt.contract import OFFLINE, LastTrip, Profile, Topics, encode, event_message
+from adaptdrive.mqtt.desk import Desk, Recalled, ReplyMemory
+from adaptdrive.mqtt.discovery import discovery
+from adaptdrive.mqtt.publisher import History, Intake, Outbox, StateBoard
+from adaptdrive.mqtt.session import BrokerSession
+from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.runtime.reports import Event, Hub, Severity
 from adaptdrive.runtime.requests import Host
 from adaptdrive.runtime.trips import remedy

@@ -7,7 +7,7 @@ acknowledgement again, after any time: each command but a stop expires.
 
 from __future__ import annotations
 
-from adaptdrive.operation.messages import Payload, Profile, Topics
+from adaptdrive.mqtt.contract import Payload, Profile, Topics
 from adaptdrive.runtime.reports import State
 
 _STEPS = 1000

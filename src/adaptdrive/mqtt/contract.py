@@ -16,8 +16,8 @@ import msgspec
 
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
-from adaptdrive.operation.clock import Synchronisation
-from adaptdrive.operation.commands import STOP
+from adaptdrive.mqtt.clock import Synchronisation
+from adaptdrive.mqtt.commands import STOP
 from adaptdrive.quantity import BOOST, Given
 from adaptdrive.runtime.reports import (
     SLOW_COLUMNS,
