@@ -30,8 +30,8 @@ from adaptdrive.recording.tables import table_schema
 from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.interlocks import find_cause
 from adaptdrive.runtime.trips import remedy
-from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.view import screen
+from adaptdrive.tui.record import WatchRecord
+from adaptdrive.tui.view import screen
 from tests.config.modbus_documents import flaws, parse
 from tests.recording.material import INFO
 

@@ -24,7 +24,7 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 from adaptdrive.mqtt.client import DriveStatus, NoAnswerError
 from adaptdrive.mqtt.contract import Reply
-from adaptdrive.watch.ending import whole
+from adaptdrive.tui.terminal import whole
 from tests.commission.test_experiment import TARGET, lag
 from tests.hardware.bench import EXAMPLES
 

@@ -18,11 +18,11 @@ from rich.console import Console
 from adaptdrive.mqtt.client import LIVE_S
 from adaptdrive.mqtt.contract import Output, drive_message, encode, load_message
 from adaptdrive.mqtt.publisher import KEYS
-from adaptdrive.watch import view
-from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
-from adaptdrive.watch.plot import PlotPoint, plot
-from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.view import screen
+from adaptdrive.tui import view
+from adaptdrive.tui.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
+from adaptdrive.tui.plot import PlotPoint, plot
+from adaptdrive.tui.record import WatchRecord
+from adaptdrive.tui.view import screen
 from tests.operation.peers import drive_report, load_report
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)

@@ -22,9 +22,9 @@ from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.household.processes import ProcessDiedError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import SessionMark, write_marks
-from adaptdrive.watch.main import run_view
-from adaptdrive.watch.plot import CONTROLLERS, plot
-from adaptdrive.watch.terminal import refuse_dumb_terminal
+from adaptdrive.tui.main import run_view
+from adaptdrive.tui.plot import CONTROLLERS, plot
+from adaptdrive.tui.terminal import refuse_dumb_terminal
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.real import RealStage, program
 from adaptdrive_sim.demo.record import TRIPPED, DemoRecord

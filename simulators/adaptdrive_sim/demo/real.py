@@ -26,8 +26,8 @@ from adaptdrive.household.processes import BROKER, Child, Household
 from adaptdrive.mqtt.client import NoAnswerError
 from adaptdrive.mqtt.contract import DeviceReply, Reply
 from adaptdrive.recording.session import Ending, read_info
-from adaptdrive.watch.keys import KeyCommand
-from adaptdrive.watch.main import follow_drive, over_mqtt
+from adaptdrive.tui.keys import KeyCommand
+from adaptdrive.tui.main import follow_drive, over_mqtt
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story

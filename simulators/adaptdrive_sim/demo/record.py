@@ -10,8 +10,8 @@ import numpy as np
 
 from adaptdrive.analysis.steps import judge_step
 from adaptdrive.mqtt.commands import number
-from adaptdrive.watch.plot import Mark
-from adaptdrive.watch.record import Payload, WatchRecord
+from adaptdrive.tui.plot import Mark
+from adaptdrive.tui.record import Payload, WatchRecord
 from adaptdrive_sim.demo.story import Story
 
 _SETTLED_PERIODS = 12

@@ -12,11 +12,10 @@ from rich.text import Text
 
 from adaptdrive.aside import in_thread
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive.watch.keys import KeyCommand
-from adaptdrive.watch.plot import CONTROLLERS
-from adaptdrive.watch.tables import DIM, figure, flow, rows
-from adaptdrive.watch.view import KEYS as DRIVE_KEYS
-from adaptdrive.watch.view import Surroundings, screen
+from adaptdrive.tui.keys import KeyCommand
+from adaptdrive.tui.plot import CONTROLLERS
+from adaptdrive.tui.view import DIM, Surroundings, figure, flow, rows, screen
+from adaptdrive.tui.view import KEYS as DRIVE_KEYS
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.record import DemoRecord

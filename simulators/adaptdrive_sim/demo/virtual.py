@@ -21,7 +21,7 @@ from adaptdrive.mqtt.commands import Payload
 from adaptdrive.mqtt.contract import DeviceReply
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
-from adaptdrive.watch.keys import KeyCommand
+from adaptdrive.tui.keys import KeyCommand
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story

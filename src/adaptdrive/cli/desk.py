@@ -22,7 +22,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
 from adaptdrive.household.ports import HOST, Ports, is_listening
 from adaptdrive.household.processes import BROKER, Household, ProcessDiedError
-from adaptdrive.watch.ending import ended_once, tell_last
+from adaptdrive.tui.terminal import ended_once, tell_last
 
 COMMISSION_KEY = "c"
 _CLI = "adaptdrive.cli"
@@ -51,7 +51,7 @@ def start(
         contact: Login at the broker.
     """
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - it is large
-    from adaptdrive.watch.terminal import refuse_dumb_terminal  # noqa: PLC0415 - as above
+    from adaptdrive.tui.terminal import refuse_dumb_terminal  # noqa: PLC0415 - as above
 
     path = _only_configuration() if config is None else config
     configuration = load_examined(path)
@@ -148,8 +148,8 @@ class _Desk:
 
     async def show(self) -> bool:
         """Show the drive; return whether its load is to be measured."""
-        from adaptdrive.watch.main import watch  # noqa: PLC0415 - it is large
-        from adaptdrive.watch.view import KEYS, Surroundings, faint  # noqa: PLC0415
+        from adaptdrive.tui.main import watch  # noqa: PLC0415 - it is large
+        from adaptdrive.tui.view import KEYS, Surroundings, faint  # noqa: PLC0415
 
         asked = asyncio.Event()
 

@@ -259,8 +259,8 @@ def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     Returns:
         0, or 3 when a command was under way at the end and is not known to be carried out.
     """
-    from adaptdrive.watch.main import watch as watch_drive  # noqa: PLC0415 - it is large
-    from adaptdrive.watch.terminal import refuse_dumb_terminal  # noqa: PLC0415
+    from adaptdrive.tui.main import watch as watch_drive  # noqa: PLC0415 - it is large
+    from adaptdrive.tui.terminal import refuse_dumb_terminal  # noqa: PLC0415
 
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         print("adaptdrive: watch needs a terminal; in a pipe use status --json", file=sys.stderr)

@@ -8,7 +8,7 @@ import time
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, read_status, send_command
-from adaptdrive.watch.ending import ended_once, tell, whole
+from adaptdrive.tui.terminal import ended_once, tell, whole
 
 LONGEST_S = 60.0
 """Longest time for the daemon to begin another run, and for the drive to run in it."""

@@ -16,7 +16,7 @@ from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, CommissionError, first_error
 from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command
-from adaptdrive.watch.ending import whole
+from adaptdrive.tui.terminal import whole
 
 HOLD_S = 5.0
 """Time to live of a voltage."""

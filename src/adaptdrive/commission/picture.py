@@ -21,11 +21,10 @@ from adaptdrive.commission.guide import Guide
 from adaptdrive.commission.readings import FastReading
 from adaptdrive.commission.target import Target
 from adaptdrive.errors import CommissionError
-from adaptdrive.watch.ending import ended_once, tell
-from adaptdrive.watch.keys import QUIT, pressed_keys
-from adaptdrive.watch.plot import Mark, PlotPoint, plot
-from adaptdrive.watch.tables import DIM, cut, figure, titled
-from adaptdrive.watch.terminal import draw
+from adaptdrive.tui.keys import QUIT, pressed_keys
+from adaptdrive.tui.plot import Mark, PlotPoint, plot
+from adaptdrive.tui.terminal import draw, ended_once, tell
+from adaptdrive.tui.view import DIM, cut, figure, titled
 
 KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
 _POINTS = 6000

@@ -16,10 +16,10 @@ import pytest
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetMode
-from adaptdrive.watch.keys import DELIBERATE_S, KeyCommand
-from adaptdrive.watch.main import CommandsUnderWay, over_mqtt
-from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.terminal import REFRESH_S
+from adaptdrive.tui.keys import DELIBERATE_S, KeyCommand
+from adaptdrive.tui.main import CommandsUnderWay, over_mqtt
+from adaptdrive.tui.record import WatchRecord
+from adaptdrive.tui.terminal import REFRESH_S
 from tests.commission.answering_drive import answering_drive
 from tests.operation.peers import PATIENCE_S, Bench, commands, drive_report, serving
 from tests.support import Broker, acting

@@ -18,11 +18,10 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import NoAnswerError, disturb, follow, send_command
 from adaptdrive.mqtt.commands import printable
 from adaptdrive.mqtt.contract import DeviceReply, Reply
-from adaptdrive.watch.ending import ended_once, tell_last, whole
-from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
-from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.terminal import draw
-from adaptdrive.watch.view import WATCH, Surroundings, Takes, screen
+from adaptdrive.tui.keys import QUIT, KeyCommand, KeyReader, pressed_keys
+from adaptdrive.tui.record import WatchRecord
+from adaptdrive.tui.terminal import draw, ended_once, tell_last, whole
+from adaptdrive.tui.view import WATCH, Surroundings, Takes, screen
 
 _RETRY_S = 2.0
 _WITHDRAWN = "the view ended before the answer; whether it took effect is not known"

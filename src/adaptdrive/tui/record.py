@@ -12,7 +12,7 @@ from typing import Any
 
 from adaptdrive.mqtt.client import LIVE_S
 from adaptdrive.mqtt.commands import number, part
-from adaptdrive.watch.plot import Mark, PlotPoint
+from adaptdrive.tui.plot import Mark, PlotPoint
 
 Payload = dict[str, Any]
 

@@ -15,7 +15,7 @@ from math import isfinite
 from typing import Any
 
 from adaptdrive.mqtt.commands import STOP, number, part
-from adaptdrive.watch.record import WatchRecord
+from adaptdrive.tui.record import WatchRecord
 
 QUIT = "q"
 CONFIRM_S = 5.0
