@@ -3,7 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from adaptdrive.files import replace_result
+from adaptdrive.util.files import replace_result
 
 
 def test_commands_that_make_one_file_at_once_all_succeed(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.lines import leads_to_journal, log
+from adaptdrive.util.lines import leads_to_journal, log
 
 
 def log_lines(path: Path, journal: Path | None) -> list[str]:

@@ -17,7 +17,6 @@ from typing import Any
 import can
 import pytest
 
-from adaptdrive.clock import tick_timer
 from adaptdrive.devices.can import connection, kind
 from adaptdrive.devices.can import port as dbc_port
 from adaptdrive.devices.can.arrival import ArrivalClock
@@ -25,6 +24,7 @@ from adaptdrive.devices.canopen import node as canopen_node
 from adaptdrive.devices.canopen import port as canopen_port
 from adaptdrive.devices.modbus.link import SerialPort
 from adaptdrive.devices.polled.link import PolledLink
+from adaptdrive.util import clock
 from tests.hardware.can_memory import open_memory
 
 PATIENCE_s = 5.0
@@ -101,7 +101,7 @@ def pulsing(period_s: float, *due: Callable[[], object]) -> Iterator[None]:
     """Call back on a grid, as that of the kernel's timer, in the time of the running loop."""
     loop = asyncio.get_running_loop()
     if not due or not isinstance(loop, VirtualLoop):
-        with tick_timer.pulsing(period_s, *due):
+        with clock.pulsing(period_s, *due):
             yield
         return
 

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from adaptdrive.cli.contact import read_address
 from adaptdrive.cli.options import Integer
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import RefusedError
+from adaptdrive.util.errors import RefusedError
 
 InterfaceChoice = Literal["socketcan", "udp_multicast"]
 

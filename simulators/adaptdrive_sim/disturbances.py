@@ -34,8 +34,8 @@ from typing import Any, Protocol, TypeVar
 
 import msgspec
 
-from adaptdrive.errors import NOT_JSON, RefusedError
 from adaptdrive.mqtt.contract import DeviceReply, Feature
+from adaptdrive.util.errors import NOT_JSON, RefusedError
 from adaptdrive_sim.devices.sensor_values import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants.bath import Bath

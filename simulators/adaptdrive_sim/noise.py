@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptdrive.errors import RefusedError
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.parameters import check_quantities, quantity
 
 _BLOCK = 4096

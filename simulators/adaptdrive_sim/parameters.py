@@ -10,7 +10,7 @@ import math
 from dataclasses import field, fields
 from typing import TYPE_CHECKING
 
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.util.errors import AdaptdriveError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -12,10 +12,10 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import SAFE_COMMAND, Decision, Mode, Stage
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.course import PERIODS, Run
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
-from adaptdrive.errors import RefusedError
 from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command, telemetry
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.recording.session import SessionInfo
+from adaptdrive.util.errors import RefusedError
 
 if TYPE_CHECKING:  # they need libraries that `Drive` does without
     from adaptdrive.analysis.closed_loop import Plant

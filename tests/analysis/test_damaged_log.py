@@ -14,9 +14,9 @@ from adaptdrive.cli import analysis
 from adaptdrive.cli.analysis import SessionView
 from adaptdrive.cli.replay import replay
 from adaptdrive.cli.sessions import events, show, verify
-from adaptdrive.errors import RecordingError
 from adaptdrive.lab import load_session
 from adaptdrive.recording.reader import read_session
+from adaptdrive.util.errors import RecordingError
 from tests.support import sample
 
 LOG = "events-0001.parquet"

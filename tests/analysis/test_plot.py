@@ -19,9 +19,9 @@ from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figure import draw_session
 from adaptdrive.analysis.plot import plot
 from adaptdrive.control.signals import Mode
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import reconfigured
+from adaptdrive.util.errors import RecordingError
 from tests.analysis.conftest import SECONDS
 
 

@@ -21,8 +21,8 @@ from adaptdrive.analysis.headers import quantity_of
 from adaptdrive.analysis.load_report import as_text
 from adaptdrive.analysis.record import RecordView, read_record
 from adaptdrive.cli import main
-from adaptdrive.errors import IdentificationError
 from adaptdrive.lab import RecordOptions, identify, load_session, simulate
+from adaptdrive.util.errors import IdentificationError
 from tests.analysis.test_simulation import ReferenceMotor, square
 from tests.control.systems import System
 from tests.hardware.bench import EXAMPLES

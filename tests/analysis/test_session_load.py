@@ -10,10 +10,10 @@ import pytest
 from adaptdrive.analysis.excerpts import read_stretches
 from adaptdrive.analysis.load_report import as_json, as_text
 from adaptdrive.analysis.record_load import SessionLoad, identify_session
-from adaptdrive.errors import IdentificationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session
+from adaptdrive.util.errors import IdentificationError
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.app.test_replay import lived
 from tests.recording.material import INFO, make_batch, make_tick, record_messages

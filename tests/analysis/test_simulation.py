@@ -11,8 +11,8 @@ from adaptdrive.analysis.closed_loop import BoostStage
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Command
-from adaptdrive.errors import CommissionError, IdentificationError
 from adaptdrive.lab import commission, simulate
+from adaptdrive.util.errors import CommissionError, IdentificationError
 from adaptdrive_sim.device_main import build_drive
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.motor import Motor, MotorParameters

@@ -13,10 +13,10 @@ from adaptdrive.analysis.steps import quality_of
 from adaptdrive.analysis.whatif import Comparison, what_if
 from adaptdrive.analysis.whatif_report import as_text
 from adaptdrive.control.signals import Mode
-from adaptdrive.errors import IdentificationError
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
+from adaptdrive.util.errors import IdentificationError
 from tests.app.test_replay import EXAMPLE, PRIOR, lived
 from tests.closed_loop.bench import STEP
 from tests.recording.material import INFO, make_batch, record_messages

@@ -23,7 +23,6 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.port import Reading
-from adaptdrive.errors import RefusedError
 from adaptdrive.mqtt.client import DriveStatus
 from adaptdrive.mqtt.discovery import discovery
 from adaptdrive.recording.tables import table_schema
@@ -32,6 +31,7 @@ from adaptdrive.runtime.interlocks import find_cause
 from adaptdrive.runtime.trips import remedy
 from adaptdrive.tui.record import WatchRecord
 from adaptdrive.tui.view import screen
+from adaptdrive.util.errors import RefusedError
 from tests.config.modbus_documents import flaws, parse
 from tests.recording.material import INFO
 

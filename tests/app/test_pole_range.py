@@ -16,10 +16,10 @@ from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.design import compensator_gains, discrete_model
-from adaptdrive.errors import RefusedError
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.runtime.requests import SetPole
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.util.errors import RefusedError
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 

@@ -9,9 +9,9 @@ import pytest
 
 from adaptdrive.app.checkpoint import Learnt
 from adaptdrive.app.recording import build_recorder
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.runtime.reports import Hub
+from adaptdrive.util.errors import RecordingError
 from tests.config.documents import parse
 
 

@@ -13,9 +13,9 @@ import pytest
 from adaptdrive.app import reload
 from adaptdrive.app.reload import ANSWER_S, Given, RunCourse
 from adaptdrive.config import load_configuration
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.requests import Reload
 from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.util.errors import RefusedError
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 

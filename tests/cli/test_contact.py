@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.cli.contact import Contact
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.scenes.system.site import motor_configuration
 
 

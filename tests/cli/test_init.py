@@ -17,7 +17,7 @@ from adaptdrive.cli import main
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, CanOpenBus, Signals
 from adaptdrive.config.load import LoadName
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 DEVICES = EXAMPLES.parent / "devices"

@@ -7,8 +7,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from adaptdrive.clock.now import now_s
-from adaptdrive.clock.tick_timer import TickTimer
+from adaptdrive.util.clock import TickTimer, now_s
 
 
 class Timer(TickTimer):

@@ -8,7 +8,6 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.requests import (
     Disable,
     Enable,
@@ -18,6 +17,7 @@ from adaptdrive.runtime.requests import (
     SetSetpoint,
     SetWaveform,
 )
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad

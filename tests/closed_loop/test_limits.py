@@ -8,8 +8,8 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.virtual import OperatedDrive

@@ -14,7 +14,7 @@ import pytest
 from adaptdrive.commission.course import Phase
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.target import Target
-from adaptdrive.errors import CommissionError
+from adaptdrive.util.errors import CommissionError
 from tests.commission.draws import KINDS, Rig, encoder_motor, finish
 from tests.commission.trials import BAND, trial, trial_of
 from tests.support import sample

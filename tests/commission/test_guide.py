@@ -21,10 +21,10 @@ from adaptdrive.commission.samples import Samples
 from adaptdrive.commission.target import build_target
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import CommissionError
 from adaptdrive.mqtt.client import DriveStatus, NoAnswerError
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.tui.terminal import whole
+from adaptdrive.util.errors import CommissionError
 from tests.commission.test_experiment import TARGET, lag
 from tests.hardware.bench import EXAMPLES
 

@@ -23,7 +23,7 @@ from adaptdrive.commission.prediction import Prediction
 from adaptdrive.commission.report import Commissioned
 from adaptdrive.commission.run import alone, write
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import CommissionError, ConfigurationError
+from adaptdrive.util.errors import CommissionError, ConfigurationError
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 

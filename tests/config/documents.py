@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from adaptdrive.config import Configuration, parse_configuration
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 
 SOURCE = Path("/site/drives/bench.toml")
 MINIMAL = {

@@ -6,7 +6,7 @@ from adaptdrive.config import Configuration, parse_configuration
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.devices.demands import demands_of
 from adaptdrive.devices.polled.mapping import map_drive
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.config.documents import SOURCE
 
 MINIMAL = {

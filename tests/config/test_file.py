@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.file import read_text
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.config.documents import document, parse
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config import parse_configuration
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 from tests.config import documents, modbus_documents
 from tests.config.documents import MINIMAL, SOURCE, flaws, parse
 from tests.config.test_sensors import DIFFERENCE, THERMOCOUPLES

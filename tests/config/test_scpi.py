@@ -14,7 +14,7 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.references import scpi_flaws
 from adaptdrive.config.scpi import ScpiBus, ScpiValue
 from adaptdrive.devices.polled.mapping import map_drive
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "deploy" / "examples" / "motor-scpi.toml"

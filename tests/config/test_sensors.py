@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from adaptdrive.config import Configuration, parse_configuration
 from adaptdrive.config.sensors import ModbusRtuSensors
 from adaptdrive.config.supply import in_order, moved_inputs, needed_names
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.config import modbus_documents
 from tests.config.documents import SOURCE, document
 

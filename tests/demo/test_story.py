@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from adaptdrive.errors import RefusedError
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.demo.main import summarise
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import DemoRecord

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config.file import load_configuration
-from adaptdrive.household.ports import Ports
+from adaptdrive.processes.owned import Ports
 from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import read_story

@@ -15,7 +15,7 @@ from adaptdrive.cli import main
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.modbus import ModbusRtu
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.devices.described import DEVICES, NAMES
 
 

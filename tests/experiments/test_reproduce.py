@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from adaptdrive.errors import RefusedError
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.experiments.case import Disturbance, disturbance_of
 from adaptdrive_sim.parameters import ParameterError
 

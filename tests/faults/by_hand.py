@@ -20,12 +20,12 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision
 from adaptdrive.devices.port import Reading
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, State
 from adaptdrive.runtime.requests import Request
 from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.util.errors import RefusedError
 from tests.loopback_port import LoopbackPort
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.faults.course import example, example_path
 
 Place = tuple[str, ...]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from adaptdrive.config.bus import CanBus
 from adaptdrive.devices.can.bus import _obstacles, open_bus, parse
 from adaptdrive.devices.can.codec import frame_key
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 from tests.hardware.bench import motor_bus
 from tests.support import has_can
 

@@ -10,7 +10,7 @@ from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.devices.can.database import read_dbc
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.demands import demands_of
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.hardware.bench import (
     MOTOR,
     MOTOR_BUS,

@@ -13,7 +13,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.hardware.bench import EXAMPLES, TIMING
 
 _COMMAND = 2566872851

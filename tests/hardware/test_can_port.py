@@ -19,9 +19,9 @@ from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.obedience import QUIET_S
 from adaptdrive.devices.port import Reading
-from adaptdrive.errors import BusError
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.stopping import Stop, StopWatch
+from adaptdrive.util.errors import BusError
 from tests.hardware.bench import (
     STATUS,
     TIMING,

@@ -17,7 +17,7 @@ from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.mapping import CanMapping, map_drive
 from adaptdrive.devices.can.port import CanPort
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.hardware.bench import Clock, Ear, running, until
 
 SPEED, CURRENT, STATUS, ERRORS = 0x30, 0x20, 0x40, 0x8F

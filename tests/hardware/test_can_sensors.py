@@ -14,7 +14,7 @@ import pytest
 from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.kind import CanSensorPort, build_can_sensors
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.hardware.bench import EXAMPLES, Clock, Drive, SensorEar, until, with_crc
 
 COMMON = {

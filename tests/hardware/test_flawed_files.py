@@ -14,7 +14,7 @@ from adaptdrive.config.bus import CanBus, SignalRange
 from adaptdrive.devices.can.database import SignalCatalogue, describe, read_dbc
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.hardware.bench import EXAMPLES, MOTOR, TIMING, motor_bus, rewritten
 
 HEAD = 'VERSION ""\nBU_: A\n'

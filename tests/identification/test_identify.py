@@ -8,10 +8,10 @@ from scipy.signal import lfilter
 
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.identify import identify
 from adaptdrive.identification.result import IdentifiedLoad
+from adaptdrive.util.errors import IdentificationError
 from tests.identification.plants import (
     KINDS,
     Plant,

@@ -25,7 +25,6 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.errors import RefusedError
 from adaptdrive.mqtt.contract import Output, Profile
 from adaptdrive.mqtt.service import MqttService
 from adaptdrive.runtime.reports import (
@@ -38,6 +37,7 @@ from adaptdrive.runtime.reports import (
     StateReport,
 )
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
+from adaptdrive.util.errors import RefusedError
 from tests.operation.logs import keeping
 from tests.operation.memory_broker import MemoryBroker, MemoryClient
 from tests.support import Broker

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.errors import RefusedError
 from adaptdrive.mqtt.commands import Payload
 from adaptdrive.mqtt.contract import Reply, encode
 from adaptdrive.runtime.requests import REQUESTS, SetSetpoint
+from adaptdrive.util.errors import RefusedError
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
 keys = st.sampled_from(["id", "value", "expires", "shape", "low", "high", "period_s"])

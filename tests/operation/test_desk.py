@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.errors import RefusedError
 from adaptdrive.mqtt.clock import LogRation
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.mqtt.desk import (
@@ -24,6 +23,7 @@ from adaptdrive.mqtt.desk import (
 )
 from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Request
+from adaptdrive.util.errors import RefusedError
 from tests.operation.logs import Time, remembering
 from tests.support import captured_lines
 

@@ -16,8 +16,8 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import Payload
 from adaptdrive.mqtt.contract import Output, encode
 from adaptdrive.mqtt.discovery import discovery
-from adaptdrive.quantity import Given
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
+from adaptdrive.util.quantity import Given
 from tests.operation.contract import validators
 from tests.operation.memory_broker import MemoryBroker
 from tests.operation.peers import (

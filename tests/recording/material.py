@@ -12,7 +12,6 @@ from typing import Any
 
 import msgspec
 
-from adaptdrive.clock.now import now_s
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Stage
 from adaptdrive.recording.archive import archive, close_segment
 from adaptdrive.recording.journal_files import Begin, LogFile, log_files, new_file
@@ -37,6 +36,7 @@ from adaptdrive.recording.session import (
     write_info,
 )
 from adaptdrive.runtime.reports import LoadReport, TickReport
+from adaptdrive.util.clock import now_s
 
 INFO = SessionInfo(
     drive="motor",

@@ -10,7 +10,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.journal_files import log_files
 from adaptdrive.recording.reader import Session, read_session, verify
 from adaptdrive.recording.records import EventRow, Header
@@ -20,6 +19,7 @@ from adaptdrive.recording.session import (
     read_info,
     session_directories,
 )
+from adaptdrive.util.errors import RecordingError
 from tests.recording.material import (
     INFO,
     Batch,

@@ -17,12 +17,12 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
+from adaptdrive.util.errors import RecordingError
 from tests.recording.material import INFO, make_batch, record_messages
 
 Q = 12

@@ -9,7 +9,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import (
@@ -19,6 +18,7 @@ from adaptdrive.recording.session import (
     session_directories,
     write_info,
 )
+from adaptdrive.util.errors import RecordingError
 from tests.recording.material import INFO, make_batch, make_tick, record_messages, write_log
 
 NOW = INFO.started + timedelta(days=10)

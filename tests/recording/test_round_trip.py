@@ -23,12 +23,12 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import read_session, session_notes
 from adaptdrive.recording.records import CommandRow, EventRow, Header, note_row
 from adaptdrive.recording.replay import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, TickReport
+from adaptdrive.util.errors import RecordingError
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 FLOATS = st.floats(allow_subnormal=True) | st.sampled_from([0.0, -0.0, 5e-324, -5e-324])

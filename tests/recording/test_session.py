@@ -6,7 +6,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import find_session
 from adaptdrive.recording.session import (
     Dropped,
@@ -17,6 +16,7 @@ from adaptdrive.recording.session import (
     sessions_directory,
     write_info,
 )
+from adaptdrive.util.errors import RecordingError
 from tests.recording.material import INFO
 
 

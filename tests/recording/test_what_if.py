@@ -1,8 +1,8 @@
 import pytest
 
 from adaptdrive.config import Configuration
-from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.replay import reconfigured
+from adaptdrive.util.errors import ConfigurationError
 from tests.config.documents import SOURCE, document
 
 

@@ -13,7 +13,6 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurement, Mode, Order
 from adaptdrive.devices.port import Listener
-from adaptdrive.errors import BusError, RefusedError
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.loop_interface import DaemonSettings
 from adaptdrive.runtime.reports import (
@@ -37,7 +36,8 @@ from adaptdrive.runtime.requests import (
     SetSetpoint,
 )
 from adaptdrive.runtime.watchdog import ServiceManager
-from adaptdrive.tasks import uncaught_errors_end
+from adaptdrive.util.errors import BusError, RefusedError
+from adaptdrive.util.threads import uncaught_errors_end
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, SETTINGS, LoopTimer, MotorController, Q, until
 

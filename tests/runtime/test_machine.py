@@ -12,7 +12,6 @@ import pytest
 from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.limits import FLOOR_REACHED, MachineLimits
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
@@ -27,6 +26,7 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.util.errors import RefusedError
 
 LIMITS = MachineLimits(
     reference_min=0.0,

@@ -12,8 +12,6 @@ import pytest
 from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.errors import RefusedError
-from adaptdrive.quantity import Given
 from adaptdrive.runtime.limits import MachineLimits, ManualVoltage
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
@@ -26,6 +24,8 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import Given
 from tests.runtime.test_machine import LIMITS, REACH, SQUARE, Desk
 
 SLEW_V = 0.5

@@ -14,7 +14,6 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -28,6 +27,7 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.util.errors import RefusedError
 from tests.runtime.test_machine import LIMITS as PLAIN
 from tests.runtime.test_machine import REACH
 

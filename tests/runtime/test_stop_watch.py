@@ -11,11 +11,11 @@ import pytest
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.daemon import StopSender
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from adaptdrive.runtime.stopping import Stop, StopWatch
+from adaptdrive.util.errors import RefusedError
 from tests.runtime.bench import (
     CALM,
     FAST,

@@ -14,7 +14,7 @@ from adaptdrive.cli.commands import understood
 from adaptdrive.cli.standard_files import FAILED
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.errors import RefusedError
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim import cli
 from adaptdrive_sim.device_main import build_world
 from adaptdrive_sim.device_settings import DeviceSettings

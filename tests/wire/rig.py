@@ -19,7 +19,6 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.devices.port import Port
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.reports import (
     DriveReport,
@@ -32,6 +31,7 @@ from adaptdrive.runtime.reports import (
 )
 from adaptdrive.runtime.requests import Enable, Request, Reset, SetSetpoint
 from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.util.errors import RefusedError
 from tests.runtime.bench import LoopTimer
 from tests.virtual_time import VirtualLoop
 

@@ -16,9 +16,9 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import Event, LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetMode, SetSetpoint, SetWaveform
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.device_settings import DeviceSettings
 from tests.closed_loop.wire import WAIT_s, Wire, wired
 from tests.wire.rig import EXAMPLES, rigged, until

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
+from adaptdrive.util.errors import RefusedError
 from tests.hardware import bench as can_bench
 from tests.hardware.canopen.documents import IN_MEMORY, parse
 from tests.hardware.canopen.peer import ENABLED, MEASURED

@@ -18,7 +18,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.util.errors import AdaptdriveError
 from adaptdrive_sim.campaign import bench
 from adaptdrive_sim.campaign.bench import draw
 from adaptdrive_sim.campaign.drawn import Row

@@ -16,7 +16,6 @@ from functools import partial
 
 from can.interfaces.udp_multicast.utils import pack_message
 
-from adaptdrive.clock.timerfd import arm_timer, create_timer
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.can.bus import LoopbackMulticast, parse
 from adaptdrive.devices.can.mapping import map_drive
@@ -28,6 +27,7 @@ from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.reports import Hub, TickReport
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector
+from adaptdrive.util.clock import arm_timer, create_timer
 from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING
 from tools.benchmarks import compute
 from tools.benchmarks.rows import Extent, Row

@@ -13,12 +13,12 @@ import time
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
-from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.config.services import Realtime
 from adaptdrive.control.controller import Controller
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.realtime import real_time
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.util.clock import TickTimer
 from tests.hardware.bench import MOTOR
 from tests.loopback_port import LoopbackPort
 from tools.benchmarks.compute import Kept

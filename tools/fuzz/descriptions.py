@@ -10,9 +10,9 @@ from adaptdrive.devices.can.database import SignalCatalogue, read_dbc
 from adaptdrive.devices.can.kind import candidates, proofs
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.devices.canopen.mapping import channels_of, codec, pack
-from adaptdrive.errors import ConfigurationError, RefusedError
 from adaptdrive.mqtt.commands import Payload
 from adaptdrive.runtime.requests import REQUESTS
+from adaptdrive.util.errors import ConfigurationError, RefusedError
 from tools.fuzz.target import EXAMPLES, Target, damaged_file
 
 NODE = 5

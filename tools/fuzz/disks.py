@@ -23,13 +23,13 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.journal_files import Begin, LogFile, Recalled, new_file, recall
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import EventRow, Header, Kind, Record, framed
 from adaptdrive.recording.segments import logged_batches
 from adaptdrive.recording.session import CONFIG_FILE, INFO_FILE, NOTES, TABLES, TableName
 from adaptdrive.recording.tables import table_schema, write_parquet
+from adaptdrive.util.errors import RecordingError
 from tests.recording.material import INFO, make_batch, make_tick, write_log
 from tools.fuzz.target import EXAMPLES, Target, scratch
 

@@ -21,11 +21,11 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
 from adaptdrive.devices.port import Reading
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetSetpoint
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters

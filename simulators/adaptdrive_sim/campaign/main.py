@@ -17,7 +17,7 @@ from typing import Any
 from rich.console import Console
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.util.errors import AdaptdriveError
 from adaptdrive_sim.campaign.bath_bench import BathStand, draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
 from adaptdrive_sim.campaign.battery_bench import BatteryCampaign, BatteryTrial, draw_battery

@@ -18,13 +18,13 @@ import msgspec
 from rich.console import Console, Group
 from rich.text import Text
 
-from adaptdrive.errors import AdaptdriveError, first_error
-from adaptdrive.household.processes import ProcessDiedError
+from adaptdrive.processes.owned import ProcessDiedError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import SessionMark, write_marks
 from adaptdrive.tui.main import run_view
 from adaptdrive.tui.plot import CONTROLLERS, plot
 from adaptdrive.tui.terminal import refuse_dumb_terminal
+from adaptdrive.util.errors import AdaptdriveError, first_error
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.real import RealStage, program
 from adaptdrive_sim.demo.record import TRIPPED, DemoRecord

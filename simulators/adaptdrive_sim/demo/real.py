@@ -20,14 +20,13 @@ import tomlkit
 from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.cli.panel import panel_address
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import RecordingError
-from adaptdrive.household.ports import Ports
-from adaptdrive.household.processes import BROKER, Child, Household
 from adaptdrive.mqtt.client import NoAnswerError
 from adaptdrive.mqtt.contract import DeviceReply, Reply
+from adaptdrive.processes.owned import BROKER, Child, Household, Ports
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.tui.keys import KeyCommand
 from adaptdrive.tui.main import follow_drive, over_mqtt
+from adaptdrive.util.errors import RecordingError
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story

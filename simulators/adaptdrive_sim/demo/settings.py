@@ -10,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from adaptdrive.cli.options import Integer
-from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive.util.errors import AdaptdriveError, RefusedError
 
 SPEED_MAX = 1e6
 """Times real time: more than any machine reaches."""

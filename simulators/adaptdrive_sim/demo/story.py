@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from adaptdrive.errors import RefusedError
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.experiments.examples import example_tables
 
 FOLDER = Path(__file__).parent / "stories"

@@ -14,7 +14,6 @@ import msgspec
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.errors import RefusedError
 from adaptdrive.mqtt import contract
 from adaptdrive.mqtt.clock import Synchronisation
 from adaptdrive.mqtt.commands import Payload
@@ -22,6 +21,7 @@ from adaptdrive.mqtt.contract import DeviceReply
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
 from adaptdrive.tui.keys import KeyCommand
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story

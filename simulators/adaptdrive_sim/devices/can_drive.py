@@ -22,7 +22,7 @@ from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.can.integrity import FrameVerdict
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles

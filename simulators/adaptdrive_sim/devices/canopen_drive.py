@@ -25,7 +25,7 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.errors import BusError, ConfigurationError
+from adaptdrive.util.errors import BusError, ConfigurationError
 from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of

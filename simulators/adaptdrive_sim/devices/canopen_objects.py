@@ -13,7 +13,7 @@ import canopen
 from canopen.objectdictionary import ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 
 Address = tuple[int, int]
 

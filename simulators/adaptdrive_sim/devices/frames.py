@@ -26,7 +26,7 @@ from adaptdrive.devices.can.orders import (
     is_carried,
 )
 from adaptdrive.devices.demands import demands_of
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from adaptdrive_sim.devices.drive import Frame
 
 LOAD_CURRENT = "LoadCurrent"

@@ -14,7 +14,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.devices.modbus.link import describe_bus
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.pty_cable import pty_cable
 from adaptdrive_sim.devices.registers import Table
 

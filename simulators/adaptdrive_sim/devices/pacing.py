@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Iterator
 
-from adaptdrive.clock.tick_timer import TickTimer
+from adaptdrive.util.clock import TickTimer
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 
 STALL_s = 1.0

@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.scpi import ScpiBus, ScpiValue
 from adaptdrive.devices.scpi.port import describe_supply
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles

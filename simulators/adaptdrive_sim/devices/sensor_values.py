@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from pathlib import Path
 
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive_sim.devices.drive import Frame
 from adaptdrive_sim.devices.frames import quantities_of
 from adaptdrive_sim.plants.bath import Bath

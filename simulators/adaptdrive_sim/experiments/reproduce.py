@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive.util.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.claims import Claim
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathModel, BathSection, BatterySection, MotorModel, MotorSection
-from adaptdrive.errors import RefusedError
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.plants.bath import Bath, BathParameters, GALLON_kg, HEAT_J_per_kgK
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.coupling import CouplingParameters

@@ -17,7 +17,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule
 from adaptdrive.control.signals import Command, Decision, Measurement, Order, Snapshot
-from adaptdrive.errors import IdentificationError
+from adaptdrive.util.errors import IdentificationError
 
 
 class Plant(Protocol):

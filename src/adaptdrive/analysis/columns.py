@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.headers import seconds_of, written_unit
-from adaptdrive.errors import IdentificationError, reason_of
+from adaptdrive.util.errors import IdentificationError, reason_of
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import TableName
+from adaptdrive.util.errors import RecordingError
 
 Array = NDArray[np.float64]
 

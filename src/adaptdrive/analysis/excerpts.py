@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from adaptdrive.analysis.curves import session_clock
 from adaptdrive.control.signals import Mode, Stage
-from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import TableName
+from adaptdrive.util.errors import IdentificationError
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from adaptdrive.analysis import style
 from adaptdrive.analysis.curves import Curves
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
-from adaptdrive.quantity import Given
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import read_marks
+from adaptdrive.util.quantity import Given
 
 _TRIP: style.Look = {"color": "#c1121f", "linewidth": 1.0}
 _DONE: style.Look = {"color": "#7b2d8b", "linewidth": 0.9, "linestyle": "--"}

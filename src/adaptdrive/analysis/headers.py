@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.config.units import Converted, known_unit, si_unit
-from adaptdrive.errors import IdentificationError
+from adaptdrive.util.errors import IdentificationError
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from adaptdrive.analysis.curves import Curves, find_window, read_curves
 from adaptdrive.analysis.figure import draw_session
-from adaptdrive.errors import escaped
-from adaptdrive.files import replace_result
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.replay import reconfigured
+from adaptdrive.util.errors import escaped
+from adaptdrive.util.files import replace_result
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>

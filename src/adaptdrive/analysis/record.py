@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from adaptdrive.analysis.columns import Columns
 from adaptdrive.analysis.headers import quantity_of
 from adaptdrive.config import Configuration
-from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
+from adaptdrive.util.errors import IdentificationError
 
 Array = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Estimate
-from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.identify import identify_any
 from adaptdrive.identification.proposal import proposed_model, time_constants
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.replay import reconfigured
+from adaptdrive.util.errors import IdentificationError
 
 _MOST_BLOCKS = 4000
 

@@ -12,7 +12,7 @@ from adaptdrive.analysis.closed_loop import LoopRecord, Plant, run_loop
 from adaptdrive.app.settings import tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode, Order, Stage
-from adaptdrive.errors import IdentificationError
+from adaptdrive.util.errors import IdentificationError
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from adaptdrive.analysis.record import RecordView, read_record
 from adaptdrive.analysis.record_load import RecordLoad, identify_record, identify_session
 from adaptdrive.analysis.simulation import Simulation
 from adaptdrive.config import load_configuration
-from adaptdrive.errors import IdentificationError
+from adaptdrive.util.errors import IdentificationError
 
 _MEASURED = RecordView("boost_voltage_V", "output", "time_s", held=False)
 """Columns of a simulation, which are taken at once."""

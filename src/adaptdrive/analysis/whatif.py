@@ -19,9 +19,9 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode, Order, Stage
-from adaptdrive.errors import ConfigurationError, Flaw, IdentificationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import reconfigured
+from adaptdrive.util.errors import ConfigurationError, Flaw, IdentificationError
 
 Array = NDArray[np.float64]
 

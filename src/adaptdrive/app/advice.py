@@ -15,7 +15,7 @@ from adaptdrive.config.bus import CanDescription, SignalSource
 from adaptdrive.config.load import BathSection, BatterySection
 from adaptdrive.config.supply import absent_names
 from adaptdrive.control.load import Load, to_input, to_voltage
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 _REACH_SHARE = 0.1
 """Share of the set-points above the highest output that is not worth a word."""

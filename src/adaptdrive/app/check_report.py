@@ -14,9 +14,9 @@ from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import daemon_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.devices.bus_kind import Row
-from adaptdrive.errors import ConfigurationError, escaped
 from adaptdrive.runtime.interlocks import WINDOW_S
 from adaptdrive.runtime.plausibility import ResponseLimits
+from adaptdrive.util.errors import ConfigurationError, escaped
 
 _WHOLE_TICKS = 1e4
 """Number of half cycles from which on all digits are printed."""

@@ -19,8 +19,8 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.devices.description import description_text
-from adaptdrive.errors import NOT_JSON
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
+from adaptdrive.util.errors import NOT_JSON
 
 _EVERY_S = 60.0
 """Shortest time between two records."""

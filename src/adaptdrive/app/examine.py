@@ -10,7 +10,6 @@ from pathlib import Path
 from adaptdrive.app.loads import MODEL_ERROR, build_load, standing_poles
 from adaptdrive.app.ports import build_port, build_sensor_port
 from adaptdrive.app.settings import controller_settings, tick_s
-from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import Findings, added, find_flaws, read_text
 from adaptdrive.config.load import AnyLoad, BatterySection
@@ -20,7 +19,8 @@ from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.reach import nominal_reach
 from adaptdrive.devices.demands import NO_DEMANDS, demands_of
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.clock import now_s
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 _OF_PORT = frozenset({"drive", "bus", "signals", "voltage_loop", "load", "interlocks"})
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from adaptdrive.app.ports import bus_kind
 from adaptdrive.config import Configuration
 from adaptdrive.config.modbus import RtuLink
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.util.errors import AdaptdriveError
 
 NAMESPACE = "ADAPTDRIVE_LOCK_NAMESPACE"
 """Environment variable that keeps simulated drives of tests apart from those of this machine."""

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from adaptdrive.app.recording import state_directory
 from adaptdrive.app.reload import Given
-from adaptdrive.files import directory_flaw
-from adaptdrive.lines import Level, log
 from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.runtime.reports import Event, Keep, Report, Severity, Subscription
+from adaptdrive.util.files import directory_flaw
+from adaptdrive.util.lines import Level, log
 
 _LEVELS: dict[Severity, Level] = {
     Severity.INFO: "info",

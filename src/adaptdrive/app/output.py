@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from select import POLLOUT, poll
 from typing import TextIO, cast
 
-from adaptdrive.lines import line as line_of
+from adaptdrive.util.lines import line as line_of
 
 LINES_HELD = 500
 """Lines that wait for a reader: more than an orderly end or a trip ever writes."""

@@ -12,9 +12,9 @@ from adaptdrive.devices.bus_kind import BusKind
 from adaptdrive.devices.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.devices.port import Port, SensorPort
 from adaptdrive.devices.sensors import SensorBus, SensoredPort
-from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.runtime.accounts import sensor_report, sensor_sample
 from adaptdrive.runtime.reports import SensorReport, SensorSample
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 
 def build_port(

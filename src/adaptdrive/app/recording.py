@@ -10,17 +10,17 @@ from pathlib import Path
 
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import Learnt
-from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
-from adaptdrive.errors import RecordingError, escaped
 from adaptdrive.recording.journal import Place, RecordingPace
 from adaptdrive.recording.journal_files import Recalled, log_folder
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.session import SensorColumn, SessionInfo, sessions_directory
 from adaptdrive.runtime.reports import Hub
+from adaptdrive.util.clock import now_s
+from adaptdrive.util.errors import RecordingError, escaped
 
 
 def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive

@@ -15,14 +15,14 @@ from pathlib import Path
 
 from adaptdrive.app.checkpoint import descriptions
 from adaptdrive.app.examine import examine_text
-from adaptdrive.aside import in_thread
-from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import digest_of, read_text
-from adaptdrive.errors import ConfigurationError, RefusedError
 from adaptdrive.mqtt.service import COMMAND_PATIENCE_S
 from adaptdrive.runtime.requests import Reload
 from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.util.clock import now_s
+from adaptdrive.util.errors import ConfigurationError, RefusedError
+from adaptdrive.util.threads import in_thread
 
 CHANGEABLE = frozenset({"load", "estimator", "supervisor", "interlocks", "simulation"})
 """Sections that may change between two runs: the load, its control, and the limits that trip."""

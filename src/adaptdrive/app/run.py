@@ -36,12 +36,9 @@ from adaptdrive.app.realtime import Rehearsal, prepared
 from adaptdrive.app.recording import build_recorder, place_of
 from adaptdrive.app.reload import FEED_S, Given, RunCourse
 from adaptdrive.app.settings import controller_settings, daemon_settings
-from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
-from adaptdrive.errors import AdaptdriveError, first_error
-from adaptdrive.lines import log
 from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.pure import build_name
 from adaptdrive.recording.journal_files import Recalled
@@ -52,7 +49,10 @@ from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.realtime import helper_thread
 from adaptdrive.runtime.reports import Event, Hub
 from adaptdrive.runtime.watchdog import ServiceManager
-from adaptdrive.tasks import repeat, uncaught_errors_end
+from adaptdrive.util.clock import now_s
+from adaptdrive.util.errors import AdaptdriveError, first_error
+from adaptdrive.util.lines import log
+from adaptdrive.util.threads import repeat, uncaught_errors_end
 
 UNRECORDED = 4
 """Exit status after an orderly stop whose session lacks its end."""

@@ -16,10 +16,10 @@ from typing import Literal
 
 from adaptdrive.app.described import quoted
 from adaptdrive.config.load import LoadName
-from adaptdrive.config.proposals import nearest
 from adaptdrive.config.services import LONGEST_STALE_S
 from adaptdrive.config.units import si_unit
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.spelling import nearest
 
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen", "scpi"]
 

@@ -17,7 +17,7 @@ from adaptdrive.cli.standard_files import (
     reader_has_ended,
     unwritten,
 )
-from adaptdrive.errors import AdaptdriveError, ConfigurationError
+from adaptdrive.util.errors import AdaptdriveError, ConfigurationError
 
 INTERRUPTED = 130
 

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from adaptdrive.cli.options import Flag, Json, Second, Settings, extra, refuse_unwritable
 from adaptdrive.cli.sessions import find
-from adaptdrive.files import replace_result
+from adaptdrive.util.files import replace_result
 
 
 @Parameter(name="*")

@@ -12,8 +12,8 @@ from cyclopts import Parameter
 
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.options import Flag, extra, refuse_unwritable
-from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.files import replace_result
+from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.files import replace_result
 
 if TYPE_CHECKING:
     from adaptdrive.commission.report import Commissioned

@@ -12,7 +12,7 @@ from adaptdrive.cli.standard_files import UNUSABLE
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanLink
 from adaptdrive.config.file import find_flaws, read_text
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 
 
 def check(config: Path, /, *, as_json: Json = False) -> int:

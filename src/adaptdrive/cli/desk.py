@@ -19,10 +19,16 @@ from pathlib import Path
 from adaptdrive.cli.contact import Contact
 from adaptdrive.cli.options import Flag
 from adaptdrive.config import Configuration
-from adaptdrive.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
-from adaptdrive.household.ports import HOST, Ports, is_listening
-from adaptdrive.household.processes import BROKER, Household, ProcessDiedError
+from adaptdrive.processes.owned import (
+    BROKER,
+    HOST,
+    Household,
+    Ports,
+    ProcessDiedError,
+    is_listening,
+)
 from adaptdrive.tui.terminal import ended_once, tell_last
+from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
 
 COMMISSION_KEY = "c"
 _CLI = "adaptdrive.cli"

@@ -16,8 +16,8 @@ from adaptdrive.mqtt.commands import (
     quantity_and_unit,
     unconfirmed_stop,
 )
-from adaptdrive.quantity import Given
 from adaptdrive.runtime.trips import remedy
+from adaptdrive.util.quantity import Given
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")
 _SILENT = (

@@ -12,8 +12,8 @@ from typing import Annotated
 import msgspec
 from cyclopts import Parameter, Token, convert
 
-from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.files import directory_flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.files import directory_flaw
 
 
 def _check_finite(_: object, number: float | None) -> None:

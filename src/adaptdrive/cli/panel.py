@@ -17,9 +17,9 @@ from urllib.parse import parse_qs, quote, urlsplit
 
 from cyclopts import Parameter, validators
 
-from adaptdrive.aside import in_thread
 from adaptdrive.cli.options import Integer
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.util.errors import AdaptdriveError
+from adaptdrive.util.threads import in_thread
 
 FOLDER = Path(__file__).parents[1] / "panel"
 HEADERS = {
@@ -171,13 +171,13 @@ def last_report(drive: str) -> bytes:
 
 
 def _last_session(drive: str) -> Path:
-    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - `--help` reads no recordings
     from adaptdrive.recording.session import (  # noqa: PLC0415
         NO_SESSION,
         read_info,
         session_directories,
         sessions_directory,
     )
+    from adaptdrive.util.errors import RecordingError  # noqa: PLC0415 - `--help` reads no recordings
 
     sessions = sessions_directory(None, os.environ)
     for path in reversed(list(session_directories(sessions))):

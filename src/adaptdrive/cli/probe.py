@@ -20,12 +20,12 @@ from adaptdrive.app.examine import load_examined
 from adaptdrive.app.lock import lock_names, locked
 from adaptdrive.app.ports import build_whole_port, sensor_reports
 from adaptdrive.cli.options import Json
-from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.devices.port import Port, Reading
-from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.runtime.reports import SensorReport
+from adaptdrive.util.clock import now_s
+from adaptdrive.util.errors import AdaptdriveError, first_error
 
 _EVERY_S = 0.5
 

@@ -14,11 +14,11 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.recording.replay import replay as run_again
 from adaptdrive.recording.session import SessionInfo
+from adaptdrive.util.errors import ConfigurationError
 
 
 def replay(session: str | None = None, /, *, settings: Settings = (), as_json: Json = False) -> int:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from adaptdrive.cli.options import Json, print_json
-from adaptdrive.errors import ConfigurationError, Flaw, RecordingError, escaped
+from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped
 
 if TYPE_CHECKING:  # `--help` reads no recordings
     from adaptdrive.recording.reader import Verification
@@ -29,8 +29,8 @@ def _check_limit(_type: object, limit: float | None) -> None:
 
 
 def _refuse_unknown(kinds: tuple[str, ...]) -> None:
-    from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - `--help` needs none of these
     from adaptdrive.runtime.reports import EVENT_KINDS  # noqa: PLC0415
+    from adaptdrive.util.spelling import nearest  # noqa: PLC0415 - `--help` needs none of these
 
     known = ", ".join(EVENT_KINDS)
     flaws = [

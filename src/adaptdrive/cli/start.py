@@ -36,8 +36,8 @@ from adaptdrive.devices.proposal import (
     is_doubtful,
     propose,
 )
-from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.files import replace_regular
+from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.files import replace_regular
 
 _SHOWN = 3
 _NODE_ID = 1

@@ -6,9 +6,9 @@ import asyncio
 import time
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import CommissionError
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, read_status, send_command
 from adaptdrive.tui.terminal import ended_once, tell, whole
+from adaptdrive.util.errors import CommissionError
 
 LONGEST_S = 60.0
 """Longest time for the daemon to begin another run, and for the drive to run in it."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from adaptdrive.commission.bounds import Bounds
 from adaptdrive.commission.course import ExperimentCourse, Phase, Steps
 from adaptdrive.commission.rest import Rest, until_rest
-from adaptdrive.errors import CommissionError
+from adaptdrive.util.errors import CommissionError
 
 _FIRST_SHARE = 0.25
 """Share of the movement that the first step brings, if the guess of the gain is right."""

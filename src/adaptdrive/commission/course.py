@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from adaptdrive.commission.samples import Samples
 from adaptdrive.commission.target import Target
-from adaptdrive.errors import CommissionError
+from adaptdrive.util.errors import CommissionError
 
 Result = TypeVar("Result")
 Steps = Generator[bool, None, Result]

@@ -11,10 +11,10 @@ from adaptdrive.commission.course import Outcome
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.samples import Samples
 from adaptdrive.control.load import Load
-from adaptdrive.errors import CommissionError
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.identify import identify, identify_any
 from adaptdrive.identification.result import IdentifiedLoad
+from adaptdrive.util.errors import CommissionError
 
 _BLOCKS_TO_REST = 60
 """Blocks in the time to rest: a time constant has about fifteen."""

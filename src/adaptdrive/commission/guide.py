@@ -14,9 +14,9 @@ from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.readings import FastReading, WantedVoltage, fast_readings
 from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import AdaptdriveError, CommissionError, first_error
 from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command
 from adaptdrive.tui.terminal import whole
+from adaptdrive.util.errors import AdaptdriveError, CommissionError, first_error
 
 HOLD_S = 5.0
 """Time to live of a voltage."""

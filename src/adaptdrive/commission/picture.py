@@ -20,11 +20,11 @@ from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.guide import Guide
 from adaptdrive.commission.readings import FastReading
 from adaptdrive.commission.target import Target
-from adaptdrive.errors import CommissionError
 from adaptdrive.tui.keys import QUIT, pressed_keys
 from adaptdrive.tui.plot import Mark, PlotPoint, plot
 from adaptdrive.tui.terminal import draw, ended_once, tell
 from adaptdrive.tui.view import DIM, cut, figure, titled
+from adaptdrive.util.errors import CommissionError
 
 KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
 _POINTS = 6000

@@ -18,10 +18,10 @@ from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import to_input
 from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.control.signals import Estimate
-from adaptdrive.errors import CommissionError
 from adaptdrive.identification.proposal import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.replay import reconfigured
+from adaptdrive.util.errors import CommissionError
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from datetime import datetime
 from typing import Any
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import CommissionError
 from adaptdrive.mqtt.client import NoAnswerError, telemetry
 from adaptdrive.mqtt.commands import number, part
+from adaptdrive.util.errors import CommissionError
 
 _SILENCE_S = 4.0
 """Longest time without telemetry, and without a measurement in it; largest step of its time."""

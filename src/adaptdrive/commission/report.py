@@ -20,8 +20,8 @@ from adaptdrive.commission.prediction import Prediction, predict, rest_voltage
 from adaptdrive.commission.proposal import Proposal, propose
 from adaptdrive.commission.sensor import SensorState
 from adaptdrive.config.root import Configuration
-from adaptdrive.errors import CommissionError
 from adaptdrive.identification.result import IdentifiedLoad
+from adaptdrive.util.errors import CommissionError
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from adaptdrive.commission.course import ExperimentCourse, Steps
-from adaptdrive.errors import CommissionError
+from adaptdrive.util.errors import CommissionError
 
 _DRIFT = 0.1
 """Change of a battery's current that counts as rest, as a share of the movement: its EMF rises."""

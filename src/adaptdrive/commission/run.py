@@ -20,7 +20,7 @@ from adaptdrive.commission.target import build_target
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import CommissionError, ConfigurationError, Flaw
+from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
 
 @dataclass(frozen=True, slots=True)

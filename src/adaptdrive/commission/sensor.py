@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from adaptdrive.commission.samples import Samples
 from adaptdrive.config.root import Configuration
-from adaptdrive.errors import CommissionError
+from adaptdrive.util.errors import CommissionError
 
 _NOISE_SHARE = 1.0
 """Noise of one sample over the movement, above which the movement is hidden."""

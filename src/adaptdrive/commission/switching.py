@@ -6,7 +6,7 @@ import math
 
 from adaptdrive.commission.bounds import Bounds
 from adaptdrive.commission.course import ExperimentCourse, Outcome, Steps
-from adaptdrive.errors import CommissionError
+from adaptdrive.util.errors import CommissionError
 
 _BAND = 0.5
 """Distance beyond rest and movement that the test allows, as a share of the movement."""

@@ -8,7 +8,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.config.load import BatterySection
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.load import to_input, to_voltage
-from adaptdrive.quantity import BOOST, Given
+from adaptdrive.util.quantity import BOOST, Given
 
 """Shortest wait for a load of the kind to respond."""
 

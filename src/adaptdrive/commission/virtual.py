@@ -15,7 +15,7 @@ from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target
 from adaptdrive.config.file import read_text
 from adaptdrive.config.root import Configuration
-from adaptdrive.errors import CommissionError
+from adaptdrive.util.errors import CommissionError
 
 _SAMPLE_S = 0.1
 """Time between two samples, as between two messages of the daemon."""

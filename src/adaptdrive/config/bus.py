@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
 from adaptdrive.config.services import check_host
 from adaptdrive.config.units import Converted
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 WATCHED = ("fault", "faults", "warning")

@@ -8,8 +8,8 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from adaptdrive.config.section import FiniteFloat, NonNegativeFloat, PositiveFloat, Section, key
-from adaptdrive.errors import Flaw
-from adaptdrive.quantity import BOOST_VOLTAGE, Given
+from adaptdrive.util.errors import Flaw
+from adaptdrive.util.quantity import BOOST_VOLTAGE, Given
 
 BROKER_USERS = frozenset({"operator", "viewer"})
 """Users of `deploy/mosquitto/adaptdrive.acl` that are operators, not drives."""

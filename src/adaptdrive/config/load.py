@@ -20,7 +20,7 @@ from adaptdrive.config.section import (
     Section,
     key,
 )
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 LoadName = Literal["motor", "bath", "battery"]
 

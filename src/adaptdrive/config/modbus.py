@@ -9,7 +9,7 @@ from pydantic import Field
 
 from adaptdrive.config.bus import Answering, PolledBus, TcpHost
 from adaptdrive.config.section import FilePath, PositiveFloat, Range, Scale, Section, key
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 
 class RegisterRange(Range):

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from adaptdrive.config.bus import COMMANDED, CanBus, CanOpenBus, PolledBus, Signals
 from adaptdrive.config.modbus import ModbusBus, Register
-from adaptdrive.config.proposals import nearest
 from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.section import misfit
 from adaptdrive.config.timing import LATE_READINGS
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
+from adaptdrive.util.spelling import nearest
 
 if TYPE_CHECKING:
     from adaptdrive.config.root import Configuration

@@ -26,7 +26,7 @@ from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import Derived, link_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu | ScpiBus
 

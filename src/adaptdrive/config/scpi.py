@@ -10,7 +10,7 @@ from typing import Literal
 from adaptdrive.config.bus import PolledBus, TcpHost
 from adaptdrive.config.modbus import ModbusTcp, Register, RegisterRange
 from adaptdrive.config.section import Section, key
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 _STEP = 8
 """Registers from one value to the next: four hold it, and a gap keeps requests apart."""

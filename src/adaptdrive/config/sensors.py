@@ -11,7 +11,7 @@ from adaptdrive.config.bus import CanDescription, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.references import map_flaws, unknown_flaws
 from adaptdrive.config.section import PositiveFloat, Section, key, misfit
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 STALE_CYCLES = 1.5
 """Cycles that a value must be allowed to age: it is one old when the next one comes."""

@@ -18,7 +18,7 @@ from adaptdrive.config.section import (
     Section,
     key,
 )
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 LONGEST_STALE_S = 2.0
 """A drive that is read each half cycle is then commanded 240 times on held values; one that is

@@ -16,7 +16,7 @@ from adaptdrive.config.bus import MEASURED, WORDS
 from adaptdrive.config.modbus import ModbusLink, RtuLink
 from adaptdrive.config.section import misfit
 from adaptdrive.config.units import WANTED, Converted, stated_problem
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 if TYPE_CHECKING:
     from adaptdrive.config.root import Configuration

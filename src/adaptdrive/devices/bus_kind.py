@@ -14,8 +14,8 @@ from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices.demands import Demands
 from adaptdrive.devices.port import Port, SensorPort
-from adaptdrive.errors import Flaw
-from adaptdrive.hosts import look_up
+from adaptdrive.util.errors import Flaw
+from adaptdrive.util.hosts import look_up
 
 Bus = TypeVar("Bus")
 

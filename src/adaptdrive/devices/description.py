@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import shorten
 from typing import TypeVar
 
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 Parsed = TypeVar("Parsed")
 

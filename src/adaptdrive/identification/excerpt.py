@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.control.load import Load
-from adaptdrive.errors import IdentificationError
+from adaptdrive.util.errors import IdentificationError
 
 Array = NDArray[np.float64]
 

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Blocks
 from adaptdrive.identification.response import moment_responses, responses
+from adaptdrive.util.errors import IdentificationError
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,6 @@ import msgspec
 from aiomqtt import Client, Message, MqttError, ProtocolVersion
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import NOT_JSON, AdaptdriveError
 from adaptdrive.mqtt.commands import LONGEST_USER, PING, STOP
 from adaptdrive.mqtt.connection import connection
 from adaptdrive.mqtt.contract import (
@@ -33,6 +32,7 @@ from adaptdrive.mqtt.contract import (
     Topics,
     simulator_topic,
 )
+from adaptdrive.util.errors import NOT_JSON, AdaptdriveError
 
 # A conversation of an operator with one drive: the connection, its errors, the payloads.
 

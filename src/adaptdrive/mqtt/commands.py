@@ -18,9 +18,9 @@ from typing import Annotated, Any, Literal, get_type_hints
 import msgspec
 
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.errors import RefusedError
-from adaptdrive.quantity import BOOST, Given
 from adaptdrive.runtime.requests import REQUESTS, Disable, Request
+from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import BOOST, Given
 
 # From the payload of a command to a request, or to a reason why there is none.
 

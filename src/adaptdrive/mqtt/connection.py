@@ -24,12 +24,12 @@ from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import first_error
-from adaptdrive.files import read_regular
-from adaptdrive.hosts import find
-from adaptdrive.lines import log
 from adaptdrive.mqtt.clock import BrokerBackoff, Monotonic
 from adaptdrive.mqtt.steady import SteadyClient
+from adaptdrive.util.errors import first_error
+from adaptdrive.util.files import read_regular
+from adaptdrive.util.hosts import find
+from adaptdrive.util.lines import log
 
 # The name of the daemon at the broker, and what happens when another client uses it too.
 

@@ -18,7 +18,6 @@ from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.clock import Synchronisation
 from adaptdrive.mqtt.commands import STOP
-from adaptdrive.quantity import BOOST, Given
 from adaptdrive.runtime.reports import (
     SLOW_COLUMNS,
     DriveReport,
@@ -29,6 +28,7 @@ from adaptdrive.runtime.reports import (
     StateReport,
 )
 from adaptdrive.runtime.trips import remedy
+from adaptdrive.util.quantity import BOOST, Given
 
 Range = tuple[float | None, float | None]
 """Lowest and highest value, None where there is no limit."""

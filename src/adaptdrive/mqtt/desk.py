@@ -16,13 +16,13 @@ from functools import cached_property
 
 import msgspec
 
-from adaptdrive.errors import NOT_JSON, AdaptdriveError, RefusedError
-from adaptdrive.lines import Level, log
 from adaptdrive.mqtt.clock import LogRation, Monotonic, WallClock
 from adaptdrive.mqtt.commands import LONGEST_ID, PING, STOP, Payload, printable
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.runtime.reports import CommandReport, Keep, State
 from adaptdrive.runtime.requests import Host, Request
+from adaptdrive.util.errors import NOT_JSON, AdaptdriveError, RefusedError
+from adaptdrive.util.lines import Level, log
 
 # Memory of the replies, so that a repeated command acts once and gets the same reply.
 

@@ -32,7 +32,7 @@ from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.runtime.reports import Event, Hub, Severity
 from adaptdrive.runtime.requests import Host
 from adaptdrive.runtime.trips import remedy
-from adaptdrive.tasks import repeat
+from adaptdrive.util.threads import repeat
 
 CLOCK_CHECK_S = 10.0
 COMMAND_PATIENCE_S = 1.0

@@ -18,7 +18,6 @@ from aiomqtt import Message, MqttError, ProtocolVersion
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from adaptdrive.lines import log
 from adaptdrive.mqtt.clock import LogRation
 from adaptdrive.mqtt.connection import ClientName
 from adaptdrive.mqtt.contract import OFFLINE, ONLINE, Payload, Reply, Topics, encode
@@ -26,7 +25,8 @@ from adaptdrive.mqtt.desk import Desk, OperatorCommand
 from adaptdrive.mqtt.publisher import Intake, Mailbox
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.runtime.reports import Severity, State
-from adaptdrive.tasks import Step, repeat
+from adaptdrive.util.lines import log
+from adaptdrive.util.threads import Step, repeat
 
 # Notices that the broker delivers no commands: a message of the daemon's own must come back.
 

@@ -15,7 +15,7 @@ from aiomqtt.types import PahoSocket
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
-from adaptdrive.lines import log
+from adaptdrive.util.lines import log
 
 T = TypeVar("T")
 

@@ -22,7 +22,6 @@ from typing import Any, TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.errors import AdaptdriveError, RecordingError
 from adaptdrive.recording import writer
 from adaptdrive.recording.journal_files import (
     TRIP,
@@ -61,6 +60,7 @@ from adaptdrive.recording.session import (
 )
 from adaptdrive.recording.tables import table_schema
 from adaptdrive.runtime.reports import MONOTONIC, Severity
+from adaptdrive.util.errors import AdaptdriveError, RecordingError
 
 # The record of a trip: a small session with the time around it.
 

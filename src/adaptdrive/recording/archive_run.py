@@ -11,11 +11,11 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.aside import in_thread
 from adaptdrive.recording.journal import Place, RecordingPace
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session, session_of
 from adaptdrive.runtime.reports import Severity
+from adaptdrive.util.threads import in_thread
 
 _RETRY_S = 60.0
 """Pause of the archiver after a failure."""

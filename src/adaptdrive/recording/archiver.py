@@ -15,9 +15,9 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.clock.now import now_s
-from adaptdrive.errors import escaped
 from adaptdrive.runtime.reports import Severity
+from adaptdrive.util.clock import now_s
+from adaptdrive.util.errors import escaped
 
 NO_FIGURE = "--no-figure"
 """Word of the command line without which the figure of a trip is drawn."""

@@ -21,8 +21,6 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
-from adaptdrive.files import read_regular
 from adaptdrive.recording.records import (
     LARGEST_BYTES,
     EventRow,
@@ -33,6 +31,8 @@ from adaptdrive.recording.records import (
     read_frames,
 )
 from adaptdrive.recording.session import Ending, SessionInfo, time_in_name
+from adaptdrive.util.errors import NOT_JSON, RecordingError, reason_of
+from adaptdrive.util.files import read_regular
 
 # State that the log carries from segment to segment: a fold over its records.
 

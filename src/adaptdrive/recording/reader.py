@@ -14,8 +14,6 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.errors import RecordingError, reason_of
-from adaptdrive.files import read_regular
 from adaptdrive.recording.records import CommandRow, EventRow
 from adaptdrive.recording.segments import Segment, closed_segments, segments
 from adaptdrive.recording.session import (
@@ -30,6 +28,8 @@ from adaptdrive.recording.session import (
     session_directories,
 )
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema
+from adaptdrive.util.errors import RecordingError, reason_of
+from adaptdrive.util.files import read_regular
 
 # Reading a session back, however it ended, or while it is written.
 

@@ -21,10 +21,10 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.columns import rebuild
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import Command, Decision, Snapshot
-from adaptdrive.errors import ConfigurationError, Flaw, RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import INFO_FILE, TableName
 from adaptdrive.runtime.reports import TICK_COLUMNS, TickReport
+from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError
 
 # Replay: the controller runs again on recorded measurements, and its commands are compared.
 

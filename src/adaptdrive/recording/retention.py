@@ -18,11 +18,11 @@ from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
-from adaptdrive.errors import RecordingError
 from adaptdrive.recording.journal_files import in_progress
 from adaptdrive.recording.records import Keep
 from adaptdrive.recording.segments import closed_segments
 from adaptdrive.recording.session import NOTES, read_info, session_directories
+from adaptdrive.util.errors import RecordingError
 
 _DAY_S = 86_400.0
 

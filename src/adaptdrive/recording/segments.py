@@ -14,13 +14,13 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.errors import NOT_JSON
 from adaptdrive.recording.journal_files import LogFile, records, unarchived
 from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Kind, Record, Ticks
 from adaptdrive.recording.session import NOTES, SessionInfo, TableName
 from adaptdrive.recording.tables import read_parquet, rows_batch, ticks_batch, write_parquet
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.runtime.statistics import BINS, bin_of
+from adaptdrive.util.errors import NOT_JSON
 
 Batches = Iterator[pa.RecordBatch]
 _TIMES = ("lateness_us", "turnaround_us", "tick_us")

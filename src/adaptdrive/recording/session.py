@@ -20,9 +20,9 @@ from typing import Annotated, Any
 
 import msgspec
 
-from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
-from adaptdrive.files import read_regular, replace_regular
-from adaptdrive.quantity import BOOST, Given
+from adaptdrive.util.errors import NOT_JSON, RecordingError, reason_of
+from adaptdrive.util.files import read_regular, replace_regular
+from adaptdrive.util.quantity import BOOST, Given
 
 # A session's directory: its name, and the facts about it in `session.json`.
 

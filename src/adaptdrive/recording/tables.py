@@ -18,12 +18,12 @@ import pyarrow as pa
 from pyarrow import parquet as pq
 
 from adaptdrive.control.columns import Column
-from adaptdrive.errors import RecordingError
-from adaptdrive.files import require_regular
-from adaptdrive.quantity import BOOST
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
 from adaptdrive.recording.session import SensorColumn, SessionInfo, TableName
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
+from adaptdrive.util.errors import RecordingError
+from adaptdrive.util.files import require_regular
+from adaptdrive.util.quantity import BOOST
 
 # Tables on disk: Arrow schemas that explain themselves, and record batches that fit them.
 

@@ -24,9 +24,9 @@ from queue import SimpleQueue
 
 import msgspec
 
-from adaptdrive.files import require_regular
 from adaptdrive.recording.journal_files import Begin, LogMemory, Recalled, new_file
 from adaptdrive.recording.records import Header, Kind, Record, framed
+from adaptdrive.util.files import require_regular
 
 # The thread that has the disk keep what is written to the log, in groups for those who wait.
 

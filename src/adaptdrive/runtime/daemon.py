@@ -8,12 +8,10 @@ import itertools
 import math
 from collections.abc import Awaitable, Callable
 
-from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.accounts import Announcer, drive_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.interlocks import RefusedShares
@@ -31,6 +29,8 @@ from adaptdrive.runtime.requests import Reload, Request, Reset
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.tick_support import TickSupport
 from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.util.clock import TickTimer
+from adaptdrive.util.errors import RefusedError
 
 # Safe commands outside of ticks: on each stop, and repeatedly when the daemon ends.
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.quantity import BOOST, Given
+from adaptdrive.util.quantity import BOOST, Given
 
 
 @dataclass(frozen=True, slots=True)

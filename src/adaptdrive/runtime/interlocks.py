@@ -20,8 +20,8 @@ from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.load import to_input
 from adaptdrive.devices.faults import describe_fault
 from adaptdrive.devices.port import Reading
-from adaptdrive.quantity import BOOST, Given
 from adaptdrive.runtime.reports import DriveReport
+from adaptdrive.util.quantity import BOOST, Given
 
 # Interlocks: what must hold while the drive is energised.
 

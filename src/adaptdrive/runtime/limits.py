@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control.reach import UNKNOWN, Reach
-from adaptdrive.errors import RefusedError
-from adaptdrive.quantity import BOOST, Given
+from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import BOOST, Given
 
 # V_c as the operator sets it in mode `manual`: a ramp to the value asked for, and its expiry.
 

@@ -18,7 +18,7 @@ from adaptdrive.control.columns import Quantity, columns_of
 from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
 from adaptdrive.control.waveform import Waveform
-from adaptdrive.errors import escaped
+from adaptdrive.util.errors import escaped
 
 # Reports of the runtime: immutable snapshots, never live objects.
 

@@ -17,10 +17,10 @@ from typing import Final
 from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.control.waveform import Waveform
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.limits import MachineLimits
 from adaptdrive.runtime.reports import State
+from adaptdrive.util.errors import RefusedError
 
 # compiled code finds a constant of its module at once, and a member of an enumeration in 0.1 us
 _STARTING: Final[State] = State.STARTING

@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.runtime.loop_interface import DaemonSettings
 from adaptdrive.runtime.reports import TickReport
+from adaptdrive.util.clock import TickTimer
 
 # Causes of a late tick: the processor time that the daemon itself used before it.
 

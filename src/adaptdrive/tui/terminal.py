@@ -20,8 +20,8 @@ from rich.console import Console
 from rich.layout import Layout
 from rich.live import Live
 
-from adaptdrive.aside import in_thread
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.threads import in_thread
 
 # The end of a view that commands a drive: once it is asked for, nothing cuts it short.
 

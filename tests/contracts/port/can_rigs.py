@@ -12,7 +12,7 @@ import pytest
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.bus import CanLink
 from adaptdrive.devices.can.bus import open_bus
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 from tests.contracts.port.rig import Rig
 from tests.hardware.bench import MOTOR, STATUS, Drive, Ear, memory_bus, reference_database, with_crc
 from tests.hardware.canopen.documents import MEMORY, other_eds, parse

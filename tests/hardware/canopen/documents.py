@@ -10,7 +10,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, map_drive
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 EXAMPLE = EXAMPLES / "motor-cia402.toml"

@@ -8,7 +8,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 
 from adaptdrive.devices.canopen.sdo import Server
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 
 NAME = (0x1008, 0)
 SEGMENTED, SEGMENT, TOGGLE, LAST, ABORT = 0x40, 0x00, 0x10, 0x01, 0x80

@@ -18,7 +18,7 @@ from adaptdrive.config.file import parse_configuration
 from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.devices.modbus.link import ModbusConnection
 from adaptdrive.devices.polled.link import Stream
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 from tests.config.modbus_documents import parse
 from tests.faults.course import EXAMPLES
 from tests.hardware import memory

@@ -10,7 +10,7 @@ from statistics import median
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 from tests.hardware import memory
 from tests.hardware.bench import Ear, until
 from tests.hardware.modbus.bench import (

@@ -15,7 +15,7 @@ import pytest
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.devices.demands import NO_DEMANDS, Demands
 from adaptdrive.devices.modbus.port import SELDOM_CYCLES, ModbusSensorPort, build_modbus_sensors
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.util.errors import ConfigurationError
 from tests.hardware.bench import SensorEar, until
 from tests.hardware.modbus.bench import Peer, untouched
 

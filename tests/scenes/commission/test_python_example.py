@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import RefusedError
 from adaptdrive.lab import Drive
+from adaptdrive.util.errors import RefusedError
 from tests.analysis.test_python_page import examples
 from tests.operation.peers import load_report, serving
 from tests.support import Broker

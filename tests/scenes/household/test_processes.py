@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.household import leash
-from adaptdrive.household.ports import Ports
-from adaptdrive.household.processes import Household, ProcessDiedError
+from adaptdrive.processes import tether
+from adaptdrive.processes.owned import Household, Ports, ProcessDiedError
 from tests.support import Spawn, free_port
 
 pytestmark = pytest.mark.usefixtures("outside")
@@ -85,7 +84,7 @@ def test_a_leashed_process_dies_with_its_parent(tmp_path: Path, spawn: Spawn) ->
     child = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
     parent = (
         "import os, subprocess, sys\n"
-        f"subprocess.Popen([sys.executable, {leash.__file__!r}, str(os.getpid()),"
+        f"subprocess.Popen([sys.executable, {tether.__file__!r}, str(os.getpid()),"
         f" sys.executable, '-c', {child!r}], start_new_session=True).wait()"
     )
     process = spawn(sys.executable, "-c", parent)
@@ -100,7 +99,7 @@ def test_a_leashed_process_dies_with_its_parent(tmp_path: Path, spawn: Spawn) ->
 
 
 def test_a_leash_without_its_parent_does_not_start_anything(tmp_path: Path, spawn: Spawn) -> None:
-    process = spawn(sys.executable, leash.__file__, "1", sys.executable, "-c", "print('started')")
+    process = spawn(sys.executable, tether.__file__, "1", sys.executable, "-c", "print('started')")
     assert process.wait(timeout=PATIENCE_S) == 1
     assert "is gone" in (tmp_path / "process-0.log").read_text()
 

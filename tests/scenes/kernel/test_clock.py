@@ -8,16 +8,15 @@ import sys
 
 import pytest
 
-from adaptdrive.clock.now import now_s
-from adaptdrive.clock.tick_timer import TickTimer
+from adaptdrive.util.clock import TickTimer, now_s
 from tests.support import suspended_machine
 
 pytestmark = pytest.mark.usefixtures("outside")
 
 PROGRAM = """
 import asyncio, pathlib, time
-from adaptdrive.clock.now import now_s
-from adaptdrive.clock.tick_timer import TickTimer
+from adaptdrive.util.clock import now_s
+from adaptdrive.util.clock import TickTimer
 
 def uptime_s():
     return float(pathlib.Path("/proc/uptime").read_text().split()[0])

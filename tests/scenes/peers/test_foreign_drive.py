@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config import load_configuration
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
+from adaptdrive.util.errors import RefusedError
 from tests.scenes.peers.foreign import Foreign
 from tests.support import Spawn
 from tests.wire.rig import Rig, rigged, until

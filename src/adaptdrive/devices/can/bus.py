@@ -29,7 +29,7 @@ from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from adaptdrive.config.bus import CanDescription, CanLink
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.errors import BusError, Flaw
+from adaptdrive.util.errors import BusError, Flaw
 
 # python-can's multicast bus, confined to the loopback interface and quick.
 

@@ -17,14 +17,14 @@ from typing import Any, Generic, NoReturn, Protocol, TypeVar
 
 import can
 
-from adaptdrive.clock.tick_timer import pulsing
 from adaptdrive.config.bus import CanLink
 from adaptdrive.devices.can.arrival import ArrivalClock
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.counting import BusBackoff
 from adaptdrive.devices.obedience import Uptake
 from adaptdrive.devices.port import Listener, SensorListener
-from adaptdrive.errors import BusError
+from adaptdrive.util.clock import pulsing
+from adaptdrive.util.errors import BusError
 
 # Reader of a CAN bus in the event loop.
 

@@ -16,7 +16,6 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity, SignalRange
-from adaptdrive.config.proposals import nearest
 from adaptdrive.devices.binding import Catalogue, Use
 from adaptdrive.devices.can.bus import channel_flaws
 from adaptdrive.devices.can.codec import (
@@ -31,7 +30,8 @@ from adaptdrive.devices.can.integrity import CHECK_INPUT, crc_function
 from adaptdrive.devices.can.layout import compile_field, is_multiplexed, signal_bits
 from adaptdrive.devices.description import read_description
 from adaptdrive.devices.field import Field
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.spelling import nearest
 
 _NIBBLE_BITS = 4
 

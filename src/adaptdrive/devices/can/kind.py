@@ -42,7 +42,7 @@ from adaptdrive.devices.counting import CountingPort
 from adaptdrive.devices.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.devices.port import Port, SensorListener
 from adaptdrive.devices.proposal import Candidate
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Signals of a DBC, as candidates for the quantities of a configuration.
 

@@ -30,7 +30,7 @@ from adaptdrive.devices.can.orders import (
 )
 from adaptdrive.devices.demands import NO_DEMANDS, Demands
 from adaptdrive.devices.faults import FaultWord
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 LONGEST_STALE_S = 10.0
 """Age at which a value is old however seldom its message comes: three cycles of 3.3 s."""

@@ -18,13 +18,13 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity, Signals
-from adaptdrive.config.proposals import nearest
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.binding import BRIDGE, Sink, is_word
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.database import Located, SignalCatalogue
 from adaptdrive.devices.can.layout import compile_field, initial_value, signal_bits
 from adaptdrive.devices.demands import NO_DEMANDS, Demands
+from adaptdrive.util.spelling import nearest
 
 _NOTHING: Mapping[str, float] = MappingProxyType({})
 Choice = dict[str, float]

@@ -17,11 +17,11 @@ from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVari
 from canopen.objectdictionary.datatypes import FLOAT_TYPES, NUMBER_TYPES, SIGNED_TYPES
 from canopen.objectdictionary.eds import import_eds
 
-from adaptdrive.config.proposals import nearest
 from adaptdrive.devices.binding import Catalogue, Use
 from adaptdrive.devices.description import read_description
 from adaptdrive.devices.field import Field, natural_limits, sensible_limits
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.spelling import nearest
 
 # Lines of an EDS that its parser refuses, although nothing may use them.
 

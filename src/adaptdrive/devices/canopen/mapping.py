@@ -25,7 +25,7 @@ from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUS
 from adaptdrive.devices.demands import NO_DEMANDS, Demands
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.proposal import Candidate
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Process data objects: packing entries into frames, and the codec of each frame.
 

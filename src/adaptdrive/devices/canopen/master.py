@@ -20,7 +20,7 @@ from canopen.emcy import EmcyError
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.devices.canopen.profile import DriveControl, DriveState
 from adaptdrive.devices.canopen.sdo import describe_node
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 
 # The daemon as NMT master of one node: bringing it up, watching it, sending SYNC.
 

@@ -21,7 +21,7 @@ from adaptdrive.devices.canopen.reports import newest_values
 from adaptdrive.devices.canopen.sdo import SdoLink, Server, describe_node
 from adaptdrive.devices.counting import CountingPort
 from adaptdrive.devices.port import Listener
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 
 # Parts that a port which drives a node, and one that only looks at it, have in common.
 

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import can
 
-from adaptdrive.clock.tick_timer import pulsing
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
@@ -40,7 +39,8 @@ from adaptdrive.devices.canopen.setup import SYNC_COB_ID, set_up
 from adaptdrive.devices.demands import demands_of
 from adaptdrive.devices.obedience import Obedience, Rival
 from adaptdrive.devices.port import Port
-from adaptdrive.errors import Flaw
+from adaptdrive.util.clock import pulsing
+from adaptdrive.util.errors import Flaw
 
 # The port of a CiA 402 drive on CANopen.
 

@@ -21,7 +21,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.devices.canopen.dictionary import Address, Entry, label
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 
 T = TypeVar("T")
 

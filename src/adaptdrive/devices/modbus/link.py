@@ -23,7 +23,6 @@ from typing import Any
 from pymodbus.transport.serialtransport import SerialTransport
 from serial import SerialException
 
-from adaptdrive.aside import in_thread
 from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
 from adaptdrive.devices.modbus.frames import (
     SerialFrames,
@@ -35,6 +34,7 @@ from adaptdrive.devices.modbus.frames import (
 )
 from adaptdrive.devices.polled.capacity import RTU_FRAME, Exchange, silence_s
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Void, never
+from adaptdrive.util.threads import in_thread
 
 # A serial port whose opening and closing do not hold up the event loop.
 

@@ -40,7 +40,7 @@ from adaptdrive.devices.polled.mapping import (
 )
 from adaptdrive.devices.polled.port import PolledPort
 from adaptdrive.devices.port import Port, SensorListener
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Sensors on a Modbus link: modules that are polled in a cycle of their own.
 

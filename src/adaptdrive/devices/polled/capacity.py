@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink
-from adaptdrive.errors import Flaw
+from adaptdrive.util.errors import Flaw
 
 Table = Literal["input", "holding", "coil", "discrete"]
 

@@ -16,8 +16,8 @@ from typing import Generic, TypeVar
 from adaptdrive.devices.counting import BusBackoff, CountingPort
 from adaptdrive.devices.polled.capacity import Exchange
 from adaptdrive.devices.port import Listener, SensorListener
-from adaptdrive.errors import AdaptdriveError, BusError
-from adaptdrive.hosts import find
+from adaptdrive.util.errors import AdaptdriveError, BusError
+from adaptdrive.util.hosts import find
 
 # One exchange at a time with a device that answers, and what can go wrong with it.
 

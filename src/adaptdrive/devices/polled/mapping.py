@@ -29,7 +29,7 @@ from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled.capacity import Block, Exchange, cycle_flaws, plan_blocks
 from adaptdrive.devices.polled.codec import count, decode, encode_count, refusal, register_field
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw
 
 HEARTBEAT = "bus.heartbeat"
 """No name of a register, which has no dot."""

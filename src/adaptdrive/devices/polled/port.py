@@ -27,7 +27,7 @@ from adaptdrive.devices.polled.reports import (
     look_limit_s,
 )
 from adaptdrive.devices.port import Listener
-from adaptdrive.errors import BusError
+from adaptdrive.util.errors import BusError
 
 _MIXED_UP = (
     "replies come that nothing asked for, and one read of this map may be taken for the next: two "

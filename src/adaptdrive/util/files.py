@@ -10,7 +10,7 @@ import stat
 import tempfile
 from pathlib import Path
 
-from adaptdrive.errors import reason_of
+from adaptdrive.util.errors import reason_of
 
 _LARGEST_BYTES = 1 << 20
 """Four times a bundle of all public certificate authorities, the largest of these files."""

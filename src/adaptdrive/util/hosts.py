@@ -6,7 +6,7 @@ import asyncio
 import socket
 from concurrent.futures import Future
 
-from adaptdrive.aside import in_thread
+from adaptdrive.util.threads import in_thread
 
 Addresses = tuple[str, ...]
 

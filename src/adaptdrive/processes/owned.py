@@ -1,4 +1,4 @@
-"""The processes that one terminal owns: started, watched, and ended in order.
+"""The processes that one terminal owns: started on free ports, watched, and ended in order.
 
 Each gets a separate session, so that Ctrl-C on the terminal reaches this process alone, which
 then ends them one by one; and a leash, so that none outlives it however it dies.
@@ -10,18 +10,80 @@ import asyncio
 import contextlib
 import os
 import signal
+import socket
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import NoReturn, Self
 
-from adaptdrive.errors import AdaptdriveError
-from adaptdrive.household import leash
-from adaptdrive.household.ports import HOST
+from adaptdrive.processes import tether
+from adaptdrive.util.errors import AdaptdriveError
 
-BROKER = "adaptdrive.household.broker_main"
+# Free ports of the loopback interface, and what listens there.
+
+HOST = "127.0.0.1"
+
+
+class Ports:
+    """Free ports of the loopback interface, held until they are given back.
+
+    A held port is given to no other process that asks the kernel for any; who is told its number
+    can listen at it.
+    """
+
+    def __init__(self) -> None:
+        self._held = ExitStack()
+
+    def take(self, kind: socket.SocketKind = socket.SOCK_STREAM, usual: int = 0) -> int:
+        """Return a free port.
+
+        Args:
+            kind: Of TCP or UDP.
+            usual: The port to take where it is free and no other program is taking it; any when 0.
+        """
+        usual = usual if usual and self._reserve(usual) else 0
+        probe = self._held.enter_context(socket.socket(socket.AF_INET, kind))
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, usual))
+        except OSError:
+            probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+    def _reserve(self, port: int) -> bool:
+        """Return whether no other program holds this number, although nothing listens there yet."""
+        mark = self._held.enter_context(socket.socket(socket.AF_UNIX))
+        try:
+            mark.bind(f"\0adaptdrive-port-{port}")
+        except OSError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Give all back."""
+        self._held.close()
+
+
+def is_listening(host: str, port: int, wait_s: float = 1.0) -> bool:
+    """Return whether something takes connections at a TCP port.
+
+    Args:
+        host: Name or address.
+        port: The port.
+        wait_s: Longest wait.
+    """
+    with suppress(OSError):
+        socket.create_connection((host, port), wait_s).close()
+        return True
+    return False
+
+
+# The processes that one terminal owns: started, watched, and ended in order.
+
+BROKER = "adaptdrive.processes.broker"
 """Module of the embedded broker; its arguments are its listeners."""
 
 PATIENCE_s = 20.0
@@ -159,7 +221,7 @@ class Household:
 
 
 def _leashed(module: str, arguments: Sequence[str]) -> list[str]:
-    leashed = [sys.executable, "-I", "-S", leash.__file__, str(os.getpid())]
+    leashed = [sys.executable, "-I", "-S", tether.__file__, str(os.getpid())]
     return [*leashed, sys.executable, "-m", module, *arguments]
 
 
