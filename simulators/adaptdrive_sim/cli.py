@@ -11,8 +11,7 @@ from cyclopts import App, Parameter
 import adaptdrive
 from adaptdrive.cli import carry_out
 from adaptdrive.cli.commands import understood
-from adaptdrive.cli.contact import DriveName
-from adaptdrive.cli.options import Integer
+from adaptdrive.cli.options import DriveName, Integer
 from adaptdrive.cli.standard_files import FAILED, complain
 from adaptdrive_sim.demo.settings import DemoSettings
 from adaptdrive_sim.device_settings import DeviceSettings, parse_address

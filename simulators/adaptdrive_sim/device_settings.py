@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from adaptdrive.cli.contact import read_address
-from adaptdrive.cli.options import Integer
+from adaptdrive.cli.options import Integer, read_address
 from adaptdrive.config.services import Mqtt
 from adaptdrive.util.errors import RefusedError
 

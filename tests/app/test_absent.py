@@ -7,9 +7,8 @@ import math
 import pytest
 
 from adaptdrive.app.advice import advice
-from adaptdrive.app.interlocks import trip_limits
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings
+from adaptdrive.app.settings import controller_settings, trip_limits
 from adaptdrive.config.drive import DriveLimits
 from adaptdrive.config.root import consistency_flaws
 from adaptdrive.control.controller import Controller

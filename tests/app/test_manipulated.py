@@ -14,10 +14,8 @@ from rich.console import Console
 
 from adaptdrive.app.advice import advice
 from adaptdrive.app.examine import examine_text
-from adaptdrive.app.interlocks import trip_limits
 from adaptdrive.app.ports import build_port, bus_kind
-from adaptdrive.app.profile import operator_profile
-from adaptdrive.app.settings import daemon_settings
+from adaptdrive.app.settings import daemon_settings, operator_profile, trip_limits
 from adaptdrive.cli.display import describe
 from adaptdrive.config import Configuration
 from adaptdrive.control.reach import Reach

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.output import LINES_HELD
+from adaptdrive.app.run import LINES_HELD
 
 pytestmark = pytest.mark.usefixtures("outside")
 
@@ -18,7 +18,7 @@ LINES = 3000
 PROGRAM = f"""
 import sys
 from pathlib import Path
-from adaptdrive.app.output import unblocked_output
+from adaptdrive.app.run import unblocked_output
 with unblocked_output():
     for number in range({LINES}):
         print('{{"number": %d}}' % number, file=sys.stderr)

@@ -12,8 +12,7 @@ import pytest
 from adaptdrive.app.check_report import pole_line, sound_report
 from adaptdrive.app.examine import implausible
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.profile import operator_profile
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.recording.replay import reconfigured

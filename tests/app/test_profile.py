@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive import __version__
-from adaptdrive.app.profile import operator_profile
+from adaptdrive.app.settings import operator_profile
 from adaptdrive.config.file import load_configuration
 from adaptdrive.mqtt.contract import Output
 

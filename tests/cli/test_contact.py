@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.cli.contact import Contact
+from adaptdrive.cli.options import Contact
 from adaptdrive.util.errors import ConfigurationError
 from tests.scenes.system.site import motor_configuration
 

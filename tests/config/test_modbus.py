@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from adaptdrive.config.modbus import ModbusRtu
+from adaptdrive.config.polled import ModbusRtu
 from tests.config import documents
 from tests.config.modbus_documents import parse
 

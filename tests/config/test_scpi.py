@@ -11,8 +11,8 @@ import pytest
 
 from adaptdrive.app.examine import examine_text
 from adaptdrive.config.bus import Signals
+from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.config.references import scpi_flaws
-from adaptdrive.config.scpi import ScpiBus, ScpiValue
 from adaptdrive.devices.polled.mapping import map_drive
 from adaptdrive.util.errors import ConfigurationError
 

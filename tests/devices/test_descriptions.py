@@ -14,7 +14,7 @@ from adaptdrive.app.starter import device_names, of_device
 from adaptdrive.cli import main
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.config.modbus import ModbusRtu
+from adaptdrive.config.polled import ModbusRtu
 from adaptdrive.util.errors import ConfigurationError
 from tests.devices.described import DEVICES, NAMES
 

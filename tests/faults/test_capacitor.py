@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.app.capacitor_faults import highest_voltages
-from adaptdrive.app.interlocks import capacitor_limits
+from adaptdrive.app.settings import capacitor_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State

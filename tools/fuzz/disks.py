@@ -10,14 +10,8 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.app.checkpoint import (
-    Learnt,
-    checkpoint_record,
-    configuration_key,
-)
-from adaptdrive.app.checkpoint import (
-    recall as recall_checkpoint,
-)
+from adaptdrive.app.learned_state import Learnt, checkpoint_record, configuration_key
+from adaptdrive.app.learned_state import recall as recall_checkpoint
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, load_configuration

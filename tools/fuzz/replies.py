@@ -9,7 +9,7 @@ from collections import Counter
 from crccheck.crc import CrcModbus
 
 from adaptdrive.config import load_configuration
-from adaptdrive.config.modbus import RtuLink, TcpLink
+from adaptdrive.config.polled import RtuLink, TcpLink
 from adaptdrive.devices.modbus.frames import TcpFrames, request
 from adaptdrive.devices.modbus.link import ModbusConnection
 from adaptdrive.devices.polled.capacity import Block, Exchange

@@ -11,7 +11,7 @@ from canopen.sdo.client import SdoClient
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, CanOpenBus
-from adaptdrive.config.modbus import ModbusTcp, Register
+from adaptdrive.config.polled import ModbusTcp, Register
 from adaptdrive.devices.can.codec import Decoded, MessageCodec
 from adaptdrive.devices.can.database import read_dbc
 from adaptdrive.devices.can.integrity import FrameVerdict

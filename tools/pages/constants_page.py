@@ -39,6 +39,8 @@ _UNITS = {
     "PRIOR_SHARE": "1",
     "RARER": "log odds",
     "_NEAR_LIMIT": "1",
+    "_POWER_FACTOR": "1",
+    "_BELOW_RANGE": "1",
     "_ABOVE": "1",
     "_STEP": "1",
     "HALF_DELAYS": "1",

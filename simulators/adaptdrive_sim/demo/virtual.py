@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import msgspec
 
-from adaptdrive.app.profile import operator_profile
+from adaptdrive.app.settings import operator_profile
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.mqtt import contract

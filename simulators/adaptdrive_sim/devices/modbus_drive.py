@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from pymodbus.constants import ExcCodes
 
 from adaptdrive.config.bus import Signals
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.config.polled import ModbusRtu, ModbusTcp
 from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import quantities_of

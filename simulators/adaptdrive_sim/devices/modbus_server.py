@@ -12,7 +12,7 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from adaptdrive.config.modbus import RtuLink, TcpLink
+from adaptdrive.config.polled import RtuLink, TcpLink
 from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.pty_cable import pty_cable

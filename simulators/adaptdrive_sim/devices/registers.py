@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from adaptdrive.config.bus import COMMANDED, MEASURED, Signals, SignalSource
-from adaptdrive.config.modbus import ModbusBus, Register
+from adaptdrive.config.polled import ModbusBus, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.field import Field, Raw
 from adaptdrive.devices.polled.codec import decode_value, encode_count, encode_value, register_field

@@ -13,7 +13,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Mapping
 
 from adaptdrive.config.bus import Signals
-from adaptdrive.config.scpi import ScpiBus, ScpiValue
+from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.devices.scpi.port import describe_supply
 from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive

@@ -9,9 +9,8 @@ from typing import Any
 
 from adaptdrive.app.advice import advice
 from adaptdrive.app.capacitor_faults import highest_voltages
-from adaptdrive.app.interlocks import capacitor_limits, response_limits
 from adaptdrive.app.ports import bus_kind
-from adaptdrive.app.settings import daemon_settings, tick_s
+from adaptdrive.app.settings import capacitor_limits, daemon_settings, response_limits, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.devices.bus_kind import Row
 from adaptdrive.runtime.interlocks import WINDOW_S

@@ -13,8 +13,7 @@ from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import Findings, added, find_flaws, read_text
 from adaptdrive.config.load import AnyLoad, BatterySection
-from adaptdrive.config.modbus import ModbusBus
-from adaptdrive.config.scpi import ScpiBus
+from adaptdrive.config.polled import ModbusBus, ScpiBus
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.reach import nominal_reach

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from adaptdrive.app.ports import bus_kind
 from adaptdrive.config import Configuration
-from adaptdrive.config.modbus import RtuLink
+from adaptdrive.config.polled import RtuLink
 from adaptdrive.util.errors import AdaptdriveError
 
 NAMESPACE = "ADAPTDRIVE_LOCK_NAMESPACE"

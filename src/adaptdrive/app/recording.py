@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from adaptdrive import __version__
-from adaptdrive.app.checkpoint import Learnt
+from adaptdrive.app.learned_state import Learnt
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit

@@ -1,16 +1,26 @@
-"""Settings of controller and runtime, made from the configuration."""
+"""Settings of controller, runtime and interlocks, made from the configuration."""
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
-from adaptdrive.app.interlocks import capacitor_limits, trip_limits, watches
+from adaptdrive import __version__
 from adaptdrive.app.loads import alike, build_load, pole_range, short_lag_s
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
+from adaptdrive.config.load import (
+    ERROR_SHARE,
+    FORGETTING,
+    NOISE_SHARE,
+    BatterySection,
+    MotorSection,
+)
+from adaptdrive.config.supply import absent_names, moved_inputs
 from adaptdrive.control.evidence import NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
-from adaptdrive.control.load import to_input
+from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.reach import nominal_reach
 from adaptdrive.control.settings import (
@@ -21,11 +31,124 @@ from adaptdrive.control.settings import (
     Probing,
     Rates,
 )
+from adaptdrive.control.signals import Mode
 from adaptdrive.control.voltage_loop import LAG_TICKS
+from adaptdrive.mqtt.contract import Output, Profile
+from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.guard import CommandLimits
+from adaptdrive.runtime.interlocks import Limits, Watch
 from adaptdrive.runtime.limits import MachineLimits
 from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
+from adaptdrive.runtime.plausibility import (
+    Response,
+    ResponseLimits,
+    StillnessLimits,
+    StillnessWatch,
+)
+
+# The interlocks that a configuration asks for: trip levels, and watches over the output.
+
+_POWER_FACTOR = 2.0
+"""A power is measured, and half of it at most is lost on the way to the load."""
+
+_BELOW_RANGE = 0.25
+"""Noise of 5 % and the overshoot of a step downwards stay above."""
+
+
+def trip_limits(configuration: Configuration) -> Limits:
+    """Return the levels at which a single reading trips the drive."""
+    sections = configuration.interlocks, configuration.load, configuration.drive
+    return Limits(
+        **alike(Limits, *sections, but=("output_min",)),
+        output_min=_output_min(configuration),
+        absent=absent_names(configuration),
+    )
+
+
+def capacitor_limits(configuration: Configuration) -> CapacitorLimits | None:
+    """Return the boost capacitor that the daemon charges, None where the drive does by itself."""
+    drive = configuration.drive
+    if configuration.voltage_loop.where == "drive":
+        return None
+    return CapacitorLimits(
+        capacitance_F=drive.boost_capacitance_F,
+        highest_V=configuration.interlocks.boost_voltage_max_V,
+        largest_W=drive.limits.current_scale_max_S * drive.line_voltage_V**2,
+    )
+
+
+def watches(configuration: Configuration) -> tuple[Callable[[], Watch], ...]:
+    """Return the factories of the watches over the output; a fast loop builds its own of each."""
+    return tuple(_watches(configuration))
+
+
+def _watches(configuration: Configuration) -> Iterator[Callable[[], Watch]]:
+    if (stillness := stillness_limits(configuration)) is not None:
+        yield functools.partial(StillnessWatch, stillness)
+    if (response := response_limits(configuration)) is not None:
+        yield functools.partial(Response, response)
+
+
+def _output_min(configuration: Configuration) -> float:
+    """Return the lowest output: below it is none that a load at rest or in control has."""
+    load, given = configuration.load, configuration.interlocks.output_min
+    if given is not None:
+        return given
+    return min(0.0, load.reference_min) - _BELOW_RANGE * (load.reference_max - load.reference_min)
+
+
+def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
+    """Return when the output is stuck, None for never."""
+    interlocks, section = configuration.interlocks, configuration.load
+    if not interlocks.stuck_distance and not interlocks.stuck_s:
+        return None
+    load = build_load(configuration)
+    distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
+    if section.traits.charges:  # takes no current at all below its own voltage
+        distance = 0.0
+    return StillnessLimits(
+        **alike(StillnessLimits, load, section),
+        lags_s=_lags_s(load),
+        distance=distance or math.inf,
+        longest_s=interlocks.stuck_s or math.inf,
+        inputs=moved_inputs("output", configuration.derived),
+    )
+
+
+def _lags_s(load: Load) -> tuple[float, ...]:
+    """Return equal time constants with the same sum as those of the load."""
+    return (load.lag_s / load.order,) * load.order
+
+
+def response_limits(configuration: Configuration) -> ResponseLimits | None:
+    """Return when the output is below what the load must give, None for never."""
+    factor, section = configuration.interlocks.response_factor, configuration.load
+    if not factor:
+        return None
+    load, highest_V = build_load(configuration), configuration.drive.limits.boost_reference_max_V
+    reference_range = section.reference_max - section.reference_min
+    limits = ResponseLimits(
+        **alike(ResponseLimits, load, section),
+        input_max=to_input(highest_V, load.input_gain, load.input_exponent),
+        lags_s=_lags_s(load),
+        factor=factor,
+        reference_range=reference_range,
+    )
+    if not isinstance(section, BatterySection):
+        return limits
+    ratio = section.model.turns_ratio
+    return replace(
+        limits,
+        gain=1.0 / ratio,
+        input_max=reference_range * ratio,
+        lags_s=(section.period_s,),  # a sensor's cycle is no longer
+        factor=min(factor, _POWER_FACTOR),
+        by_power=True,
+    )
+
+
+# Settings of controller and runtime, made from the configuration.
 
 _LOWEST_LINE = 0.5
 """Share of the nominal line voltage below which the voltage loop does not divide by it."""
@@ -245,4 +368,29 @@ def paper_learning(configuration: Configuration) -> Learning:
         dead_band=estimator.dead_band,
         initial_covariance=estimator.initial_covariance or PAPER_COVARIANCE,
         bias=load.traits.charges,
+    )
+
+
+# The names, units and limits of a drive that operators see.
+
+
+def operator_profile(configuration: Configuration) -> Profile:
+    """Return names, units and limits of a drive, which operators need in addition to its state."""
+    load, drive = configuration.load, configuration.drive.limits
+    trips, machine = trip_limits(configuration), daemon_settings(configuration).machine
+    return Profile(
+        drive=configuration.drive.name,
+        output=Output(load.output_name, load.output_unit),
+        manipulated=configuration.drive.given,
+        limits={
+            "setpoint": (load.reference_min, load.reference_max),
+            "output_trip": (trips.output_min, trips.output_max),
+            "pole": (machine.pole_min, machine.pole_max),
+            "period_s": (machine.period_min_s, None),
+            "boost_V": (drive.boost_reference_min_V, drive.boost_reference_max_V),
+            "boost_trip_V": (None, trips.boost_voltage_max_V),
+            "power_W": (None, drive.load_power_max_W),
+        },
+        modes=tuple(Mode),
+        version=__version__,
     )

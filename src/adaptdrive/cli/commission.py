@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from adaptdrive.cli.contact import Contact, DriveName
-from adaptdrive.cli.options import Flag, extra, refuse_unwritable
+from adaptdrive.cli.options import Contact, DriveName, Flag, extra, refuse_unwritable
 from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive.util.files import replace_result
 

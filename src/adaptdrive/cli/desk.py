@@ -16,8 +16,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from adaptdrive.cli.contact import Contact
-from adaptdrive.cli.options import Flag
+from adaptdrive.cli.options import Contact, Flag
 from adaptdrive.config import Configuration
 from adaptdrive.processes.owned import (
     BROKER,

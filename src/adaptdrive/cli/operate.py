@@ -14,9 +14,8 @@ from typing import Literal
 
 from msgspec.structs import asdict as asdict_of
 
-from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.display import describe, refusal_advice, site_table
-from adaptdrive.cli.options import Number
+from adaptdrive.cli.options import Contact, DriveName, Number
 from adaptdrive.cli.standard_files import UNUSABLE, discard_output
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 

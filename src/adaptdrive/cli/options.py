@@ -1,19 +1,24 @@
-"""Options that several commands have, what they refuse, and the form of what they print."""
+"""Options that several commands have: broker, login, form of the output; what they refuse."""
 
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 from cyclopts import Parameter, Token, convert
 
+from adaptdrive.config.services import Mqtt, check_host
 from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive.util.files import directory_flaw
+
+# Options that several commands have, what they refuse, and the form of what they print.
 
 
 def _check_finite(_: object, number: float | None) -> None:
@@ -69,3 +74,124 @@ def refuse_unwritable(folder: Path) -> None:
     """
     if (flaw := directory_flaw(folder)) is not None:
         raise ConfigurationError("--into", [Flaw(str(folder), f"cannot be written: {flaw}")])
+
+
+# Options of all operator commands: address of the broker, login, form of the output.
+
+_ADDRESS = re.compile(r"(?P<host>\[[^\]]+\]|[^:\[\]/\s]+)(:(?P<port>\d{1,5}))?")
+_DRIVE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,63}")
+_LONGEST_WAIT_S = 86_400.0
+_LONGEST_USER = 4096
+_PORT, _TLS_PORT, _HIGHEST_PORT = 1883, 8883, 65535
+
+
+def read_address(text: str, port: int = _PORT) -> tuple[str, int]:
+    """Return host and port of a broker.
+
+    Args:
+        text: HOST or HOST:PORT; an IPv6 address stands in brackets.
+        port: The port where none is named.
+
+    Raises:
+        ValueError: It is no such thing.
+    """
+    match = _ADDRESS.fullmatch(text)
+    number = int(match["port"] or port) if match is not None else 0
+    if match is None or not 1 <= number <= _HIGHEST_PORT:
+        raise ValueError("A broker is given as HOST or HOST:PORT.")
+    return check_host(match["host"].strip("[]")), number
+
+
+def _check_address(_: object, text: str | None) -> None:
+    if text is not None:
+        read_address(text)
+
+
+def _check_drive(_: object, name: str) -> None:
+    if _DRIVE.fullmatch(name) is None:
+        raise ValueError(
+            "The name of a drive has 1 to 64 letters, digits, '-' and '_', no '-' first."
+        )
+
+
+def _check_timeout(_: object, timeout: float) -> None:
+    if not 0.0 < timeout <= _LONGEST_WAIT_S:
+        raise ValueError(f"A timeout is above 0 and at most {_LONGEST_WAIT_S:g} seconds.")
+
+
+def _check_user(_: object, name: str | None) -> None:
+    if name is not None and (len(name) > _LONGEST_USER or not name.isprintable()):
+        raise ValueError(f"A user name has at most {_LONGEST_USER} letters, all printable.")
+
+
+def _check_authority(_: object, contact: Contact | None) -> None:
+    if contact is not None and contact.ca_file is not None and not contact.tls:
+        raise ValueError(
+            "--ca-file (ADAPTDRIVE_CA_FILE) without --tls (ADAPTDRIVE_TLS): the password would go "
+            "over the wire in clear; add --tls."
+        )
+
+
+def _configured(path: Path) -> Mqtt:
+    from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - few commands need it
+
+    return load_configuration(path).mqtt
+
+
+DriveName = Annotated[str, Parameter(validator=_check_drive)]
+
+
+@Parameter(name="*", validator=_check_authority)
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Address of the broker, time-out and form of the output.
+
+    Each option of the broker and the login also comes from the environment.
+
+    Attributes:
+        broker: Broker as HOST or HOST:PORT; 127.0.0.1:1883 when left out.
+        config: Configuration of a daemon, whose broker, `tls` and `ca_file` are used where these
+            options leave them out; its user, the drive, is not used.
+        timeout: Seconds to wait for the answer.
+        as_json: Print JSON.
+        username: User name at the broker.
+        password_file: File that holds the password.
+        tls: Encrypt by TLS.
+        ca_file: Certificate authority for TLS.
+    """
+
+    broker: Annotated[
+        str | None, Parameter(validator=_check_address, env_var="ADAPTDRIVE_BROKER")
+    ] = None
+    config: Path | None = None
+    timeout: Annotated[float, Parameter(validator=_check_timeout)] = 5.0
+    username: Annotated[
+        str | None, Parameter(validator=_check_user, env_var="ADAPTDRIVE_USERNAME")
+    ] = None
+    password_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_PASSWORD_FILE")] = None
+    tls: Annotated[bool, Parameter(env_var="ADAPTDRIVE_TLS")] = False
+    ca_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_CA_FILE")] = None
+    as_json: Json = False
+
+    @property
+    def settings(self) -> Mqtt:
+        """The broker, in the words of the configuration.
+
+        Raises:
+            ConfigurationError: The configuration cannot be used.
+        """
+        known = Mqtt() if self.config is None else _configured(self.config)
+        tls = self.tls or (known.tls and self.broker is None)
+        host, port = known.host, known.port
+        if self.broker is not None:
+            host, port = read_address(self.broker, _TLS_PORT if tls else _PORT)
+        elif self.config is None and tls:
+            port = _TLS_PORT
+        return Mqtt(
+            host=host,
+            port=port,
+            tls=tls,
+            ca_file=self.ca_file or (known.ca_file if tls else None),
+            username=self.username,
+            password_file=self.password_file,
+        )

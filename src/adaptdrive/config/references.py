@@ -12,8 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from adaptdrive.config.bus import COMMANDED, CanBus, CanOpenBus, PolledBus, Signals
-from adaptdrive.config.modbus import ModbusBus, Register
-from adaptdrive.config.scpi import ScpiBus
+from adaptdrive.config.polled import ModbusBus, Register, ScpiBus
 from adaptdrive.config.section import misfit
 from adaptdrive.config.timing import LATE_READINGS
 from adaptdrive.util.errors import Flaw

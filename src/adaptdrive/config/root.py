@@ -18,9 +18,8 @@ from adaptdrive.config.load import (
     SimulatorSection,
     Supervisor,
 )
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.config.polled import ModbusRtu, ModbusTcp, ScpiBus
 from adaptdrive.config.references import pace_flaws, reference_flaws
-from adaptdrive.config.scpi import ScpiBus
 from adaptdrive.config.section import Section, misfit
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording

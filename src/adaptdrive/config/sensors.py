@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from adaptdrive.config.bus import CanDescription, Quantity
-from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
+from adaptdrive.config.polled import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.references import map_flaws, unknown_flaws
 from adaptdrive.config.section import PositiveFloat, Section, key, misfit
 from adaptdrive.util.errors import Flaw

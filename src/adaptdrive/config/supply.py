@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from adaptdrive.config.bus import MEASURED, WORDS
-from adaptdrive.config.modbus import ModbusLink, RtuLink
+from adaptdrive.config.polled import ModbusLink, RtuLink
 from adaptdrive.config.section import misfit
 from adaptdrive.config.units import WANTED, Converted, stated_problem
 from adaptdrive.util.errors import Flaw

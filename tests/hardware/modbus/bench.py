@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from crccheck.crc import CrcModbus
 
 from adaptdrive.app.ports import build_port
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.config.polled import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.modbus.port import ModbusPort
 from adaptdrive.devices.polled.mapping import Poll, map_drive

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.client.mixin import ModbusClientMixin
 
-from adaptdrive.config.modbus import Register, RegisterRange
+from adaptdrive.config.polled import Register, RegisterRange
 from adaptdrive.devices.polled.codec import decode_value, encode_count, encode_value
 
 TYPES = {

@@ -11,7 +11,7 @@ import pytest
 from adaptdrive.app.ports import build_whole_port
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.config.modbus import ModbusBus, ModbusRtu
+from adaptdrive.config.polled import ModbusBus, ModbusRtu
 from adaptdrive.config.supply import Derived
 from adaptdrive.devices.polled.capacity import (
     Exchange,

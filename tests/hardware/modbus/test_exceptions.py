@@ -6,7 +6,7 @@ import functools
 
 import pytest
 
-from adaptdrive.config.modbus import Register
+from adaptdrive.config.polled import Register
 from adaptdrive.devices.modbus.frames import explain_exception
 from adaptdrive.devices.polled.capacity import Block, Exchange, Table, plan_blocks
 from adaptdrive.runtime.trips import remedy

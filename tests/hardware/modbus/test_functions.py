@@ -13,7 +13,7 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from adaptdrive.config.modbus import ModbusTcp
+from adaptdrive.config.polled import ModbusTcp
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.modbus.frames import function_of
 from adaptdrive.devices.modbus.link import ModbusConnection

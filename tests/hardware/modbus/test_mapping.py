@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, Register
+from adaptdrive.config.polled import ModbusRtu, ModbusTcp, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.polled.capacity import (
     Block,

@@ -15,7 +15,7 @@ import pytest
 from adaptdrive.app.lock import lock_names
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import parse_configuration
-from adaptdrive.config.modbus import ModbusTcp
+from adaptdrive.config.polled import ModbusTcp
 from adaptdrive.devices.modbus.link import ModbusConnection
 from adaptdrive.devices.polled.link import Stream
 from adaptdrive.util.errors import BusError

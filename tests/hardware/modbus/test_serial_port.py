@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from serial import SerialException
 
-from adaptdrive.config.modbus import ModbusRtu
+from adaptdrive.config.polled import ModbusRtu
 from adaptdrive.devices.modbus import link
 from adaptdrive.devices.modbus.link import SerialPort
 from adaptdrive.devices.polled.link import Stream

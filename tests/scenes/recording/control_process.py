@@ -10,7 +10,7 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
-from adaptdrive.app.news import log_events
+from adaptdrive.app.reload import log_events
 from adaptdrive.recording.journal import Place, RecordingPace
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from pymodbus.framer import FramerRTU
 
-from adaptdrive.config.modbus import RtuLink, TcpLink
+from adaptdrive.config.polled import RtuLink, TcpLink
 from adaptdrive.devices.polled.capacity import Exchange
 
 _HEADER = struct.Struct(">HHHB")

@@ -23,7 +23,7 @@ from typing import Any
 from pymodbus.transport.serialtransport import SerialTransport
 from serial import SerialException
 
-from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
+from adaptdrive.config.polled import ModbusLink, RtuLink, TcpLink
 from adaptdrive.devices.modbus.frames import (
     SerialFrames,
     TcpFrames,

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import Signals
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
+from adaptdrive.config.polled import ModbusRtu, ModbusTcp, RtuLink
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.config.timing import LATE_READINGS, Timing
 from adaptdrive.devices.binding import Source, sensor_entries

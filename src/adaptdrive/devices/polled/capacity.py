@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from adaptdrive.config.modbus import ModbusLink, Register, RtuLink
+from adaptdrive.config.polled import ModbusLink, Register, RtuLink
 from adaptdrive.util.errors import Flaw
 
 Table = Literal["input", "holding", "coil", "discrete"]

@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Sequence
 
-from adaptdrive.config.modbus import Register
+from adaptdrive.config.polled import Register
 from adaptdrive.devices.binding import Use
 from adaptdrive.devices.field import Field, Raw, declared_limits, natural_limits, sensible_limits
 

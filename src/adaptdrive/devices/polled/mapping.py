@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CommandSwitch, Signals
-from adaptdrive.config.modbus import ModbusBus, Register
+from adaptdrive.config.polled import ModbusBus, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.binding import (
     BRIDGE,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 
-from adaptdrive.config.modbus import ModbusBus
+from adaptdrive.config.polled import ModbusBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.fault_reset import pulse_reset

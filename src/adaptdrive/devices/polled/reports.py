@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from adaptdrive.config.modbus import Heartbeat
+from adaptdrive.config.polled import Heartbeat
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.binding import BRIDGE, Source

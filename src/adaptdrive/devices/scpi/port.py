@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.scpi import ScpiBus, ScpiValue
+from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices.binding import Source
 from adaptdrive.devices.bus_kind import BusKind, bus_of, polled_cautions, tcp_locks
