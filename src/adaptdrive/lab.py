@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # they need libraries that `Drive` does without
     from adaptdrive.analysis.closed_loop import Plant
     from adaptdrive.analysis.record_load import RecordLoad
     from adaptdrive.analysis.simulation import Simulation
-    from adaptdrive.commission.report import Commissioned
+    from adaptdrive.commissioning.report import Commissioned
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +163,7 @@ def commission(
             the message.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.commission.virtual import commission_plant  # noqa: PLC0415 - see above
+    from adaptdrive.commissioning.virtual import commission_plant  # noqa: PLC0415 - see above
 
     return commission_plant(Path(config), plant, move, patience_s)
 

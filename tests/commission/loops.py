@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
-from adaptdrive.commission.proposal import propose
+from adaptdrive.commissioning.proposal import propose
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.design import compensator_gains, loop_delay_ticks, window_ticks
 from adaptdrive.control.discretise import held_model

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptdrive.commission.course import Phase
-from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.target import Target
+from adaptdrive.commissioning.course import Phase
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.target import Target
 from adaptdrive.util.errors import CommissionError
 from tests.commission.draws import KINDS, Rig, encoder_motor, finish
 from tests.commission.trials import BAND, trial, trial_of

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.guide import HOLD_S, Guide
-from adaptdrive.commission.readings import fast_readings
-from adaptdrive.commission.samples import Samples
-from adaptdrive.commission.target import build_target
+from adaptdrive.commissioning.client import HOLD_S, Guide, fast_readings
+from adaptdrive.commissioning.course import Samples
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.target import build_target
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import DriveStatus, NoAnswerError
@@ -103,9 +102,9 @@ def pretend(monkeypatch: pytest.MonkeyPatch) -> Pretend:
 
     def put(message: Callable[[float], dict[str, Any]]) -> PretendDrive:
         drive = PretendDrive(message)
-        monkeypatch.setattr("adaptdrive.commission.readings.telemetry", drive.telemetry)
+        monkeypatch.setattr("adaptdrive.commissioning.client.telemetry", drive.telemetry)
         for name in ("read_status", "send_command"):
-            monkeypatch.setattr(f"adaptdrive.commission.guide.{name}", getattr(drive, name))
+            monkeypatch.setattr(f"adaptdrive.commissioning.client.{name}", getattr(drive, name))
         return drive
 
     return put

@@ -6,9 +6,9 @@ import io
 
 from rich.console import Console
 
-from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.picture import Picture, screen
-from adaptdrive.commission.readings import FastReading
+from adaptdrive.commissioning.client import FastReading
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.picture import Picture, screen
 from tests.commission.test_experiment import SAMPLE_S, TARGET, lag
 
 

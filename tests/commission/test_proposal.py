@@ -9,11 +9,10 @@ import pytest
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
-from adaptdrive.commission.evaluate import evaluate
-from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.prediction import Prediction, predict, rest_voltage
-from adaptdrive.commission.proposal import Proposal, propose
-from adaptdrive.commission.samples import Samples
+from adaptdrive.commissioning.course import Samples
+from adaptdrive.commissioning.evaluation import Prediction, evaluate, predict, rest_voltage
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.pole_placement import closed_loop_polynomial

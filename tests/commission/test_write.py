@@ -18,10 +18,10 @@ import pytest
 from adaptdrive.analysis.steps import Quality
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
-from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
-from adaptdrive.commission.prediction import Prediction
-from adaptdrive.commission.report import Commissioned
-from adaptdrive.commission.run import alone, write
+from adaptdrive.commissioning.evaluation import Prediction
+from adaptdrive.commissioning.file import refuse_unwritable, with_values, write_values
+from adaptdrive.commissioning.report import Commissioned
+from adaptdrive.commissioning.run import alone, write
 from adaptdrive.config.services import Mqtt
 from adaptdrive.util.errors import CommissionError, ConfigurationError
 

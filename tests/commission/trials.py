@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.commission.evaluate import evaluate
-from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commissioning.evaluation import evaluate
+from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.util.errors import AdaptdriveError
 from tests.commission.draws import KINDS, Draw, Rig, finish
 from tests.commission.loops import Loop, loop_around

@@ -15,7 +15,7 @@ from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive.util.files import replace_result
 
 if TYPE_CHECKING:
-    from adaptdrive.commission.report import Commissioned
+    from adaptdrive.commissioning.report import Commissioned
 
 _HERE = Contact()
 _PLACES = (Path(), Path("/etc/adaptdrive"))
@@ -64,7 +64,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
     """
     path = _configuration(drive, config)
     with extra("analysis"):
-        from adaptdrive.commission import file, report, run  # noqa: PLC0415 - it is large
+        from adaptdrive.commissioning import file, report, run  # noqa: PLC0415 - it is large
     wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
     if not yes and not _agreed(run.announcement(wanted, drive)):
         return 1
@@ -91,7 +91,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
 
 def _write(path: Path, commissioned: Commissioned) -> str:
     """Write the settings; return the digest of the file."""
-    from adaptdrive.commission.run import write  # noqa: PLC0415 - it is large
+    from adaptdrive.commissioning.run import write  # noqa: PLC0415 - it is large
 
     backup, digest = write(path, commissioned)
     print(f"\n{path} is written, the old file is {backup}")
@@ -99,8 +99,8 @@ def _write(path: Path, commissioned: Commissioned) -> str:
 
 
 def _put_to_use(drive: str, commissioned: Commissioned, digest: str, contact: Contact) -> None:
-    from adaptdrive.commission.apply import put_to_use  # noqa: PLC0415 - it is large
-    from adaptdrive.commission.run import reached  # noqa: PLC0415
+    from adaptdrive.commissioning.file import put_to_use  # noqa: PLC0415 - it is large
+    from adaptdrive.commissioning.run import reached  # noqa: PLC0415
 
     setpoint, unit = reached(commissioned), commissioned.before.load.output_unit
     waited_s = asyncio.run(put_to_use(contact.settings, drive, digest, setpoint, contact.timeout))

@@ -1,13 +1,146 @@
-"""The search of an experiment for a step of V_c that moves the output visibly."""
+"""The experiment on an unknown load: from samples to the next V_c, without a model.
+
+1. At the lowest V_c the load comes to rest. A battery is raised until a current flows.
+2. V_c rises by a small step, which is doubled each time the load has come to rest, until the output
+   has moved by a visible share of the movement asked for. V_c goes back where a load that the
+   samples leave credible would lead the output to the edge of the band.
+3. A pseudo-random binary sequence switches V_c between rest and the step at which no credible load
+   moves the output further than was asked for. Its clock follows from the time that the load took.
+
+A load without overshoot stays within that movement. Time is that of the samples.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from adaptdrive.commission.bounds import Bounds
-from adaptdrive.commission.course import ExperimentCourse, Phase, Steps
-from adaptdrive.commission.rest import Rest, until_rest
+from adaptdrive.commissioning.bounds import Bounds
+from adaptdrive.commissioning.course import (
+    ExperimentCourse,
+    Outcome,
+    Phase,
+    Rest,
+    Steps,
+    find_onset,
+    until_rest,
+)
+from adaptdrive.commissioning.target import Target
 from adaptdrive.util.errors import CommissionError
+
+# The test of an experiment: V_c switches between two levels.
+
+_BAND = 0.5
+"""Distance beyond rest and movement that the test allows, as a share of the movement."""
+
+_DRIFTING_BAND = 2.5
+"""The same below the current of a battery, which falls while it is charged."""
+
+_DRIFTING_LEAST = 3.0
+"""Its bound whatever the noise: a mean below it ends the test."""
+
+_CLOCKS = (5.0, 15.0)
+"""Clocks of the slow and of the fast sequence in the time to rest."""
+
+_LONG = 2.0
+"""Length of the last two levels in times to rest."""
+
+_LOWERED = 0.7
+"""Ratio of the upper level to the one before that would have led to the edge."""
+
+_REPEATS = 2
+_ACCURACY = 0.005
+"""Relative standard deviation of the gain that the length of the test aims at."""
+
+_TAPS = (5, 3)
+_LENGTH = 2 ** _TAPS[0] - 1
+
+
+class Switching:
+    """V_c between rest and a level, in pseudo-random sequences."""
+
+    def __init__(self, course: ExperimentCourse, outcome: Outcome, bounds: Bounds) -> None:
+        """Take what the climb has found.
+
+        Args:
+            course: The experiment.
+            outcome: The two levels.
+            bounds: The credible loads.
+        """
+        self._course = course
+        self._outcome = outcome
+        self._bounds = bounds
+        self._high_V = outcome.high_V
+
+    def run(self) -> Steps[None]:
+        """Switch between the two levels; the output stays within its band."""
+        course, settling_s = self._course, self._outcome.settling_s
+        slow_s, fast_s = (settling_s / clocks for clocks in _CLOCKS)
+        sequence = [(level, clock_s) for clock_s in (slow_s, fast_s) for level in _sequence()]
+        duration_s = _LENGTH * (slow_s + fast_s)
+        repeats = max(_REPEATS, math.ceil(self._sufficient_s() / duration_s))
+        course.expect(repeats * duration_s + 2.0 * _LONG * settling_s)
+        for _ in range(repeats):
+            for level, clock_s in sequence:
+                yield from self._hold(clock_s, level=level)
+        for level in (True, False):
+            yield from self._hold(_LONG * settling_s, level=level)
+
+    def _hold(self, duration_s: float, *, level: bool) -> Steps[None]:
+        """Hold a level of the test, the upper or the lower one, for a time."""
+        course, low_V = self._course, self._outcome.low_V
+        course.voltage_V = self._high_V if level else low_V
+        until_s = course.time_s + duration_s
+        while course.time_s < until_s:
+            yield True
+            if not course.look_is_due():
+                continue
+            self._look_at_band()
+            if course.target.onset is None and self._bounds.heads_for_edge():
+                self._back_off()
+
+    def _back_off(self) -> None:
+        """Take V_c back until the next level, which is lower from now on."""
+        course, target, low_V = self._course, self._course.target, self._outcome.low_V
+        if course.voltage_V != low_V:
+            step = target.to_input(course.voltage_V) - target.to_input(low_V)
+            self._high_V = target.raised_V(low_V, _LOWERED * step)
+            course.voltage_V = low_V
+
+    def _look_at_band(self) -> None:
+        course, target, rest = self._course, self._course.target, self._outcome.rest
+        noise = course.margin(0.0)
+        fall = _BAND * target.move + noise
+        if target.onset is not None:
+            fall = min(_DRIFTING_BAND * target.move + noise, _DRIFTING_LEAST * target.move)
+        low = rest - fall
+        high = rest + (1.0 + _BAND) * target.move + noise
+        output = course.recent(course.smooth_s)
+        if not low <= output <= high:
+            raise CommissionError(
+                f"{target.name} = {output:.4g} {target.unit} left the band "
+                f"{low:.4g}…{high:.4g} {target.unit} of the test: the load has changed"
+            )
+
+    def _sufficient_s(self) -> float:
+        """Return the time in which the noise lets the gain be known to `_ACCURACY`."""
+        course, outcome = self._course, self._outcome
+        passed_s = course.time_s - outcome.began_s
+        count = course.record.count(outcome.began_s, course.time_s)
+        deviation = outcome.noise / (0.5 * _ACCURACY * course.target.move)
+        return 2.0 * deviation * deviation * passed_s / max(1, count)
+
+
+def _sequence() -> list[bool]:
+    """Return a maximum-length sequence of 31 levels (x⁵ + x³ + 1)."""
+    register, levels = [True] * _TAPS[0], []
+    for _ in range(_LENGTH):
+        levels.append(register[-1])
+        register = [register[_TAPS[0] - 1] ^ register[_TAPS[1] - 1], *register[:-1]]
+    return levels
+
+
+# The search of an experiment for a step of V_c that moves the output visibly.
 
 _FIRST_SHARE = 0.25
 """Share of the movement that the first step brings, if the guess of the gain is right."""
@@ -207,3 +340,72 @@ class Climb:
                 break
             elapsed_s = half_s
         return elapsed_s
+
+
+# The experiment on an unknown load: from samples to the next V_c, without a model.
+
+_LEAST_LEVEL = 0.5
+"""Least step of the test, over the one that would move the output by the movement asked for."""
+
+
+class LoadExperiment:
+    """An experiment that is fed with samples and returns V_c.
+
+    Attributes:
+        outcome: The result, None before the end of the climb.
+        course: Its samples, limits and phase, and the V_c that is asked for.
+    """
+
+    def __init__(self, target: Target) -> None:
+        self.outcome: Outcome | None = None
+        self.course = ExperimentCourse(target)
+        self._steps = self._run()
+
+    def take(self, time_s: float, boost_voltage_V: float, output: float) -> float:
+        """Take a sample and return V_c.
+
+        Args:
+            time_s: Its time.
+            boost_voltage_V: Boost voltage.
+            output: Output.
+
+        Raises:
+            CommissionError: The experiment cannot continue; V_c must go to the safe state.
+        """
+        self.course.append(time_s, boost_voltage_V, output)
+        if not self.done and next(self._steps, None) is None:
+            self.course.phase = Phase.DONE
+        return self.course.voltage_V
+
+    @property
+    def done(self) -> bool:
+        """True when the test is complete."""
+        return self.course.phase is Phase.DONE
+
+    def _run(self) -> Steps[None]:
+        """Run all phases, one step for each sample."""
+        course = self.course
+        base_V, rest = course.target.low_V, Rest()
+        if course.target.onset is not None:
+            course.phase = Phase.ONSET
+            base_V = yield from find_onset(course)
+        yield from until_rest(course, rest)
+        began_s, climb = course.time_s, Climb(course, base_V, rest)
+        summit = yield from climb.run()
+        self.outcome = _judge(course, base_V, summit, began_s, climb.bounds.gain)
+        course.phase = Phase.TEST
+        yield from Switching(course, self.outcome, climb.bounds).run()
+
+
+def _judge(
+    course: ExperimentCourse, base_V: float, summit: Summit, began_s: float, largest_gain: float
+) -> Outcome:
+    """Choose the level at which no credible load moves the output further than was asked for."""
+    target, moved = course.target, summit.moved
+    gain = moved / (target.to_input(summit.voltage_V) - target.to_input(base_V))
+    if target.onset is None:
+        gain = min(max(gain, largest_gain), gain / _LEAST_LEVEL)
+    high_V = target.raised_V(base_V, target.move / gain)
+    course.look_at_terminals(high_V, summit.rest + target.move)
+    noise = course.record.noise(began_s, course.time_s)
+    return Outcome(base_V, high_V, summit.rest, moved, gain, summit.settling_s, noise, began_s)

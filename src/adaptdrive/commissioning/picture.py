@@ -15,11 +15,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.commission.course import Phase
-from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.guide import Guide
-from adaptdrive.commission.readings import FastReading
-from adaptdrive.commission.target import Target
+from adaptdrive.commissioning.client import FastReading, Guide
+from adaptdrive.commissioning.course import Phase
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.target import Target
 from adaptdrive.tui.keys import QUIT, pressed_keys
 from adaptdrive.tui.plot import Mark, PlotPoint, plot
 from adaptdrive.tui.terminal import draw, ended_once, tell

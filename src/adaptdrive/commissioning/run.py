@@ -10,13 +10,13 @@ from pathlib import Path
 
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.lock import LockedError, locked
-from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.file import with_values, write_values
-from adaptdrive.commission.guide import HOLD_S, Guide
-from adaptdrive.commission.picture import Picture, carry_out
-from adaptdrive.commission.report import Commissioned, judged
-from adaptdrive.commission.sensor import judge_sensor
-from adaptdrive.commission.target import build_target
+from adaptdrive.commissioning.client import HOLD_S, Guide
+from adaptdrive.commissioning.evaluation import judge_sensor
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.file import with_values, write_values
+from adaptdrive.commissioning.picture import Picture, carry_out
+from adaptdrive.commissioning.report import Commissioned, judged
+from adaptdrive.commissioning.target import build_target
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.services import Mqtt

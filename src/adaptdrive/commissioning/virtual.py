@@ -8,11 +8,11 @@ from pathlib import Path
 from adaptdrive.analysis.closed_loop import Plant, advanced, at_own_step
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.settings import tick_s
-from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.report import Commissioned, judged
-from adaptdrive.commission.samples import Samples
-from adaptdrive.commission.sensor import judge_sensor
-from adaptdrive.commission.target import build_target
+from adaptdrive.commissioning.course import Samples
+from adaptdrive.commissioning.evaluation import judge_sensor
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.report import Commissioned, judged
+from adaptdrive.commissioning.target import build_target
 from adaptdrive.config.file import read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.util.errors import CommissionError

@@ -13,12 +13,16 @@ from adaptdrive.analysis import style
 from adaptdrive.analysis.figure import as_png
 from adaptdrive.analysis.load_report import checks, warnings
 from adaptdrive.app.loads import build_load, candidate_loads
-from adaptdrive.commission.course import Outcome
-from adaptdrive.commission.evaluate import evaluate
-from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.prediction import Prediction, predict, rest_voltage
-from adaptdrive.commission.proposal import Proposal, propose
-from adaptdrive.commission.sensor import SensorState
+from adaptdrive.commissioning.course import Outcome
+from adaptdrive.commissioning.evaluation import (
+    Prediction,
+    SensorState,
+    evaluate,
+    predict,
+    rest_voltage,
+)
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.config.root import Configuration
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.util.errors import CommissionError

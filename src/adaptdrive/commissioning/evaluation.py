@@ -1,0 +1,277 @@
+"""The load that an experiment shows, its sensor at rest, and the response that follows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.analysis.closed_loop import LoopStart, run_loop
+from adaptdrive.analysis.identified_plant import IdentifiedPlant
+from adaptdrive.analysis.steps import Quality, period_means, quality_of
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import tick_s
+from adaptdrive.commissioning.course import Outcome, Samples
+from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.config.root import Configuration
+from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.signals import Mode, Order, Stage
+from adaptdrive.identification.excerpt import Excerpt
+from adaptdrive.identification.identify import identify, identify_any
+from adaptdrive.identification.result import IdentifiedLoad
+from adaptdrive.util.errors import CommissionError
+
+# The load that an experiment shows.
+
+_BLOCKS_TO_REST = 60
+"""Blocks in the time to rest: a time constant has about fifteen."""
+
+_MOST_BLOCKS = 4000
+_LARGEST_DEVIATION = 0.5
+"""Largest standard deviation of a parameter, relative to it."""
+
+_SHORT_LAG = 0.05
+"""Second lag over the sum of both that is shorter than a slow period, and so counts as none."""
+
+_LONGEST_DELAY = 1
+"""Longest dead time in samples: a tenth of a second is longer than any bus takes."""
+
+
+def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> IdentifiedLoad:
+    """Identify the load from the samples of an experiment.
+
+    Args:
+        experiment: One that is complete.
+        loads: Structure and input map of the load; of several, which have any dead time, the one
+            that the samples show.
+
+    Raises:
+        CommissionError: It is not complete, or leaves a parameter open.
+        IdentificationError: The samples do not determine the load.
+    """
+    outcome = experiment.outcome
+    if outcome is None:
+        raise CommissionError("the experiment is not complete")
+    excerpt = resampled(experiment.course.record, outcome.began_s)
+    block = _block(outcome, excerpt)
+    if len(loads) > 1:
+        found = identify_any([excerpt], loads, block=block)
+    else:
+        found = identify([excerpt], loads[0], block=block, longest_delay=_LONGEST_DELAY)
+    for name, one in found.parameters.items():
+        if not _determined(name, found):
+            raise CommissionError(
+                f"the test does not determine {name} = {one.value:.4g} ± {one.std:.2g}: ask for a "
+                "larger movement, or a longer wait"
+            )
+    return found
+
+
+def _determined(name: str, found: IdentifiedLoad) -> bool:
+    """Return whether a parameter is known well enough to control the load with it.
+
+    The product of two lags vanishes where the load has a single one. It is then known where the
+    second lag, which is the product over the sum, is shorter than a slow period two deviations up.
+    """
+    one = found.parameters[name]
+    if one.value > 0.0 and one.std <= _LARGEST_DEVIATION * one.value:
+        return True
+    if name != "tau_product_s2":
+        return False
+    return one.value + 2.0 * one.std <= _SHORT_LAG * found.parameters["tau_sum_s"].value ** 2
+
+
+def resampled(record: Samples, from_s: float) -> Excerpt:
+    """Return the samples of a record from a time on, at a constant rate.
+
+    Args:
+        record: Samples at increasing times.
+        from_s: First time.
+    """
+    times_s = np.array(record.times_s)
+    first = int(np.searchsorted(times_s, from_s))
+    times_s = times_s[first:]
+    period_s = float(np.median(np.diff(times_s)))
+    even_s = np.arange(times_s[0], times_s[-1], period_s)
+    voltages_V = np.interp(even_s, times_s, np.array(record.voltages_V[first:]))
+    outputs = np.interp(even_s, times_s, np.array(record.outputs[first:]))
+    return Excerpt(voltages_V, outputs, period_s)
+
+
+def _block(outcome: Outcome, excerpt: Excerpt) -> int:
+    wanted = outcome.settling_s / _BLOCKS_TO_REST / excerpt.period_s
+    fewest = math.ceil(len(excerpt.output) / _MOST_BLOCKS)
+    return max(1, fewest, math.floor(wanted))
+
+
+# State of the output's sensor while the drive is off.
+
+_NOISE_SHARE = 1.0
+"""Noise of one sample over the movement, above which the movement is hidden."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorState:
+    """A sensor at rest.
+
+    Attributes:
+        mean: Mean output.
+        noise: Standard deviation of one sample.
+        resolution: Smallest difference of two samples; 0 where all were the same.
+        count: Samples.
+    """
+
+    mean: float
+    noise: float
+    resolution: float
+    count: int
+
+
+def judge_sensor(samples: Samples, configuration: Configuration, move: float) -> SensorState:
+    """Return the state of the sensor.
+
+    Args:
+        samples: Samples while the drive was off.
+        configuration: Limits of the output.
+        move: Movement that the experiment aims at.
+
+    Raises:
+        CommissionError: The experiment would not see the load.
+    """
+    first, last = samples.times_s[0] - 1.0, samples.times_s[-1]
+    state = SensorState(
+        mean=samples.mean(first, last),
+        noise=samples.noise(first, last),
+        resolution=samples.resolution(),
+        count=len(samples.outputs),
+    )
+    section = configuration.load
+    about = f"{section.output_name} = {state.mean:.4g} {section.output_unit}"
+    if state.mean > section.reference_max:
+        raise CommissionError(
+            f"{about} while the drive is off is above load.reference_max = "
+            f"{section.reference_max:g} {section.output_unit}: compare its scale and offset"
+        )
+    if max(state.noise, state.resolution) > _NOISE_SHARE * move:
+        raise CommissionError(
+            f"noise {state.noise:.3g} and resolution {state.resolution:.3g} of the sensor hide a "
+            f"movement of {move:.3g} {section.output_unit}: ask for a larger one with --move"
+        )
+    return state
+
+
+# Predicted response of the proposed loop: the daemon's controller on the identified load.
+
+Array = NDArray[np.float64]
+
+_PERIODS_BEFORE, _PERIODS_AFTER = 10, 60
+_SETTLED = 10.0
+"""Slow periods after the step over the time constant of the pole, 1 / (1 - pole), at least."""
+
+_UNSEEN = 0.01
+"""Overshoot, as a share of the step, that no present settings are compared with."""
+
+_POWER_SHARE = 0.5
+"""Power of the load at the highest V_c over the largest power of the drive."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Response to one step of the set-point, as means over slow periods.
+
+    Attributes:
+        time_s: Middle of each slow period, from the step on.
+        output: Output.
+        boost_voltage_V: v_bst.
+        quality: Overshoot, settling, effort.
+        fault: Cause that ended it early, empty for none.
+    """
+
+    time_s: Array
+    output: Array
+    boost_voltage_V: Array
+    quality: Quality
+    fault: str = ""
+
+    def refusal(self, present: Prediction) -> str:
+        """Return why the settings are not to be put to use, empty where they are.
+
+        Args:
+            present: The prediction with the settings in force.
+        """
+        overshoot, settling_s = self.quality.overshoot, self.quality.settling_s
+        if self.fault:
+            return f"the predicted loop trips: {self.fault}"
+        shown = f"predicted overshoot {100.0 * overshoot:.1f} %"
+        if not (math.isfinite(overshoot) and math.isfinite(settling_s)):
+            return f"the loop does not settle: {shown}, settling {settling_s:.4g} s"
+        before = present.quality.overshoot
+        if overshoot > _UNSEEN and overshoot > before:
+            return f"{shown}, with the present settings {100.0 * before:.1f} %"
+        return ""
+
+
+def predict(
+    identified: IdentifiedLoad, configuration: Configuration, rest_V: float, move: float
+) -> Prediction:
+    """Run the fixed controller on the identified load over a step of the set-point.
+
+    Args:
+        identified: The load.
+        configuration: The proposed settings.
+        rest_V: Boost voltage before the step.
+        move: Size of the step.
+    """
+    load, section = build_load(configuration), configuration.load
+    gain = identified.numerator[-1] / identified.denominator[-1]
+    fed = to_input(rest_V, load.input_gain, load.input_exponent)
+    rest = gain * (fed + identified.input_offset.value)
+    samples = configuration.ticks_per_period // configuration.bus.ticks_per_reading
+    first = _PERIODS_BEFORE * samples
+
+    def order(number: int) -> Order:
+        reference = rest if number < first else rest + move
+        return Order(Stage.RUN, reference, Mode.FIXED, section.pole)
+
+    after = max(_PERIODS_AFTER, math.ceil(_SETTLED / (1.0 - section.pole)))
+    count = (_PERIODS_BEFORE + after) * samples
+    period_s = tick_s(configuration) * configuration.bus.ticks_per_reading
+    plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), _power(configuration))
+    record = run_loop(configuration, plant, order, count, LoopStart(boost_voltage_V=rest_V))
+    output = period_means(np.array(record.output), samples)
+    volts = period_means(np.array(record.boost_voltage_V), samples)
+    reference = np.where(np.arange(len(output)) < _PERIODS_BEFORE, rest, rest + move)
+    span = section.reference_max - section.reference_min
+    return Prediction(
+        time_s=np.array(
+            [(k + 0.5 - _PERIODS_BEFORE) * section.period_s for k in range(len(output))]
+        ),
+        output=output,
+        boost_voltage_V=volts,
+        quality=quality_of(reference, output, volts, section.period_s, span),
+        fault=record.fault,
+    )
+
+
+def _power(configuration: Configuration) -> Array:
+    """Return the factors of v², v and v·y in the power of the load."""
+    limits = configuration.drive.limits
+    return np.array(
+        [_POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2, 0.0, 0.0]
+    )
+
+
+def rest_voltage(outcome_low_V: float, outcome_high_V: float, load: Load) -> float:
+    """Return the voltage in the middle between both levels of the test.
+
+    Args:
+        outcome_low_V: V_c at rest.
+        outcome_high_V: The other level.
+        load: Input map.
+    """
+    gain, exponent = load.input_gain, load.input_exponent
+    ends = [to_input(one, gain, exponent) for one in (outcome_low_V, outcome_high_V)]
+    return to_voltage(0.5 * sum(ends), gain, exponent)
