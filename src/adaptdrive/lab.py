@@ -19,9 +19,8 @@ from adaptdrive.recording.session import SessionInfo
 from adaptdrive.util.errors import RefusedError
 
 if TYPE_CHECKING:  # they need libraries that `Drive` does without
-    from adaptdrive.analysis.closed_loop import Plant
+    from adaptdrive.analysis.closed_loop import Plant, Simulation
     from adaptdrive.analysis.record_load import RecordLoad
-    from adaptdrive.analysis.simulation import Simulation
     from adaptdrive.commissioning.report import Commissioned
 
 
@@ -62,7 +61,7 @@ def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars
             the tables of its events and commands lack them.
         ModuleNotFoundError: The library is not installed.
     """
-    from adaptdrive.analysis.flat import session_frames  # noqa: PLC0415 - `Drive` needs none
+    from adaptdrive.analysis.export import session_frames  # noqa: PLC0415 - `Drive` needs none
 
     return Tables(**session_frames(Path(path), frames), path=Path(path))
 
@@ -109,7 +108,7 @@ def identify(
         ModuleNotFoundError: A library is not installed.
     """
     from adaptdrive.analysis.record import RecordView  # noqa: PLC0415 - `Drive` needs none
-    from adaptdrive.analysis.sources import identify_source  # noqa: PLC0415
+    from adaptdrive.analysis.record_load import identify_source  # noqa: PLC0415
 
     view = RecordView(begin_s=begin_s, end_s=end_s, **options)
     return identify_source(source.path if isinstance(source, Tables) else source, view)
@@ -138,7 +137,7 @@ def simulate(
         IdentificationError: A set-point, or a value that the plant returns, is not finite.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.analysis.simulation import simulated  # noqa: PLC0415 - see above
+    from adaptdrive.analysis.closed_loop import simulated  # noqa: PLC0415 - see above
 
     whole = config if isinstance(config, Configuration) else load_configuration(Path(config))
     wanted = setpoint if callable(setpoint) else lambda _: setpoint

@@ -16,8 +16,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter, lsim
 
-from adaptdrive.analysis.columns import columns_of_file, columns_of_table
-from adaptdrive.analysis.headers import quantity_of
+from adaptdrive.analysis.columns import columns_of_file, columns_of_table, quantity_of
 from adaptdrive.analysis.load_report import as_text
 from adaptdrive.analysis.record import RecordView, read_record
 from adaptdrive.cli import main

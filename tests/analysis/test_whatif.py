@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from adaptdrive.analysis.steps import quality_of
-from adaptdrive.analysis.whatif import Comparison, what_if
-from adaptdrive.analysis.whatif_report import as_text
+from adaptdrive.analysis.whatif import Comparison, as_text, what_if
 from adaptdrive.control.signals import Mode
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session

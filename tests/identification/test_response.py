@@ -8,7 +8,7 @@ from scipy.signal import lsim
 from scipy.stats import kstest
 
 from adaptdrive.identification.response import responses
-from adaptdrive.identification.whiteness import ljung_box
+from adaptdrive.identification.result import ljung_box
 from tests.control.systems import System
 
 

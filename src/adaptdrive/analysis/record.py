@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.analysis.columns import Columns
-from adaptdrive.analysis.headers import quantity_of
+from adaptdrive.analysis.columns import Columns, quantity_of
 from adaptdrive.config import Configuration
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.util.errors import IdentificationError

@@ -118,7 +118,7 @@ def identify(
     with extra("analysis"):
         from adaptdrive.analysis import load_report  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.record import RecordView  # noqa: PLC0415
-        from adaptdrive.analysis.sources import identify_source  # noqa: PLC0415
+        from adaptdrive.analysis.record_load import identify_source  # noqa: PLC0415
     path = Path(source) if source is not None and Path(source).is_file() else _find(source)
     figure = view.folder(path.parent if path.is_file() else path) / "load.png"
     wanted = RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
@@ -148,16 +148,16 @@ def whatif(
         view: Part of the session, and the form of the result.
     """
     with extra("analysis"):
-        from adaptdrive.analysis import whatif_report  # noqa: PLC0415 - it is large
+        from adaptdrive.analysis import whatif  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
     path = _find(session)
     figure = view.folder(path) / "whatif.png"
     found = what_if(path, settings, view.begin, view.end)
     for one in found.idle:
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
-    replace_result(figure, whatif_report.draw_comparison(found, settings))
-    text = f"{whatif_report.as_text(found)}\n\n{figure}"
-    return view.present(text, whatif_report.as_json(found), figure)
+    replace_result(figure, whatif.draw_comparison(found, settings))
+    text = f"{whatif.as_text(found)}\n\n{figure}"
+    return view.present(text, whatif.as_json(found), figure)
 
 
 def export(

@@ -1,4 +1,4 @@
-"""Fit of a load to blocks of a record by prediction errors.
+"""Fit of a load to blocks of a record by prediction errors: its starts, and its dead time.
 
 The model of the measured output is
 
@@ -12,18 +12,21 @@ model makes the estimate consistent also where a controller feeds the noise back
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
 from adaptdrive.identification.excerpt import Blocks
 from adaptdrive.identification.response import moment_responses, responses
 from adaptdrive.util.errors import IdentificationError
+
+# Fit of a load to blocks of a record by prediction errors.
 
 Array = NDArray[np.float64]
 
@@ -270,3 +273,88 @@ def require_excitation(problem: Problem, solution: Solution) -> None:
     if solution.condition > _WORST_CONDITION or np.ptp(inputs) <= 1e-9 * np.abs(inputs).max():
         span = f"{inputs.min():.6g}…{inputs.max():.6g}"
         raise IdentificationError(f"the input moves too little to show the load: u = {span}")
+
+
+# Denominators from which a fit starts.
+
+_TRIED = 6
+"""Time constants that are tried, from half a block to half the record."""
+
+
+def start(problem: Problem, *near: Array) -> Array:
+    """Return logarithms of a_1 ... a_m that fit best among some and those of real time constants.
+
+    Args:
+        problem: Data and structure.
+        near: Logarithms that are tried too.
+    """
+    block_s = problem.parts[0].period_s
+    taus_s = np.geomspace(0.5 * block_s, 0.5 * block_s * len(problem.targets), _TRIED)
+    groups = itertools.combinations_with_replacement(taus_s.tolist(), problem.order)
+    plain = [np.log(np.poly([-1.0 / tau_s for tau_s in group])[1:]) for group in groups]
+    low, high = limits(problem)
+    tried = [np.clip(one, low, high) for one in (*near, *plain)]
+    return min(tried, key=lambda logarithms: solve(problem, logarithms).loss)
+
+
+# The dead time of a load: the one with which a fit leaves the least.
+
+_FINEST = 0.01
+"""Distance in blocks at which the search ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A fit with the dead time that suits it best.
+
+    Attributes:
+        problem: Data, structure and dead time.
+        solution: The fit.
+    """
+
+    problem: Problem
+    solution: Solution
+
+
+def scan(problem: Problem, *near: Array) -> Fitted:
+    """Return the best fit with a dead time of whole blocks.
+
+    Args:
+        problem: Data and structure.
+        near: Logarithms of a_1 ... a_m from which a fit may start.
+    """
+    lead, samples = problem.parts[0].lead, problem.parts[0].samples
+    delays = np.linspace(0.0, lead, 1 + math.ceil(lead / samples)).tolist()
+    delayed = [replace(problem, delay=delay) for delay in delays]
+    return min((Fitted(one, refine(one, start(one, *near))) for one in delayed), key=_loss)
+
+
+def settle(problem: Problem, logarithms: Array) -> Fitted:
+    """Return the best fit with a dead time within a block of that of a problem.
+
+    Args:
+        problem: Data, structure, and the dead time near which it is searched.
+        logarithms: Of a_1 ... a_m from which each fit starts.
+    """
+    lead, samples = problem.parts[0].lead, problem.parts[0].samples
+    near = _fitted(problem, problem.delay, logarithms)
+    if lead == 0:
+        return near
+    found = minimize_scalar(
+        lambda delay: _fitted(problem, delay, near.solution.logarithms).solution.loss,
+        bounds=(max(0.0, problem.delay - samples), min(lead, problem.delay + samples)),
+        method="bounded",
+        options={"xatol": _FINEST * samples},
+    )
+    delays = (float(found.x), float(round(found.x)))
+    others = [_fitted(problem, delay, near.solution.logarithms) for delay in delays]
+    return min((near, *others), key=_loss)
+
+
+def _fitted(problem: Problem, delay: float, logarithms: Array) -> Fitted:
+    delayed = replace(problem, delay=delay)
+    return Fitted(delayed, refine(delayed, logarithms))
+
+
+def _loss(fitted: Fitted) -> float:
+    return fitted.solution.loss

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.control.load import Load
-from adaptdrive.identification.dead_time import Fitted, scan, settle
 from adaptdrive.identification.excerpt import Blocks, Excerpt, blocks_of, lost_of
-from adaptdrive.identification.fit import Problem, require_excitation, split
-from adaptdrive.identification.noise_model import autoregression
-from adaptdrive.identification.result import IdentifiedLoad, result_of
+from adaptdrive.identification.fit import Fitted, Problem, require_excitation, scan, settle, split
+from adaptdrive.identification.result import IdentifiedLoad, autoregression, result_of
 from adaptdrive.util.errors import IdentificationError
 
 Array = NDArray[np.float64]

@@ -1,19 +1,21 @@
-"""Parameters, deviations and checks of a fitted load."""
+"""Parameters, deviations and checks of a fitted load: its noise and its residuals."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.dead_time import Fitted
 from adaptdrive.identification.fit import (
+    Fitted,
     Problem,
     Solution,
     columns,
@@ -22,8 +24,64 @@ from adaptdrive.identification.fit import (
     split,
     weighed,
 )
-from adaptdrive.identification.noise_model import autoregression
-from adaptdrive.identification.whiteness import LAGS, ljung_box
+
+# An autoregressive model of what the load does not explain: A(q) v = e.
+
+_SAMPLES_PER_TERM = 10
+"""Samples of the longest part for each term that is tried."""
+
+
+def autoregression(parts: Sequence[Array], most: int = 8) -> Array:
+    """Return 1, A_1 ... A_n with the n of least Bayesian information criterion.
+
+    Args:
+        parts: v of each uninterrupted part.
+        most: Order up to which a model is tried.
+    """
+    longest = min(most, max(map(len, parts)) // _SAMPLES_PER_TERM)
+    usable = [part for part in parts if len(part) > 2 * longest]
+    count = sum(len(part) - longest for part in usable)
+    lags = [np.lib.stride_tricks.sliding_window_view(part, longest + 1) for part in usable]
+    rows = np.concatenate(lags)[:, ::-1]
+    scores = [_score(rows, order, count) for order in range(longest + 1)]
+    return min(scores, key=operator.itemgetter(0))[1]
+
+
+def _score(rows: Array, order: int, count: int) -> tuple[float, Array]:
+    """Return criterion and coefficients of one order."""
+    targets, past = rows[:, 0], rows[:, 1 : order + 1]
+    factors = np.linalg.lstsq(past, targets)[0]
+    rest = targets - past @ factors
+    power = max(float(rest @ rest), 1e-300)
+    return count * math.log(power) + order * math.log(count), np.concatenate(([1.0], -factors))
+
+
+# Test of residuals for whiteness.
+
+LAGS = 20
+"""Lags tested (Ljung and Box, doi:10.1093/biomet/65.2.297)."""
+
+
+def ljung_box(parts: Sequence[Array], fitted: int) -> float:
+    """Return the probability that white noise has autocorrelations as large as these.
+
+    Args:
+        parts: Residuals of each uninterrupted part.
+        fitted: Parameters of the noise model that was fitted to them.
+    """
+    count = sum(map(len, parts))
+    lags = max(fitted + 1, min(LAGS, count // 5))
+    power = sum(float(part @ part) for part in parts)
+    if power == 0.0:
+        return 1.0
+    statistic = 0.0
+    for lag in range(1, lags + 1):
+        product = sum(float(part[lag:] @ part[:-lag]) for part in parts if len(part) > lag)
+        statistic += (product / power) ** 2 / max(1, count - lag)
+    return float(chi2.sf(count * (count + 2) * statistic, lags - fitted))
+
+
+# Parameters, deviations and checks of a fitted load.
 
 Array = NDArray[np.float64]
 
