@@ -23,7 +23,7 @@ import pytest
 from hypothesis import settings
 
 from adaptdrive.app.lock import NAMESPACE
-from tests.hardware.memory import in_memory
+from tests.devices.memory import in_memory
 from tests.support import (
     Broker,
     MosquittoLauncher,

@@ -25,7 +25,7 @@ from adaptdrive.devices.canopen import port as canopen_port
 from adaptdrive.devices.modbus.link import SerialPort
 from adaptdrive.devices.polled.link import PolledLink
 from adaptdrive.util import clock
-from tests.hardware.can_memory import open_memory
+from tests.devices.can_memory import open_memory
 
 PATIENCE_s = 5.0
 """Longest real wait for one byte, thread or reply; a test that needs it would hang otherwise."""

@@ -20,7 +20,7 @@ from adaptdrive.analysis.export import export
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import SensorColumn, TableName, create_session
-from tests.operation.peers import load_report
+from tests.mqtt.peers import load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 UTC_OFFSET_S = INFO.started.timestamp() - 50.0

@@ -24,7 +24,7 @@ from adaptdrive.lab import RecordOptions, identify, load_session, simulate
 from adaptdrive.util.errors import IdentificationError
 from tests.analysis.test_simulation import ReferenceMotor, square
 from tests.control.systems import System
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 from tests.support import sample
 
 Array = NDArray[np.float64]

@@ -16,8 +16,8 @@ from adaptdrive.util.errors import CommissionError, IdentificationError
 from adaptdrive_sim.device_main import build_drive
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from tests.devices.described import DEVICES, NAMES
-from tests.hardware.bench import EXAMPLES
+from tests.described.described import DEVICES, NAMES
+from tests.devices.bench import EXAMPLES
 from tests.support import sample
 
 

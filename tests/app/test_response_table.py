@@ -12,7 +12,7 @@ from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.plausibility import Response, ResponseLimits
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 from tests.runtime.bench import CALM
 
 

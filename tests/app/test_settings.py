@@ -13,7 +13,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Jacket, Learning
 from tests.config.documents import parse
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 
 HELD = {
     "voltage_loop__where": '"drive"',

@@ -13,7 +13,7 @@ from adaptdrive.app.settings import tick_s
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from tests.config.modbus_documents import parse as modbus_parse
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 
 
 def limits(example: str) -> dict[str, float]:

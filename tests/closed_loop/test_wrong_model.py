@@ -7,7 +7,7 @@ from typing import Any, Literal
 import pytest
 
 from adaptdrive.lab import simulate
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 from tests.support import sample
 
 

@@ -12,7 +12,7 @@ from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.identify import identify
 from adaptdrive.identification.proposal import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 from tests.identification.plants import KINDS
 from tests.identification.test_identify import recorded
 

@@ -17,7 +17,7 @@ from adaptdrive.recording.records import CommandRow, Header, sensor_row
 from adaptdrive.recording.session import create_session
 from adaptdrive.recording.tables import INPUT_UNIT
 from adaptdrive.runtime.reports import SensorReport, SensorSample
-from tests.operation.peers import drive_report, load_report
+from tests.mqtt.peers import drive_report, load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 BATH = Path(__file__).parents[2] / "deploy" / "examples" / "bath-thermocouples.toml"

@@ -12,7 +12,7 @@ import pytest
 from adaptdrive.recording.reader import Verification, read_session, verify
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import Dropped, SensorColumn, read_info, write_info
-from tests.operation.peers import load_report
+from tests.mqtt.peers import load_report
 from tests.recording.material import INFO, Batch, make_batch, make_tick, record_messages
 
 SENSORS = (SensorColumn("bath.inflow", "K", "inflow temperature", "sensor bus bath"),)

@@ -13,7 +13,7 @@ from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.interlocks import Limits, find_cause
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 from tests.runtime.bench import CALM
 
 STALE_S = 0.05

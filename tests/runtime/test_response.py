@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from adaptdrive.app.settings import response_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.plausibility import Response, ResponseLimits
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 from tests.runtime.bench import CALM
 
 TICK_s = 1.0 / 120.0

@@ -14,7 +14,7 @@ from scipy import signal
 from adaptdrive.app.settings import stillness_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.plausibility import Stillness, StillnessLimits, StillnessWatch
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 from tests.runtime.bench import CALM
 
 TICK_s = 1.0 / 120.0

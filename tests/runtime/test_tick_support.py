@@ -19,7 +19,7 @@ from adaptdrive.config.services import Realtime
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.realtime import real_time
 from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector, TickSupport
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, SETTINGS, TICK_S, FastBench, LoopTimer, fast_bench
 

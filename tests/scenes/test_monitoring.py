@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.deploy.test_monitoring import EXPORTER
-from tests.operation.peers import PATIENCE_S, drive_report, load_report, serving
+from tests.mqtt.peers import PATIENCE_S, drive_report, load_report, serving
 from tests.support import Broker, start_process, stop_process
 
 

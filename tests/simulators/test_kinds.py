@@ -19,7 +19,7 @@ from adaptdrive_sim import cli
 from adaptdrive_sim.device_main import build_world
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.kinds import load_of
-from tests.hardware.bench import EXAMPLES
+from tests.devices.bench import EXAMPLES
 
 MODELS: dict[str, dict[str, float]] = {
     "motor": {"gain": 0.004, "tau_motor_s": 2.5, "tau_filter_s": 0.4},

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import cast
 
 from adaptdrive.devices.can.port import CanPort
-from tests.hardware.modbus import bench as modbus
-from tests.hardware.modbus import spoils
+from tests.devices.modbus import bench as modbus
+from tests.devices.modbus import spoils
 from tests.wire.rig import Rig
 from tests.wire.wires import (
     STUCK_V,

@@ -15,11 +15,11 @@ import pytest
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
 from adaptdrive.util.errors import RefusedError
-from tests.hardware import bench as can_bench
-from tests.hardware.canopen.documents import IN_MEMORY, parse
-from tests.hardware.canopen.peer import ENABLED, MEASURED
-from tests.hardware.canopen.peer import Peer as Node
-from tests.hardware.modbus.bench import Peer
+from tests.devices import bench as can_bench
+from tests.devices.canopen.documents import IN_MEMORY, parse
+from tests.devices.canopen.peer import ENABLED, MEASURED
+from tests.devices.canopen.peer import Peer as Node
+from tests.devices.modbus.bench import Peer
 from tests.wire.rig import Rig, rigged, until
 from tests.wire.test_matrix import note, run_steadily
 from tests.wire.wires import (

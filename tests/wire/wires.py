@@ -24,8 +24,8 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.config.file import parse_configuration
 from adaptdrive.devices.can.bus import open_bus
 from tests.config.modbus_documents import parse
-from tests.hardware import bench as can_bench
-from tests.hardware.modbus import bench as modbus_bench
+from tests.devices import bench as can_bench
+from tests.devices.modbus import bench as modbus_bench
 
 TICK_s = 1.0 / 120.0
 PATIENT_s = 2.0

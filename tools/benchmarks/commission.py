@@ -14,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from tests.commission.trials import Trial, trial
+from tests.commissioning.trials import Trial, trial
 
 
 class DrawLine(msgspec.Struct):

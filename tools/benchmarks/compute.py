@@ -31,7 +31,7 @@ from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.state_machine import Machine
-from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
+from tests.devices.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
 from tests.loopback_port import LoopbackPort, Quiet
 from tools.benchmarks.rows import Extent, Row, alternating, quantile
 

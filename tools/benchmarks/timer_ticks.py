@@ -19,7 +19,7 @@ from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.realtime import real_time
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.clock import TickTimer
-from tests.hardware.bench import MOTOR
+from tests.devices.bench import MOTOR
 from tests.loopback_port import LoopbackPort
 from tools.benchmarks.compute import Kept
 

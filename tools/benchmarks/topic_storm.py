@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from adaptdrive.mqtt.commands import FORMS, PING, STOP
-from tests.operation.contract import validators
+from tests.mqtt.contract import validators
 from tests.scenes.system.site import Site
 from tests.support import MosquittoLauncher, free_port, resident_MiB
 from tools.benchmarks.fence import Fence

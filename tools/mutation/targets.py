@@ -49,62 +49,62 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP),  # the loop's order
 }
 
-_CAN_PORT = ("tests/contracts/port/test_port.py", "tests/hardware/test_can_port.py")
-_CANOPEN_PORT = ("tests/contracts/port/test_port.py", "tests/hardware/canopen/test_port.py")
+_CAN_PORT = ("tests/contracts/port/test_port.py", "tests/devices/test_can_port.py")
+_CANOPEN_PORT = ("tests/contracts/port/test_port.py", "tests/devices/canopen/test_port.py")
 _MODBUS = (
     "tests/contracts/port/test_port.py",
-    "tests/hardware/modbus/test_port.py",
-    "tests/hardware/modbus/test_faults.py",
-    "tests/hardware/modbus/test_writing.py",
+    "tests/devices/modbus/test_port.py",
+    "tests/devices/modbus/test_faults.py",
+    "tests/devices/modbus/test_writing.py",
 )
-_LOST = ("tests/hardware/modbus/test_losses.py",)
-_FRAMES = ("tests/hardware/test_can_codec.py", "tests/hardware/test_can_crc.py")
+_LOST = ("tests/devices/modbus/test_losses.py",)
+_FRAMES = ("tests/devices/test_can_codec.py", "tests/devices/test_can_crc.py")
 
 HARDWARE: dict[str, tuple[str, ...]] = {
     "adaptdrive.devices.can.port": _CAN_PORT,
     "adaptdrive.devices.can.mapping": (
-        "tests/hardware/test_can_mapping.py",
-        "tests/hardware/test_can_description.py",
-        "tests/hardware/test_can_pages.py",
+        "tests/devices/test_can_mapping.py",
+        "tests/devices/test_can_description.py",
+        "tests/devices/test_can_pages.py",
         *_CAN_PORT,
     ),
     "adaptdrive.devices.can.codec": _FRAMES,
-    "adaptdrive.devices.can.integrity": ("tests/hardware/test_can_integrity.py", *_FRAMES),
-    "adaptdrive.devices.can.arrival": ("tests/hardware/test_arrival.py",),
+    "adaptdrive.devices.can.integrity": ("tests/devices/test_can_integrity.py", *_FRAMES),
+    "adaptdrive.devices.can.arrival": ("tests/devices/test_arrival.py",),
     "adaptdrive.devices.canopen.port": (
         *_CANOPEN_PORT,
-        "tests/hardware/canopen/test_frames.py",
-        "tests/hardware/canopen/test_unseen.py",
+        "tests/devices/canopen/test_frames.py",
+        "tests/devices/canopen/test_unseen.py",
     ),
-    "adaptdrive.devices.modbus.port": (*_MODBUS, "tests/hardware/modbus/test_sensors.py"),
-    "adaptdrive.devices.modbus.frames": (*_MODBUS, "tests/hardware/modbus/test_functions.py"),
-    "adaptdrive.devices.polled.commander": ("tests/hardware/test_commander.py", *_MODBUS, *_LOST),
+    "adaptdrive.devices.modbus.port": (*_MODBUS, "tests/devices/modbus/test_sensors.py"),
+    "adaptdrive.devices.modbus.frames": (*_MODBUS, "tests/devices/modbus/test_functions.py"),
+    "adaptdrive.devices.polled.commander": ("tests/devices/test_commander.py", *_MODBUS, *_LOST),
     "adaptdrive.devices.polled.reports": (*_MODBUS, *_LOST),
-    "adaptdrive.devices.polled.link": (*_MODBUS, "tests/hardware/modbus/test_names.py"),
+    "adaptdrive.devices.polled.link": (*_MODBUS, "tests/devices/modbus/test_names.py"),
     "adaptdrive.devices.scpi.port": (
-        "tests/hardware/scpi/test_port.py",
+        "tests/devices/scpi/test_port.py",
         "tests/contracts/port/test_port.py",
     ),
-    "adaptdrive.devices.faults": ("tests/hardware/test_fault_words.py", *_CAN_PORT),
-    "adaptdrive.devices.obedience": (*_CAN_PORT, "tests/hardware/canopen/test_port.py"),
+    "adaptdrive.devices.faults": ("tests/devices/test_fault_words.py", *_CAN_PORT),
+    "adaptdrive.devices.obedience": (*_CAN_PORT, "tests/devices/canopen/test_port.py"),
 }
 
 OPERATION: dict[str, tuple[str, ...]] = {
-    "adaptdrive.mqtt.desk": ("tests/operation/test_desk.py",),
+    "adaptdrive.mqtt.desk": ("tests/mqtt/test_desk.py",),
     "adaptdrive.mqtt.publisher": (
-        "tests/operation/test_intake.py",
-        "tests/operation/test_history.py",
-        "tests/operation/test_service.py",
-        "tests/operation/test_link.py",
+        "tests/mqtt/test_intake.py",
+        "tests/mqtt/test_history.py",
+        "tests/mqtt/test_service.py",
+        "tests/mqtt/test_link.py",
     ),
     "adaptdrive.mqtt.commands": (
-        "tests/operation/test_commands.py",
-        "tests/operation/test_desk.py",
-        "tests/operation/test_service.py",
+        "tests/mqtt/test_commands.py",
+        "tests/mqtt/test_desk.py",
+        "tests/mqtt/test_service.py",
     ),
     "adaptdrive.mqtt.client": (
-        "tests/operation/test_sender.py",
-        "tests/operation/test_lab_drive.py",
+        "tests/mqtt/test_sender.py",
+        "tests/mqtt/test_lab_drive.py",
     ),
 }
 
@@ -112,7 +112,7 @@ RECORDING: dict[str, tuple[str, ...]] = {
     "adaptdrive.recording.writer": (
         "tests/recording/test_log.py",
         "tests/recording/test_recorder.py",
-        "tests/operation/test_stores.py",
+        "tests/mqtt/test_stores.py",
     ),
     "adaptdrive.recording.recorder": ("tests/recording/test_recorder.py",),
     "adaptdrive.recording.archive": (

@@ -9,10 +9,10 @@ from pathlib import Path
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.file import validate_configuration
 from tests.contracts.port.rig import Rig
-from tests.hardware import memory
-from tests.hardware.bench import Ear
-from tests.hardware.modbus.bench import Peer, POLL_s, build
-from tests.hardware.scpi.test_port import EXAMPLE, Supply
+from tests.devices import memory
+from tests.devices.bench import Ear
+from tests.devices.modbus.bench import Peer, POLL_s, build
+from tests.devices.scpi.test_port import EXAMPLE, Supply
 
 _ON, _FAULT, _NO_VALUE = 1, 2, 0xFFFF
 _BITS: dict[str, str | None] = {

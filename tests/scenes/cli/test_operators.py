@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.runtime.requests import Enable
-from tests.operation.peers import Bench, drive_report, listening, publish, serving
+from tests.mqtt.peers import Bench, drive_report, listening, publish, serving
 from tests.support import Broker, MosquittoLauncher, acting, stop_process
 
 

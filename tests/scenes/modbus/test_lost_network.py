@@ -10,9 +10,9 @@ import sys
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND
-from tests.devices.modbus_node import ModbusNode
-from tests.hardware.bench import Ear, until
-from tests.hardware.modbus.bench import RUN, build
+from tests.described.modbus_node import ModbusNode
+from tests.devices.bench import Ear, until
+from tests.devices.modbus.bench import RUN, build
 
 pytestmark = [pytest.mark.proof, pytest.mark.usefixtures("outside")]
 ALONE = ["unshare", "--map-root-user", "--net", "sh", "-c"]

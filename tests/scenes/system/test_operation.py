@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.recording.session import Ending
-from tests.operation.contract import validators
+from tests.mqtt.contract import validators
 from tests.scenes.conftest import MakeSite
 from tests.scenes.system.site import Site, publish, until
 

@@ -13,7 +13,7 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.devices.can.bus import open_bus
-from tests.hardware.bench import Drive, Ear, motor_bus
+from tests.devices.bench import Drive, Ear, motor_bus
 from tests.scenes.vcan.peers import CanUtils, Link
 from tests.support import Spawn, has_can
 

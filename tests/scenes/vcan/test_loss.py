@@ -8,7 +8,7 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.util.errors import BusError
-from tests.hardware.bench import Drive, Ear, build_port, running, until
+from tests.devices.bench import Drive, Ear, build_port, running, until
 from tests.scenes.vcan.peers import Link
 
 pytestmark = [pytest.mark.vcan, pytest.mark.proof]

@@ -10,7 +10,7 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.port import Reading
-from tests.hardware.bench import (
+from tests.devices.bench import (
     Drive,
     Ear,
     build_port,

@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from tests.hardware.bench import EXAMPLES, Ear, build_port, running, until
+from tests.devices.bench import EXAMPLES, Ear, build_port, running, until
 from tests.scenes.system.site import PATIENCE_S
 from tests.scenes.system.site import until as until_started
 from tests.scenes.vcan.peers import Link
