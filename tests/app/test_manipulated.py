@@ -18,8 +18,8 @@ from adaptdrive.app.ports import build_port, bus_kind
 from adaptdrive.app.settings import daemon_settings, operator_profile, trip_limits
 from adaptdrive.cli.display import describe
 from adaptdrive.config import Configuration
-from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Command
+from adaptdrive.control.supervision.attainable import Reach
 from adaptdrive.devices.port import Reading
 from adaptdrive.mqtt.client import DriveStatus
 from adaptdrive.mqtt.discovery import discovery

@@ -14,7 +14,7 @@ from adaptdrive.app.examine import implausible
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.control.design import compensator_gains, discrete_model
+from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.runtime.requests import SetPole
 from adaptdrive.runtime.state_machine import Machine

@@ -10,7 +10,7 @@ import pytest
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.methods import METHODS
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import Jacket, Learning
 from tests.config.documents import parse
 from tests.devices.bench import EXAMPLES

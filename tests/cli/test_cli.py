@@ -24,8 +24,7 @@ from adaptdrive.cli import carry_out, main, operate
 from adaptdrive.cli.commands import build_app, understood
 from adaptdrive.config import Configuration
 from adaptdrive.config.services import Mqtt
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.mqtt.client import DriveStatus, NoAnswerError
 from adaptdrive.mqtt.commands import Payload
 from adaptdrive.mqtt.contract import Reply

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.load import Load
+from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Jacket, Learning, PowerStage, Rates
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Stage
 from adaptdrive.control.slow_state import SlowSample

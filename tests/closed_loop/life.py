@@ -13,8 +13,7 @@ from scipy.signal import lfilter
 
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.discretise import held_model
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.noise import NoiseParameters

@@ -6,8 +6,7 @@ import random
 
 import pytest
 
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import (
     Disable,
     Enable,

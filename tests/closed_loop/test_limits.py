@@ -6,8 +6,7 @@ import re
 
 import pytest
 
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.plants.bath import Bath, BathParameters

@@ -15,7 +15,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.waveform import Shape, Waveform, heard
+from adaptdrive.control.signals import Shape, Waveform, heard
 from adaptdrive.recording.replay import replay
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables

@@ -15,8 +15,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.settings import Probing
-from adaptdrive.control.signals import Command, Measurement, Mode, Order
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Command, Measurement, Mode, Order, Shape, Waveform
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay

@@ -11,9 +11,13 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.commissioning.proposal import propose
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.design import compensator_gains, loop_delay_ticks, window_ticks
+from adaptdrive.control.design.pole_placement import (
+    closed_loop_polynomial,
+    compensator_gains,
+    loop_delay_ticks,
+    window_ticks,
+)
 from adaptdrive.control.discretise import held_model
-from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.experiments.examples import FOLDER

@@ -13,9 +13,12 @@ from adaptdrive.commissioning.course import Samples
 from adaptdrive.commissioning.evaluation import Prediction, evaluate, predict, rest_voltage
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.proposal import Proposal, propose
-from adaptdrive.control.design import compensator_gains, discrete_model
+from adaptdrive.control.design.pole_placement import (
+    closed_loop_polynomial,
+    compensator_gains,
+    discrete_model,
+)
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.identify import identify
 from adaptdrive.runtime.reports import State

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from adaptdrive.control import estimator as est
-from adaptdrive.control import fast_half as fast
-from adaptdrive.control import regression as reg
-from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
-from adaptdrive.control.load import Load
+from adaptdrive.control import fast
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation.methods import direct_model, fill_direct_regressor
 from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import SCALED_LEARNING
 from tests.control.systems import Array

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptdrive.control import rls
-from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation import ud_factors as ud
 from tests.control.systems import Array
 
 COVARIANCE = 100.0

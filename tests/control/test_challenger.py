@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptdrive.control import estimator as est
-from adaptdrive.control import regression as reg
-from adaptdrive.control.doubt import is_doubtful
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation.in_force import is_doubtful
 from adaptdrive.control.settings import Learning
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING, TICKS, TICK_s

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.config.load import Charge
-from adaptdrive.control.charging import (
+from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.loads.charging import (
     ChargeState,
     Charging,
     begin_anew,
@@ -17,8 +18,7 @@ from adaptdrive.control.charging import (
     terminal_voltage,
     voltage_limit,
 )
-from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from tests.closed_loop.bench import AT_REST, EXACT
 

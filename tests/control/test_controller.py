@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.design import compensator_gains, discrete_model
-from adaptdrive.control.methods import METHODS
+from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Jacket, Rates
 from adaptdrive.control.signals import (
     SAFE_COMMAND,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim, lfilter
 
-from adaptdrive.control.design import (
+from adaptdrive.control.design.pole_placement import (
     compensator_gains,
     discrete_model,
     kept_factor,

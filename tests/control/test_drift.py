@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from adaptdrive.control import estimator as est
-from adaptdrive.control import in_force
-from adaptdrive.control.certainty import deviations_of
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation.covariance import deviations_of
 from adaptdrive.control.settings import Learning
 from tests.control.learning import (
     BATH,

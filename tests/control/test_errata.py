@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from adaptdrive.control import estimator as est
-from adaptdrive.control import fast_half as fast
-from adaptdrive.control import regression as reg
-from adaptdrive.control import rls
-from adaptdrive.control.compensator import control_law
+from adaptdrive.control import fast
+from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.discretise import impulse_invariant_pair
-from adaptdrive.control.load import Load, to_voltage
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.load import Load, to_voltage
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.methods import METHODS
-from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.settings import Learning
+from adaptdrive.control.slow import control_law
 from tests.control.learning import learn_sampled
 from tests.control.systems import Array, System, distance, held_polynomials, matrix_of, motor_system
 

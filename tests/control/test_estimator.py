@@ -10,13 +10,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import lfilter, lsim
 
-from adaptdrive.control import estimator as est
-from adaptdrive.control import fast_half as fast
-from adaptdrive.control import in_force
-from adaptdrive.control import regression as reg
-from adaptdrive.control.methods import METHODS
+from adaptdrive.control import fast
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.ud_factors import covariance
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.ud_factors import covariance
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING
 from tests.control.learning import learn_course, learn_sampled
 from tests.control.systems import Array, held_polynomials, motor_system, row_norms

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from adaptdrive.control import doubt
-from adaptdrive.control import estimator as est
-from adaptdrive.control import regression as reg
-from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
-from adaptdrive.control.regression import theta_of
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
+from adaptdrive.control.estimation.regression import theta_of
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.learning import fill_sample
 from tests.control.systems import Array
@@ -100,7 +100,7 @@ def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> N
     values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, LEARNING, MOTOR))
     seen.values.append(values)
     seen.shown.append(LEARNING.method.shown_deviations(state, LEARNING, MOTOR, values))
-    seen.doubtful.append(doubt.is_doubtful(state))
+    seen.doubtful.append(in_force.is_doubtful(state))
     seen.kinds.append(state.rivals.kind)
     seen.waiting.append(state.rivals.samples)
     seen.alarms.append(state.surprise.alarms)
@@ -158,9 +158,9 @@ def test_what_a_disturbance_may_have_moved_is_part_of_what_is_shown(torque: Seen
     """Each value by the disturbance over the scale of the input, beside its own deviation."""
     state, values = torque.state, torque.values[-1]
     share = math.sqrt(state.rivals.moved)
-    shown = np.array(doubt.doubted_deviations(state, LEARNING, MOTOR, values))
+    shown = np.array(in_force.doubted_deviations(state, LEARNING, MOTOR, values))
     state.rivals.moved = 0.0
-    own = np.array(doubt.doubted_deviations(state, LEARNING, MOTOR, values))
+    own = np.array(in_force.doubted_deviations(state, LEARNING, MOTOR, values))
     assert shown**2 - own**2 == pytest.approx((share * np.array(values)) ** 2, rel=1e-6)
     assert share > 0.03
 

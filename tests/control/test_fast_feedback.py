@@ -10,31 +10,35 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from adaptdrive.control.compensator import control_law
-from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
-from adaptdrive.control.fast_feedback import (
+from adaptdrive.control.design.noise import (
     DELAY_MARGIN,
     MODULUS_MARGIN,
+    OBSERVER_POLE,
+    SLOWEST_SHARE,
     SPENT,
     fast_loop,
     has_margins,
-    unit_circle,
-)
-from adaptdrive.control.noise_limit import (
-    OBSERVER_POLE,
-    SLOWEST_SHARE,
     impulse_norm,
     noise_gain,
     quiet_loop,
     slowed_loop,
+    unit_circle,
 )
-from adaptdrive.control.pole_placement import desired_polynomial, equation, place_poles
-from adaptdrive.control.reference_filter import (
+from adaptdrive.control.design.pole_placement import (
+    asked_loop,
+    desired_polynomial,
+    discrete_model,
+    equation,
+    loop_gains,
+    place_poles,
+)
+from adaptdrive.control.design.reference_model import (
     ReferenceFilter,
     condition_reference,
     filter_reference,
     new_reference_filter,
 )
+from adaptdrive.control.slow import control_law
 from adaptdrive.control.vectors import copy_into, multiply
 from tests.closed_loop.bench import EXACT, MOTOR
 from tests.control.systems import Array, distance, motor_system

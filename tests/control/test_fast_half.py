@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lsim
 
-from adaptdrive.control import fast_half as fast
+from adaptdrive.control import fast
 from adaptdrive.control.signals import Measurement
 from tests.closed_loop.bench import EXACT, MOTOR, RATES, STAGE, TICKS, TICK_s
 from tests.control.systems import Array

@@ -9,10 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete
 
-from adaptdrive.control.discretise import impulse_invariant_pair
-from adaptdrive.control.impulse_hold import kick_factors
+from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.discretise import impulse_invariant_pair, kick_factors
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 
 Array = NDArray[Any]
 

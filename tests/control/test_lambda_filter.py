@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from adaptdrive.control.lambda_filter import advance, chain_decay, ramp_gains, step_gains
-from adaptdrive.control.lambda_transform import from_lambda, to_lambda
+from adaptdrive.control.estimation.filters import advance, chain_decay, ramp_gains, step_gains
+from adaptdrive.control.estimation.regression import from_lambda, to_lambda
 from tests.control.systems import Array, System, decades, motor_system, stable_systems
 
 TICK_s = 1.0 / 120.0

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from adaptdrive.control import estimator as est
-from adaptdrive.control import fast_half as fast
-from adaptdrive.control import in_force
-from adaptdrive.control import regression as reg
-from adaptdrive.control import ud_factors as ud
-from adaptdrive.control.load import Load
+from adaptdrive.control import fast
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation.method import Method
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.method import Method
-from adaptdrive.control.methods import METHODS
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Learning
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState, new_slow_state
-from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive.control.vectors import shift_in
 from tests.closed_loop.bench import (
     AT_REST,

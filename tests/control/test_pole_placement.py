@@ -9,13 +9,13 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from adaptdrive.control.compensator import control_law, lead_reference
-from adaptdrive.control.discretise import held_model
-from adaptdrive.control.pole_placement import (
+from adaptdrive.control.design.pole_placement import (
     closed_loop_polynomial,
     desired_polynomial,
     place_poles,
 )
+from adaptdrive.control.discretise import held_model
+from adaptdrive.control.slow import control_law, lead_reference
 from tests.control.systems import (
     Array,
     System,

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control.charging import Charging
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.probing import EXCURSIONS, half_periods, probe
+from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
-from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.supervision.probing import EXCURSIONS, half_periods, probe
+from adaptdrive.control.supervision.supervisor import Verdict
 from tests.closed_loop.bench import AT_REST, EXACT, LOW, MOTOR
 
 PROBING = Probing(amplitude=0.09, stale_periods=300, lowest=0.0, highest=4.5)

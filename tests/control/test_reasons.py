@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control.reasons import reason
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState, new_slow_state
-from adaptdrive.control.supervisor import Verdict
-from adaptdrive.control.watch import Fallback
+from adaptdrive.control.supervision.monitor import Fallback
+from adaptdrive.control.supervision.reasons import reason
+from adaptdrive.control.supervision.supervisor import Verdict
 from tests.closed_loop.bench import EXACT, MOTOR
 
 JACKET = replace(EXACT.jacket, spread_max=0.05)

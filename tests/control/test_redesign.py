@@ -8,14 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptdrive.control import redesign
-from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
-from adaptdrive.control.noise_limit import noise_gain
-from adaptdrive.control.pole_placement import equation
-from adaptdrive.control.regression import theta_of
+from adaptdrive.control.design import redesign
+from adaptdrive.control.design.noise import noise_gain
+from adaptdrive.control.design.pole_placement import (
+    asked_loop,
+    compensator_gains,
+    discrete_model,
+    equation,
+)
+from adaptdrive.control.estimation.regression import theta_of
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_state import SlowState, new_slow_state
-from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.supervision.supervisor import Verdict
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
 from tests.control.systems import distance
 

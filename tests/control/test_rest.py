@@ -8,13 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from adaptdrive.control.charging import Charging
-from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.reach import Reach, estimated_reach, nominal_reach
-from adaptdrive.control.rest import distance_from_rest
+from adaptdrive.control.loads.charging import Charging
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.slow_state import SlowState, new_slow_state
+from adaptdrive.control.supervision.attainable import (
+    Reach,
+    distance_from_rest,
+    estimated_reach,
+    nominal_reach,
+)
 from tests.closed_loop.bench import EXACT, MOTOR, REST_V, STAGE
 from tests.control.systems import motor_system, polynomials
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control import rls
-from adaptdrive.control import ud_factors as ud
+from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation import ud_factors as ud
 from tests.control.systems import Array
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control import fast_half as fast
-from adaptdrive.control import rounding as rd
+from adaptdrive.control import fast
+from adaptdrive.control.estimation import filters as rd
 from tests.closed_loop.bench import EXACT, MOTOR, TICK_s
 from tests.control.systems import Array
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control.charging import Charging
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Measurement, Mode, Order, Snapshot, Stage
 from adaptdrive_sim.noise import NoiseParameters

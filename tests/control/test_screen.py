@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control.screen import LASTING, WIDE, Screen, pass_sample
+from adaptdrive.control.estimation.filters import LASTING, WIDE, Screen, pass_sample
 from tests.control.systems import Array
 
 CLIP = 4.0

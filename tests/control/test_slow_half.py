@@ -7,24 +7,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptdrive.control.charging import Charging
-from adaptdrive.control.design import (
+from adaptdrive.control.design.noise import noise_gain, slowed_loop
+from adaptdrive.control.design.pole_placement import (
     asked_loop,
     compensator_gains,
     discrete_model,
+    equation,
     loop_gains,
     reference_lead,
 )
+from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.regression import theta_of
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.methods import METHODS
-from adaptdrive.control.noise_limit import noise_gain, slowed_loop
-from adaptdrive.control.pole_placement import equation
-from adaptdrive.control.regression import theta_of
+from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.supervision.monitor import Fallback
 from adaptdrive.control.vectors import copy_into
-from adaptdrive.control.watch import Fallback
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, PAPER, PLAIN_LEARNING, REST_V
 from tests.control.systems import motor_system
 

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from adaptdrive.control.settings import Jacket
-from adaptdrive.control.supervisor import (
+from adaptdrive.control.supervision.supervisor import (
     SupervisorState,
     Verdict,
     compare_residuals,

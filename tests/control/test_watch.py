@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control.cycling import CyclingState, watch_cycling
 from adaptdrive.control.settings import Jacket
-from adaptdrive.control.watch import (
+from adaptdrive.control.supervision.monitor import (
+    CyclingState,
     Fallback,
     WatchState,
     latch_fallback,
+    watch_cycling,
     watch_loop,
     watch_response,
 )

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from adaptdrive.control.waveform import Shape, Waveform, heard
+from adaptdrive.control.signals import Shape, Waveform, heard
 
 ORACLES = {
     Shape.SQUARE: lambda phase: 0.5 + 0.5 * signal.square(2.0 * np.pi * phase),

@@ -16,8 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.signals import Command, Decision, Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Command, Decision, Mode, Shape, Waveform
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import LoadReport
 from adaptdrive.runtime.requests import (

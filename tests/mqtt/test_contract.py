@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive.mqtt.commands import FORMS
 from adaptdrive.runtime.reports import Event, Severity, State
 from tests.mqtt.contract import validators

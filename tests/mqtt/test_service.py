@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.mqtt.clock import Synchronisation
 from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.reports import Event, Severity, State

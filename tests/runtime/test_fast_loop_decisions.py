@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control.signals import SAFE_COMMAND, Mode, Stage
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import SAFE_COMMAND, Mode, Shape, Stage, Waveform
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import (
     Disable,

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.control.reach import UNKNOWN, Reach
-from adaptdrive.control.signals import Mode, Stage
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Stage, Waveform
+from adaptdrive.control.supervision.attainable import UNKNOWN, Reach
 from adaptdrive.runtime.limits import FLOOR_REACHED, MachineLimits
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (

@@ -12,8 +12,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from adaptdrive.control.signals import Mode, Stage
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Stage, Waveform
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive.runtime.requests import Enable, Reset, SetWaveform
 from tests.runtime.test_machine import Desk
 

@@ -14,8 +14,7 @@ import pytest
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.reports import Event, LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetMode, SetSetpoint, SetWaveform
 from adaptdrive.util.errors import RefusedError

@@ -14,8 +14,8 @@ import padasip
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
-from adaptdrive.control import rls
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.estimation import rls
 from adaptdrive.control.signals import (
     Command,
     Measurement,

@@ -16,8 +16,7 @@ import msgspec
 import numpy as np
 
 from adaptdrive.config import load_configuration
-from adaptdrive.control.signals import Command, Measurement, Mode, Order
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Command, Measurement, Mode, Order, Shape, Waveform
 from adaptdrive.recording.records import EventRow, Ticks
 from adaptdrive.runtime.reports import MONOTONIC, LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform

@@ -27,11 +27,11 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.design import compensator_gains, discrete_model
-from adaptdrive.control.load import Load
+from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
-from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive_sim.course import Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.coupling import CouplingParameters

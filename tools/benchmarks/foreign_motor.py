@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters

@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.control.design import discrete_model
-from adaptdrive.control.lambda_method import LambdaMethod
-from adaptdrive.control.load import Load
+from adaptdrive.control.design.pole_placement import discrete_model
+from adaptdrive.control.estimation.methods import LambdaMethod
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState
-from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive.control.vectors import Vector, copy_into
 from adaptdrive_sim.campaign.bench import Stand, draw
 from adaptdrive_sim.campaign.judge import judge

@@ -13,8 +13,7 @@ import msgspec
 
 from adaptdrive.cli.replay import replay
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.control.signals import Command, Measurement, Mode, Order
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Command, Measurement, Mode, Order, Shape, Waveform
 from adaptdrive.pure import build_name
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session

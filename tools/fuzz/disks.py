@@ -15,7 +15,7 @@ from adaptdrive.app.learned_state import recall as recall_checkpoint
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.recording.journal_files import Begin, LogFile, Recalled, new_file, recall
 from adaptdrive.recording.reader import read_session

@@ -118,27 +118,30 @@ OPERATION: dict[str, str] = {
 }
 
 CONTROL: dict[str, str] = {
-    "control.certainty:: _TINY = 1e-12 -> _TINY = 2e-12": _SMALL,
-    "control.certainty:is_sure: if not abs(denominator[load.order]) > _TINY: -> "
+    "control.estimation.covariance:: _TINY = 1e-12 -> _TINY = 2e-12": _SMALL,
+    "control.estimation.covariance:is_sure: if not abs(denominator[load.order]) > _TINY: -> "
     "if not abs(denominator[load.order]) >= _TINY:": _SMALL,
-    "control.certainty:is_sure: return all((deviations[i] <= PRIOR_SHARE * abs(values[i]) for i in "
+    "control.estimation.covariance:is_sure: return all((deviations[i] <= "
+    "PRIOR_SHARE * abs(values[i]) for i in "
     "range(len(values)))) -> return all((deviations[i] < PRIOR_SHARE * abs(values[i]) for i in "
     "range(len(values))))": _DOUBT_BOUND,
-    "control.certainty:deviations_of: if not abs(denominator[load.order]) > _TINY: -> "
+    "control.estimation.covariance:deviations_of: if not abs(denominator[load.order]) > _TINY: -> "
     "if not abs(denominator[load.order]) >= _TINY:": _SMALL,
-    "control.certainty:deviations_of: jacobian = [0.0] * (len(values) * count) -> "
+    "control.estimation.covariance:deviations_of: jacobian = [0.0] * (len(values) * count) -> "
     "jacobian = [1.0] * (len(values) * count)": _OVERWRITTEN,
-    "control.certainty:deviations_of: deviations = [0.0] * len(values) -> "
+    "control.estimation.covariance:deviations_of: deviations = [0.0] * len(values) -> "
     "deviations = [1.0] * len(values)": _OVERWRITTEN,
-    "control.branch:likelihood: return -0.5 * (branch.logs + weight * math.log(mean / weight)) -> "
+    "control.estimation.branch:likelihood: return -0.5 * (branch.logs + weight "
+    "* math.log(mean / weight)) -> "
     "return -0.5 * (branch.logs + weight * math.log(mean * weight))": "each branch gets the same "
     "in addition, and only their differences count",
-    "control.fast_half:limit_power: if state.ceiling_V < stage.boost_reference_max_V: -> "
+    "control.fast:limit_power: if state.ceiling_V < stage.boost_reference_max_V: -> "
     "if state.ceiling_V <= stage.boost_reference_max_V:": "a ceiling above the highest V_c "
     "lowers none",
-    "control.ud_factors:given: gain, known, weights = ([0.0] * size, list(upper), list(diagonal)) "
+    "control.estimation.ud_factors:given: gain, known, weights = ([0.0] * size, "
+    "list(upper), list(diagonal)) "
     "-> gain, known, weights = ([1.0] * size, list(upper), list(diagonal))": _OVERWRITTEN,
-    "control.ud_factors:bound: gain = [0.0] * size -> gain = [1.0] * size": _OVERWRITTEN,
+    "control.estimation.ud_factors:bound: gain = [0.0] * size -> gain = [1.0] * size": _OVERWRITTEN,
     "control.controller:Controller.__init__: self._fast = fast.FastState(tick=0, "
     "boost_reference_V=0.0, error_sum=0.0) -> pass": _SET_BEFORE_USE,
     "control.controller:Controller.__init__: self._bank = self._new_bank("
@@ -146,18 +149,18 @@ CONTROL: dict[str, str] = {
     "settings.rates.nominal_tick_s, 0.0, 1.0)": _SET_BEFORE_USE,
     "control.controller:Controller._estimates: if math.isfinite(state.values[0]): -> "
     "if math.isfinite(state.values[1]):": "all values of an estimate are set together",
-    "control.regression:dc_gain: return above / below if abs(below) > _TINY else 0.0 -> "
+    "control.estimation.regression:dc_gain: return above / below if abs(below) > _TINY else 0.0 -> "
     "return above / below if abs(below) >= _TINY else 0.0": _SMALL,
-    "control.lambda_transform:to_lambda: sign = -1.0 if (j - i) % 2 else 1.0 -> "
+    "control.estimation.regression:to_lambda: sign = -1.0 if (j - i) % 2 else 1.0 -> "
     "sign = -1.0 if (j + i) % 2 else 1.0": "sum and difference of two numbers are odd together",
-    "control.lambda_filter:: _SERIES_TERMS = 40 -> _SERIES_TERMS = 80": "the terms that are left "
-    "out are below the rounding of a double",
-    "control.noise_limit:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
+    "control.estimation.filters:: _SERIES_TERMS = 40 -> "
+    "_SERIES_TERMS = 80": "the terms that are left out are below the rounding of a double",
+    "control.design.noise:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
     "a, b = (list(denominator), [0.0] * (degree + 2))": _NOT_READ,
-    "control.rivals:_likeliest: if branch.score > rivals.branches[best].score: "
+    "control.estimation.rivals:_likeliest: if branch.score > rivals.branches[best].score: "
     "-> if branch.score >= rivals.branches[best].score:": "of explanations that "
     "are equal to the last digit, either may lead",
-    "control.supervisor:_over_own_errors: if not power > _RESIDUAL_FLOOR: -> "
+    "control.supervision.supervisor:_over_own_errors: if not power > _RESIDUAL_FLOOR: -> "
     "if not power >= _RESIDUAL_FLOOR:": "a power of just the floor gives 1 either way",
 }
 

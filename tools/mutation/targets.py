@@ -137,68 +137,55 @@ def _control(tests: dict[str, str]) -> dict[str, tuple[str, ...]]:
 
 
 SUPERVISION = _control({
-    "watch": "test_watch",
-    "cycling": "test_watch",
-    "surprise": "test_explanation test_challenger",
-    "screen": "test_screen",
-    "rounding": "test_rounding",
-    "probing": "test_probing",
-    "charging": "test_charging test_slow_half",
-    "supervisor": "test_supervisor",
-    "assurance": "test_certainty",
-    "noise_limit": "test_fast_feedback",
-    "fast_feedback": "test_fast_feedback",
-    "reference_filter": "test_fast_feedback",
-    "rest": "test_rest",
-    "reach": "test_rest",
-    "reasons": "test_reasons",
-    "redesign": "test_redesign",
-    "doubt": "test_explanation test_certainty",
-    "certainty": "test_certainty",
+    "supervision.monitor": "test_watch",
+    "estimation.change_detector": "test_explanation test_challenger",
+    "estimation.filters": "test_screen test_lambda_filter test_rounding",
+    "supervision.probing": "test_probing",
+    "loads.charging": "test_charging test_slow_half",
+    "supervision.supervisor": "test_supervisor",
+    "design.robustness": "test_certainty",
+    "design.noise": "test_fast_feedback",
+    "design.reference_model": "test_fast_feedback",
+    "supervision.attainable": "test_rest",
+    "supervision.reasons": "test_reasons",
+    "design.redesign": "test_redesign",
+    "estimation.in_force": "test_drift test_explanation test_certainty",
+    "estimation.covariance": "test_certainty",
 })  # fmt: skip
 
 LEARNING = _control({
-    "lambda_transform": "test_lambda_filter",
-    "lambda_filter": "test_lambda_filter",
-    "rls": "test_rls test_beside",
-    "ud_factors": "test_rls test_beside",
-    "regression": "test_estimator test_explanation test_methods",
-    "branch": "test_explanation test_challenger",
-    "hypotheses": "test_explanation",
-    "rivals": "test_explanation",
-    "challenger": "test_challenger",
-    "explanation": "test_explanation test_challenger",
-    "estimator": (
+    "estimation.regression": "test_lambda_filter test_estimator test_explanation test_methods",
+    "estimation.rls": "test_rls test_beside",
+    "estimation.ud_factors": "test_rls test_beside",
+    "estimation.branch": "test_explanation test_challenger test_drift test_methods test_estimator",
+    "estimation.hypotheses": "test_explanation",
+    "estimation.rivals": "test_explanation",
+    "estimation.second_estimates": "test_challenger test_drift",
+    "estimation.explanation": "test_explanation test_challenger",
+    "estimation.estimator": (
         "test_estimator test_runs test_redesign test_explanation "
         "test_methods test_certainty"
     ),
-    "lambda_method": "test_methods test_explanation",
-    "direct_method": "test_methods test_estimator",
-    "drift": "test_drift test_methods test_estimator",
-    "integrated": "test_drift",
-    "in_force": "test_drift test_explanation test_certainty",
+    "estimation.methods": "test_methods test_explanation test_estimator test_discretise",
 })  # fmt: skip
 
 DESIGN = _control({
     "vectors": "test_vectors",
-    "discretise": "test_discretise",
-    "continuous": "test_discretise",
-    "pole_placement": "test_pole_placement",
-    "compensator": "test_pole_placement",
-    "design": "test_design",
-    "impulse_hold": "test_impulse_hold",
+    "discretise": "test_discretise test_impulse_hold",
+    "design.pole_placement": "test_pole_placement test_design",
     "voltage_loop": "test_voltage_loop",
-    "waveform": "test_waveform",
-    "load": "test_loads",
+    "signals": "test_waveform",
+    "loads.load": "test_loads",
     "loads.motor": "test_loads test_certainty",
     "loads.bath": "test_loads test_certainty",
     "loads.battery": "test_loads test_certainty",
 })  # fmt: skip
 
 HALVES = _control({
-    "fast_half": "test_fast_half test_rounding",
-    "slow_half": (
-        "test_slow_half test_charging test_certainty test_probing test_runs"
+    "fast": "test_fast_half test_rounding",
+    "slow": (
+        "test_slow_half test_charging test_certainty test_probing test_runs "
+        "test_pole_placement"
     ),
     "slow_state": "test_slow_half test_probing",
     "controller": "test_controller test_schedule test_runs",

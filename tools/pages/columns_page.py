@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from adaptdrive.control.columns import Column
+from adaptdrive.control.signals import Column
 from adaptdrive.runtime.reports import SLOW_COLUMNS, TICK_COLUMNS
 
 _HEAD = """\

@@ -15,8 +15,7 @@ from typing import Annotated, Any, get_type_hints
 import msgspec
 
 from adaptdrive.config.bus import MEASURED
-from adaptdrive.control.columns import Column, columns_of
-from adaptdrive.control.signals import Estimate, Measurement
+from adaptdrive.control.signals import Column, Estimate, Measurement, columns_of
 from adaptdrive.mqtt.commands import FORMS
 from adaptdrive.mqtt.contract import (
     DISTURB,

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-from adaptdrive.control.signals import Command, Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Command, Mode, Shape, Waveform
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import LoadReport, State
 from adaptdrive.runtime.requests import (

@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive_sim.campaign import drawn as draws
 from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Numbers, Row
 from adaptdrive_sim.campaign.life import Life, draw_life, volt_Nm

@@ -15,11 +15,10 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.supervisor import Verdict
-from adaptdrive.control.waveform import Waveform
+from adaptdrive.control.signals import Mode, Waveform
+from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive_sim.campaign.ideal import follow_ideal
 from adaptdrive_sim.course import Array, Course, Run, TripLevels
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.discretise import held_model
-from adaptdrive.control.load import Load
-from adaptdrive.control.pole_placement import desired_polynomial
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector, total
 from adaptdrive_sim.course import Array
 

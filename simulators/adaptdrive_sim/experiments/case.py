@@ -15,7 +15,7 @@ import numpy as np
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.methods import METHODS
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.course import Array, Course, Run

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from adaptdrive.control.load import Load
-from adaptdrive.control.waveform import Waveform
+from adaptdrive.control.loads.load import Load
+from adaptdrive.control.signals import Waveform
 from adaptdrive_sim.course import Array, moving
 
 

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
-from adaptdrive.control.load import to_input
+from adaptdrive.control.loads.load import to_input
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.case import Variant
 from adaptdrive_sim.experiments.experiment import Experiment

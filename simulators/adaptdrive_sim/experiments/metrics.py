@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.steps import judge_step
+from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.discretise import held_model
-from adaptdrive.control.load import Load
-from adaptdrive.control.pole_placement import desired_polynomial
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.case import Design

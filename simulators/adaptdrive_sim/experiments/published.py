@@ -10,8 +10,8 @@ from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
-from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive_sim.experiments.examples import example_tables
 from adaptdrive_sim.experiments.experiment import read_experiment

@@ -16,14 +16,17 @@ from typing import Literal
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from adaptdrive.control import estimator as est
-from adaptdrive.control import regression as reg
-from adaptdrive.control.continuous import continuous_model
-from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
 from adaptdrive.control.discretise import held_model
-from adaptdrive.control.lambda_filter import chain_decay, ramp_gains, step_gains
-from adaptdrive.control.load import Load, to_input
-from adaptdrive.control.methods import METHODS
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation.filters import chain_decay, ramp_gains, step_gains
+from adaptdrive.control.estimation.methods import (
+    METHODS,
+    continuous_model,
+    direct_model,
+    fill_direct_regressor,
+)
+from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, shift_in
 from adaptdrive_sim.course import Array, Run

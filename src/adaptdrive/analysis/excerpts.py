@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.curves import session_clock
-from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.response import held_step

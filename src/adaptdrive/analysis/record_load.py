@@ -14,8 +14,8 @@ from adaptdrive.analysis.excerpts import Stretch, block_samples, divided, read_s
 from adaptdrive.analysis.record import InputOutputRecord, RecordView, read_record
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.excerpt import Excerpt

@@ -14,7 +14,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanDescription, SignalSource
 from adaptdrive.config.load import BathSection, BatterySection
 from adaptdrive.config.supply import absent_names
-from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.util.errors import Flaw
 
 _REACH_SHARE = 0.1

@@ -14,9 +14,9 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.file import Findings, added, find_flaws, read_text
 from adaptdrive.config.load import AnyLoad, BatterySection
 from adaptdrive.config.polled import ModbusBus, ScpiBus
-from adaptdrive.control.design import compensator_gains, discrete_model
-from adaptdrive.control.load import Load
-from adaptdrive.control.reach import nominal_reach
+from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
+from adaptdrive.control.loads.load import Load
+from adaptdrive.control.supervision.attainable import nominal_reach
 from adaptdrive.devices.demands import NO_DEMANDS, demands_of
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import ConfigurationError, Flaw

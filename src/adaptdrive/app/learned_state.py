@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from adaptdrive.config import Configuration
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.devices.description import description_text
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity

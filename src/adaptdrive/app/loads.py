@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection, LoadSection, MotorSection
-from adaptdrive.control.assurance import STABLE_RADIUS, closes_stably
-from adaptdrive.control.charging import Charging
-from adaptdrive.control.design import compensator_gains, discrete_model
-from adaptdrive.control.load import Load
+from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
+from adaptdrive.control.design.robustness import STABLE_RADIUS, closes_stably
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.loads.charging import Charging
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from adaptdrive.cli.options import Json, Settings, print_json
 from adaptdrive.cli.sessions import find
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import reconfigured

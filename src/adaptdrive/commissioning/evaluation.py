@@ -17,7 +17,7 @@ from adaptdrive.app.settings import tick_s
 from adaptdrive.commissioning.course import Outcome, Samples
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.identify import identify, identify_any

@@ -14,9 +14,12 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.load import LoadTraits
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.design import compensator_gains, discrete_model
-from adaptdrive.control.load import to_input
-from adaptdrive.control.pole_placement import closed_loop_polynomial
+from adaptdrive.control.design.pole_placement import (
+    closed_loop_polynomial,
+    compensator_gains,
+    discrete_model,
+)
+from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.proposal import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from adaptdrive.app.loads import build_load
 from adaptdrive.config.load import BatterySection
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.load import to_input, to_voltage
+from adaptdrive.control.loads.load import to_input, to_voltage
 from adaptdrive.util.quantity import BOOST, Given
 
 """Shortest wait for a load of the kind to respond."""

@@ -12,8 +12,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from adaptdrive.control import fast_half as fast
-from adaptdrive.control.charging import (
+from adaptdrive.control import fast
+from adaptdrive.control.design.preview import AHEAD
+from adaptdrive.control.estimation.estimator import start_from
+from adaptdrive.control.estimation.filters import remembered_grid, step_found
+from adaptdrive.control.loads.charging import (
     Charging,
     highest_boost_voltage,
     is_complete,
@@ -22,12 +25,7 @@ from adaptdrive.control.charging import (
     proven_current,
     voltage_limit,
 )
-from adaptdrive.control.estimator import start_from
-from adaptdrive.control.load import Load, to_input, to_voltage
-from adaptdrive.control.preview import AHEAD
-from adaptdrive.control.reach import estimated_reach, nominal_reach
-from adaptdrive.control.reasons import reason
-from adaptdrive.control.rounding import remembered_grid, step_found
+from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -39,12 +37,14 @@ from adaptdrive.control.signals import (
     Order,
     Snapshot,
     Stage,
+    heard,
 )
-from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.supervision.attainable import estimated_reach, nominal_reach
+from adaptdrive.control.supervision.monitor import Fallback
+from adaptdrive.control.supervision.reasons import reason
 from adaptdrive.control.voltage_loop import initial_sum
-from adaptdrive.control.watch import Fallback
-from adaptdrive.control.waveform import heard
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 _DISCONNECTED = "no current: the current has left in one step: is the battery disconnected?"

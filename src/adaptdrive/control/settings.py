@@ -6,7 +6,7 @@ import math
 import sys
 from dataclasses import dataclass, field
 
-from adaptdrive.control.method import Method
+from adaptdrive.control.estimation.method import Method
 from adaptdrive.control.voltage_loop import LAG_TICKS
 
 

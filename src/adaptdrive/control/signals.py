@@ -1,4 +1,7 @@
-"""The values that enter and leave the controller.
+"""The values that enter and leave the controller, their columns, and set-point waveforms.
+
+A field is declared once, in its dataclass, with its unit and its meaning. The MQTT message, the
+recorded row, the Arrow schema and the page `docs/columns.md` are made from that declaration.
 
 All inputs of the controller arrive in a `Measurement` and an `Order`; all its outputs
 leave in a `Command`. A recording of the first two reproduces the third bit for bit. A field that
@@ -8,11 +11,99 @@ is annotated with a `Quantity` is a column of the messages and of the recording.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, is_dataclass
 from enum import StrEnum
-from typing import Annotated
+from functools import cache
+from operator import attrgetter
+from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
 
-from adaptdrive.control.columns import Quantity
+# Columns: the fields of a fast tick and of a slow step, as published, recorded and documented.
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """The annotation of a field that is a column.
+
+    Attributes:
+        unit: Unit: a symbol, `y` for the unit of the output, `u` for that of the load's input,
+            `v` for that of what the drive is commanded, and gives, or an empty string for a plain
+            number or a text.
+        meaning: What the value is.
+        name: Name of the column where the field's own is not unique.
+    """
+
+    unit: str
+    meaning: str
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column.
+
+    Attributes:
+        name: Its name in messages and on disk.
+        kind: `float`, `int`, `bool`, `str`, `tuple` (of floats) or `dict` (estimates by name).
+        unit: Unit, as in `Quantity`.
+        meaning: What the value is.
+        source: Path of the field in the report.
+        read: Takes the value from a report.
+        choices: All values that it can have, none where it can have any.
+    """
+
+    name: str
+    kind: type
+    unit: str
+    meaning: str
+    source: str
+    read: Callable[[Any], Any]
+    choices: tuple[str, ...] = ()
+
+
+def columns_of(report: type, path: str = "") -> tuple[Column, ...]:
+    """Return the columns of a report: its own fields, and those of the dataclasses in it."""
+    columns: list[Column] = []
+    for name, (kind, quantity) in _fields(report).items():
+        place = f"{path}{name}"
+        if is_dataclass(kind):
+            columns += columns_of(kind, f"{place}.")
+        elif quantity is not None:
+            choices = tuple(kind) if issubclass(kind, StrEnum) else ()
+            label, stored = quantity.name or name, str if choices else kind
+            about = (quantity.unit, quantity.meaning, place)
+            columns.append(Column(label, stored, *about, attrgetter(place), choices))
+    return tuple(columns)
+
+
+def rebuild(report: Callable[..., T], row: dict[str, Any]) -> T:
+    """Return the report of which a row holds the columns."""
+    values: dict[str, Any] = {}
+    for name, (kind, quantity) in _fields(report).items():
+        if quantity is not None:
+            values[name] = kind(row[quantity.name or name])
+        elif is_dataclass(kind):
+            values[name] = rebuild(kind, row)
+    return report(**values)
+
+
+@cache
+def _fields(report: Hashable) -> dict[str, tuple[type, Quantity | None]]:
+    """Return type and annotation of each field by its name."""
+    plain, annotated = get_type_hints(report), get_type_hints(report, include_extras=True)
+    return {
+        name: (get_origin(hint) or hint, _quantity(annotated[name])) for name, hint in plain.items()
+    }
+
+
+def _quantity(hint: Any) -> Quantity | None:  # noqa: ANN401 - any annotation
+    found = getattr(hint, "__metadata__", ())
+    return next((one for one in found if isinstance(one, Quantity)), None)
+
+
+# The values that enter and leave the controller.
 
 
 class Mode(StrEnum):
@@ -199,3 +290,61 @@ class Decision:
             "as a share of the step",
         ),
     ] = math.nan
+
+
+# Set-point waveforms: pure functions of the time since they were started.
+
+
+class Shape(StrEnum):
+    """Shapes a set-point can follow."""
+
+    SQUARE = "square"
+    SINE = "sine"
+    TRIANGLE = "triangle"
+
+
+@dataclass(frozen=True, slots=True)
+class Waveform:
+    """A periodic set-point; the high half comes first.
+
+    Attributes:
+        shape: Form of one period.
+        low: Lowest value, unit of the output.
+        high: Highest value, unit of the output.
+        period_s: Length of one period.
+    """
+
+    shape: Shape
+    low: float
+    high: float
+    period_s: float
+
+    def value(self, elapsed_s: float) -> float:
+        """The set-point `elapsed_s` after the waveform was started."""
+        phase = math.fmod(elapsed_s, self.period_s) / self.period_s
+        return self.low + (self.high - self.low) * _LEVELS[self.shape](phase)
+
+    def told(self, tick: int) -> str:
+        """Facts that the controller is told of a waveform that was started at a tick."""
+        return f"{self.shape} {self.low!r} {self.high!r} {self.period_s!r} {tick}"
+
+
+def heard(told: str) -> tuple[Waveform, int]:
+    """Return the waveform that the controller is told of, and the tick of its start."""
+    shape, low, high, period_s, tick = told.split()
+    return Waveform(Shape(shape), float(low), float(high), float(period_s)), int(tick)
+
+
+def _square(phase: float) -> float:
+    return 1.0 if phase < 0.5 else 0.0
+
+
+def _sine(phase: float) -> float:
+    return 0.5 + 0.5 * math.sin(2.0 * math.pi * phase)
+
+
+def _triangle(phase: float) -> float:
+    return 1.0 - abs(1.0 - math.fmod(2.0 * phase + 0.5, 2.0))
+
+
+_LEVELS = {Shape.SQUARE: _square, Shape.SINE: _sine, Shape.TRIANGLE: _triangle}

@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from adaptdrive.control import estimator as est
-from adaptdrive.control import supervisor as sup
-from adaptdrive.control.charging import ChargeState
-from adaptdrive.control.cycling import CyclingState
-from adaptdrive.control.design import past_inputs
-from adaptdrive.control.fast_feedback import unit_circle
-from adaptdrive.control.load import Load, to_input
-from adaptdrive.control.reference_filter import ReferenceFilter, new_reference_filter
+from adaptdrive.control.design.noise import unit_circle
+from adaptdrive.control.design.pole_placement import past_inputs
+from adaptdrive.control.design.reference_model import ReferenceFilter, new_reference_filter
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.loads.charging import ChargeState
+from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.supervision import supervisor as sup
+from adaptdrive.control.supervision.monitor import CyclingState, WatchState
 from adaptdrive.control.vectors import Vector
-from adaptdrive.control.watch import WatchState
 
 
 @dataclass(slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.util.errors import IdentificationError
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.identification.excerpt import Blocks, Excerpt, blocks_of, lost_of
 from adaptdrive.identification.fit import Fitted, Problem, require_excitation, scan, settle, split
 from adaptdrive.identification.result import IdentifiedLoad, autoregression, result_of

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import msgspec
 
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive.runtime.requests import REQUESTS, Disable, Request
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import BOOST, Given

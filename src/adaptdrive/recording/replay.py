@@ -18,9 +18,8 @@ from typing import Any
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.columns import rebuild
 from adaptdrive.control.schedule import Schedule, TwoRate
-from adaptdrive.control.signals import Command, Decision, Snapshot
+from adaptdrive.control.signals import Command, Decision, Snapshot, rebuild
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import INFO_FILE, TableName
 from adaptdrive.runtime.reports import TICK_COLUMNS, TickReport

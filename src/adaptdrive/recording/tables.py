@@ -17,7 +17,7 @@ import msgspec
 import pyarrow as pa
 from pyarrow import parquet as pq
 
-from adaptdrive.control.columns import Column
+from adaptdrive.control.signals import Column
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
 from adaptdrive.recording.session import SensorColumn, SessionInfo, TableName
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS

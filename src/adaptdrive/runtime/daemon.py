@@ -8,9 +8,9 @@ import itertools
 import math
 from collections.abc import Awaitable, Callable
 
-from adaptdrive.control.reach import Reach
 from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
+from adaptdrive.control.supervision.attainable import Reach
 from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
 from adaptdrive.runtime.accounts import Announcer, drive_report
 from adaptdrive.runtime.fast_loop import FastLoop

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from adaptdrive.config.bus import MEASURED
-from adaptdrive.control.load import to_input
+from adaptdrive.control.loads.load import to_input
 from adaptdrive.devices.faults import describe_fault
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import DriveReport

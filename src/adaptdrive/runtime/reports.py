@@ -14,10 +14,18 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Generic, TypeVar
 
-from adaptdrive.control.columns import Quantity, columns_of
-from adaptdrive.control.reach import UNKNOWN, Reach
-from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
-from adaptdrive.control.waveform import Waveform
+from adaptdrive.control.signals import (
+    Command,
+    Decision,
+    Measurement,
+    Mode,
+    Order,
+    Quantity,
+    Snapshot,
+    Waveform,
+    columns_of,
+)
+from adaptdrive.control.supervision.attainable import UNKNOWN, Reach
 from adaptdrive.util.errors import escaped
 
 # Reports of the runtime: immutable snapshots, never live objects.

@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Waveform
+from adaptdrive.control.signals import Mode, Waveform
 from adaptdrive.runtime.reports import State
 
 

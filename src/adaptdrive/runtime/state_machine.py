@@ -14,9 +14,8 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from adaptdrive.control.reach import Reach
-from adaptdrive.control.signals import Mode, Order, Stage
-from adaptdrive.control.waveform import Waveform
+from adaptdrive.control.signals import Mode, Order, Stage, Waveform
+from adaptdrive.control.supervision.attainable import Reach
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.limits import MachineLimits
 from adaptdrive.runtime.reports import State

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive_sim.campaign.bath_bench import BathScenario, BathStand
 from adaptdrive_sim.campaign.battery_bench import ideal_current
 from adaptdrive_sim.campaign.bench import Scenario, Stand, at_rest

@@ -18,9 +18,9 @@ from scipy.linalg import solve_discrete_are, toeplitz
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter, lfiltic
 
+from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.discretise import held_model
-from adaptdrive.control.load import Load
-from adaptdrive.control.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.loads.load import Load
 
 Array = NDArray[np.float64]
 

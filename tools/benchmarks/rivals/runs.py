@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.control.load import to_input, to_voltage
+from adaptdrive.control.loads.load import to_input, to_voltage
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun
 from adaptdrive_sim.course import Run

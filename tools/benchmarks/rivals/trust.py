@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from adaptdrive.control.load import Load
-from adaptdrive.control.pole_placement import (
+from adaptdrive.control.design.pole_placement import (
     closed_loop_polynomial,
     desired_polynomial,
     place_poles,
 )
+from adaptdrive.control.loads.load import Load
 from adaptdrive_sim.campaign.drawn import DrawnRun
 from adaptdrive_sim.course import Run
 from tools.benchmarks.rivals.controllers import Task

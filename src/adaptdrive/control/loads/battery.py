@@ -11,9 +11,9 @@ H is proper but not strictly proper: a step of the voltage is a step of the curr
 
 from __future__ import annotations
 
-from adaptdrive.control.charging import Charging
 from adaptdrive.control.discretise import held_model
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.charging import Charging
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 
 NAMES = ("direct_S", "gain_S", "tau_s")

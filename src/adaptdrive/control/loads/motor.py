@@ -11,7 +11,7 @@ every third time, and that is a legal model.
 from __future__ import annotations
 
 from adaptdrive.control.discretise import impulse_invariant_pair
-from adaptdrive.control.load import Load
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 
 NAMES = ("gain", "tau_sum_s", "tau_product_s2")

@@ -1,0 +1,269 @@
+"""Closed-loop poles within the noise: detuned ones, and fast ones where noise and margins allow.
+
+White noise e of the slow samples, with standard deviation σ_y, reaches the input through the loop:
+
+    A y = B u,  R u = t0 r - S (y + e)      u = -(S A / A_c) e      A_c = A R + B S
+    σ_u = σ_y ‖S A / A_c‖₂
+
+The asked poles A_m may cost more of σ_u than the input can give: the gains grow with the inertia.
+Where σ_u would be above its limit, the poles that are free, at 0 otherwise, become observer poles
+first, up to 0.8; where that does not suffice, the asked poles p become slower, 1 - p down to a
+quarter. A zero that is cancelled stays where it is.
+
+Slower poles are quieter down to about the load's own; gains that keep a load slower than it is rise
+again. Where no slowness on the way meets the limit, the quietest that was tried takes its place.
+
+The norm is the sum of the squared impulse response (K. J. Åström, Introduction to Stochastic
+Control Theory, 1970, section 5.2): with a, b of degree n, the recursion
+
+    α = a_k/a_0    β = b_k/a_0    a_i <- a_i - α a_(k-i)    b_i <- b_i - β a_(k-i)    k = n ... 1
+
+adds b_k β to it in each step, and b_0²/a_0 at the end, for a_0 = 1 at the start.
+
+The response to the reference is that of the poles asked for, whatever the poles of the feedback are
+(`reference_filter`). These decide how soon a disturbance is corrected, and at what cost: noise of
+the output reaches the input through the loop, and a wrong model makes a fast loop unstable sooner
+than a slow one. Two laws share one history of inputs, outputs and course:
+
+    quiet    the poles asked for, slower where noise demands it (`noise_limit`): A_q
+    fast     faster ones: p from the pole asked for down to half of it, while the poles that are
+             free rise from 0 as much, which costs least noise for the speed: A_f
+
+The fast law acts. The quiet one decides how far the course gives way at a limit of the input: the
+limit that the response needs counts, not the one that a correction or its noise runs into.
+
+A_f is the fastest loop whose noise of the input stays within a share of its limit, and which keeps
+the margins (I. D. Landau and G. Zito, Digital Control Systems, 2006, section 2.6): the distance of
+the open loop L = B S/(A R) from -1 on the unit circle is |A_f/(A R)|, the modulus margin; with an
+additional delay of d periods the loop stays stable while |B S/A_f| |1 - z^-d| < 1.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.design.pole_placement import desired_polynomial, kept_factor, place
+from adaptdrive.control.thresholds import FEWEST
+from adaptdrive.control.vectors import Vector, copy_into, multiply
+
+# Closed-loop poles that keep the noise of the output out of the input.
+
+OBSERVER_POLE = 1.0 - 1.0 / FEWEST
+"""Slowest observer pole: a disturbance is seen within the fewest samples that can show anything."""
+
+SLOWEST_SHARE = 0.25
+"""Least 1 - p over that of the pole asked for: four times its time constant."""
+
+_BOTH = 2.0
+"""Slowness at which the observer poles and the asked poles are at their limits."""
+
+_HALVINGS = 6
+"""Halvings of the way to the slowest poles, until the observer pole is found within 0.03."""
+
+
+def quiet_loop(
+    solved: Vector, a: Vector, b: Vector, order: int, pole: float, noise: float, limit: float
+) -> Vector:
+    """Return A_c with the fastest poles that keep the noise of the input within its limit.
+
+    Args:
+        solved: The `equation` of A and B.
+        a: A of the model.
+        b: B of the model.
+        order: m.
+        pole: Closed-loop pole asked for.
+        noise: σ_y of a slow sample, in the unit of the output.
+        limit: Largest σ_u, in the unit of the input; 0 for none.
+    """
+    kept = kept_factor(b, pole)
+    free = len(a) + len(b) - 2 - 2 * order
+    found = slowed_loop(kept, order, free, pole, 0.0)
+    least = noise_gain(solved, a, b, found)
+    if noise * least <= limit or not limit > 0.0:
+        return found
+    low, high, slowness = 0.0, _BOTH, _BOTH
+    for _ in range(1 + _HALVINGS):
+        loop = slowed_loop(kept, order, free, pole, slowness)
+        gain = noise_gain(solved, a, b, loop)
+        if noise * gain <= limit:
+            found, least, high = loop, 0.0, slowness
+        else:
+            found, least = (loop, gain) if gain < least else (found, least)
+            low = slowness if slowness < high else low
+        slowness = 0.5 * (low + high)
+    return found
+
+
+def slowed_loop(kept: Vector, order: int, free: int, pole: float, slowness: float) -> Vector:
+    """Return A_c for a slowness of 0 (as asked) to 1 (observer poles) to 2 (all poles slow).
+
+    Args:
+        kept: Factor of A_m that is not moved, [1.0] for none.
+        order: m.
+        free: Number of poles that nobody asks for.
+        pole: Closed-loop pole asked for.
+        slowness: 0 to 2.
+    """
+    observer = OBSERVER_POLE * min(slowness, 1.0)
+    share = 1.0 - (1.0 - SLOWEST_SHARE) * max(slowness - 1.0, 0.0)
+    slowed = desired_polynomial(1.0 - share * (1.0 - pole), 2 * order + 1 - len(kept))
+    return multiply(multiply(kept, slowed), desired_polynomial(observer, free))
+
+
+def noise_gain(solved: Vector, a: Vector, b: Vector, loop: Vector) -> float:
+    """Return ‖S A / A_c‖₂ of the controller that gives a model this loop.
+
+    Args:
+        solved: The `equation` of A and B.
+        a: A of the model.
+        b: B of the model.
+        loop: A_c, stable.
+    """
+    _, s = place(solved, a, b, loop)
+    return impulse_norm(multiply(s, a), loop)
+
+
+def impulse_norm(numerator: Vector, denominator: Vector) -> float:
+    """Return the root of the sum of the squared impulse response of a stable filter in q^-1.
+
+    It is infinite where rounding hides it: that of many poles which all are close to 1.
+
+    Args:
+        numerator: b, no longer than a.
+        denominator: a, its first entry 1.
+    """
+    degree = len(denominator) - 1
+    a, b = list(denominator), [0.0] * (degree + 1)
+    copy_into(b, numerator)
+    power = 0.0
+    for k in range(degree, 0, -1):
+        if not a[0] > 0.0:
+            return math.inf
+        beta = b[k] / a[0]
+        power += beta * b[k]
+        _reduce(a, b, k)
+    return math.sqrt(power + b[0] * b[0] / a[0]) if a[0] > 0.0 else math.inf
+
+
+def _reduce(a: Vector, b: Vector, k: int) -> None:
+    """Lower the degree of both polynomials from k to k - 1."""
+    alpha, beta = a[k] / a[0], b[k] / a[0]
+    last = [a[k - i] for i in range(k + 1)]
+    for i in range(k):
+        a[i] -= alpha * last[i]
+        b[i] -= beta * last[i]
+
+
+# Fast feedback: disturbances are corrected as soon as noise and margins allow.
+
+MODULUS_MARGIN = 0.43
+"""Least distance of L from -1: a gain margin of 1.75 and a phase margin of 25° at the least."""
+
+DELAY_MARGIN = 0.5
+"""Additional delay in slow periods that the fast loop stands."""
+
+SPENT = 0.25
+"""Share of the limit of σ_u that the fast law may spend."""
+
+_FREQUENCIES = 40
+"""Frequencies at which margins are looked for, from half the sampling rate down."""
+
+_NEXT = 0.875
+"""Each frequency over the one before."""
+
+
+"""Halvings of the way to half the pole asked for, until the fastest is found within 0.01."""
+
+
+def fast_loop(
+    solved: Vector,
+    a: Vector,
+    b: Vector,
+    order: int,
+    pole: float,
+    quiet: Vector,
+    noise: float,
+    limit: float,
+    circle: Vector,
+) -> Vector:
+    """Return A_f; A_q where no loop faster than asked keeps within the limits.
+
+    Args:
+        solved: The `equation` of A and B.
+        a: A of the model.
+        b: B of the model.
+        order: m.
+        pole: Closed-loop pole asked for.
+        quiet: A_q.
+        noise: σ_y of a slow sample, in the unit of the output.
+        limit: Largest σ_u of the quiet law, in the unit of the input; 0 for A_q at any noise.
+        circle: That of `unit_circle` for as many entries as A_c has.
+    """
+    kept = kept_factor(b, pole)
+    free = len(a) + len(b) - 2 - 2 * order
+    low, high = 0.0, 1.0 if limit > 0.0 else 0.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        loop = _faster_loop(kept, order, free, pole, middle)
+        r, s = place(solved, a, b, loop)
+        spent = noise * impulse_norm(multiply(s, a), loop)
+        if spent <= SPENT * limit and has_margins(multiply(a, r), multiply(b, s), loop, circle):
+            low = middle
+        else:
+            high = middle
+    return list(quiet) if low == 0.0 else _faster_loop(kept, order, free, pole, low)
+
+
+def _faster_loop(kept: Vector, order: int, free: int, pole: float, speed: float) -> Vector:
+    """Return A_f for a speed of 0 (as asked) to 1 (all poles half of the pole asked for)."""
+    observer = 0.5 * speed * pole
+    asked = multiply(kept, desired_polynomial(pole - observer, 2 * order + 1 - len(kept)))
+    return multiply(asked, desired_polynomial(observer, free))
+
+
+def unit_circle(count: int) -> Vector:
+    """Return what margins need at all frequencies, a row for each, the same in every slow period.
+
+    Args:
+        count: Coefficients of a polynomial in q^-1.
+
+    Returns:
+        Real and imaginary parts of its powers of q^-1, and |1 - z^-d|² at the end of the row.
+    """
+    row = 2 * count + 1
+    circle = [0.0] * (row * _FREQUENCIES)
+    angle = math.pi
+    for first in range(0, len(circle), row):
+        for i in range(count):
+            circle[first + 2 * i] = math.cos(i * angle)
+            circle[first + 2 * i + 1] = math.sin(i * angle)
+        circle[first + row - 1] = (2.0 * math.sin(0.5 * DELAY_MARGIN * angle)) ** 2
+        angle *= _NEXT
+    return circle
+
+
+def has_margins(forward: Vector, back: Vector, loop: Vector, circle: Vector) -> bool:
+    """Return whether a loop keeps the margins.
+
+    Args:
+        forward: A R.
+        back: B S.
+        loop: A_c = A R + B S, stable.
+        circle: That of `unit_circle` for the entries of these.
+    """
+    row = len(circle) // _FREQUENCIES
+    for first in range(0, len(circle), row):
+        least = MODULUS_MARGIN * MODULUS_MARGIN * _squared(forward, circle, first)
+        least = max(least, circle[first + row - 1] * _squared(back, circle, first))
+        if not _squared(loop, circle, first) > least:
+            return False
+    return True
+
+
+def _squared(polynomial: Vector, circle: Vector, first: int) -> float:
+    """Return the squared size of a polynomial in q^-1 at the frequency that begins at an entry."""
+    real, imaginary = 0.0, 0.0
+    for i in range(len(polynomial)):
+        real += polynomial[i] * circle[first + 2 * i]
+        imaginary += polynomial[i] * circle[first + 2 * i + 1]
+    return real * real + imaginary * imaginary

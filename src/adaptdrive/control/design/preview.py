@@ -1,0 +1,302 @@
+"""Preview: where the law would leave the limits of the input, the reference to come is planned.
+
+min ½ xᵀ H x - hᵀ x,  low <= x <= high
+
+by the method of active limits (J. Nocedal and S. J. Wright, Numerical Optimization, 2006, section
+16.5): those numbers that are not held at a limit go towards the minimum over them, as far as the
+first limit. Where they have reached it, the one that pulls most from its limit is let go. Each step
+is exact, and none leaves the limits or makes the function larger; the steps are bounded.
+
+The response asked for is B/B(1) m*, m* = A_m(1)/A_m r' (`reference_filter`). It needs the input
+
+    u* = A/B(1) m* + f        f: what the feedback adds, for a load torque or an error of the model
+
+The set-points of a waveform are known, and so are m* and u* of the slow periods to come. At a limit
+a law can only give way; who knows what comes moves before. The law is followed ahead from the
+present course. While its input keeps the limits, it acts. Else m is the course with the least
+
+    Σ (m[k+i] - m*[k+i])² + w (B(1)/A(1))² Σ (Δu)²        A m = B(1) (u - f)
+
+whose input keeps them. The input of the plan changes at a few instants that double their distance.
+Its first value gives m[k], and the next period plans anew.
+
+Only the course is planned, and no sample of the output is in it but by the mean f: the law holds
+the output on this course as on any other, and the noise of its input stays within the same limit.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.slow_state import PreviewState, SlowSample, SlowState
+from adaptdrive.control.vectors import Vector, copy_into, shift_in, solve_linear, total
+
+# A quadratic function of a few numbers, each between the same limits.
+
+_STEPS = 4
+"""Steps for each number; about one and a half are needed."""
+
+
+def minimise(matrix: Vector, right: Vector, low: float, high: float) -> Vector:
+    """Return the x of the least function.
+
+    Args:
+        matrix: H, symmetric and positive definite, flat.
+        right: h.
+        low: Lowest x.
+        high: Highest x.
+    """
+    count = len(right)
+    x, held = [0.5 * (low + high)] * count, [0.0] * count
+    for _ in range(_STEPS * count):
+        way = _way(matrix, right, x, held)
+        share, first = 1.0, -1
+        for i in range(count):
+            room = (high if way[i] > 0.0 else low) - x[i]
+            if share * abs(way[i]) > abs(room):
+                share, first = room / way[i], i
+        for i in range(count):
+            x[i] = min(max(x[i] + share * way[i], low), high)
+        if first >= 0:
+            held[first] = 1.0 if way[first] > 0.0 else -1.0
+            x[first] = high if way[first] > 0.0 else low
+        elif not _let_go(matrix, right, x, held):
+            break
+    return x
+
+
+def _way(matrix: Vector, right: Vector, x: Vector, held: Vector) -> Vector:
+    """Return the way to the minimum over the numbers that are not held."""
+    count = len(right)
+    part, pull = [0.0] * (count * count), [0.0] * count
+    for i in range(count):
+        part[i * count + i] = 1.0
+        if held[i] == 0.0:
+            pull[i] = _pull(matrix, right, x, i)
+            for j in range(count):
+                if held[j] == 0.0:
+                    part[i * count + j] = matrix[i * count + j]
+    return solve_linear(part, pull)
+
+
+def _pull(matrix: Vector, right: Vector, x: Vector, i: int) -> float:
+    """Return how much the function falls with one number."""
+    result = right[i]
+    for j in range(len(x)):
+        result -= matrix[i * len(x) + j] * x[j]
+    return result
+
+
+def _let_go(matrix: Vector, right: Vector, x: Vector, held: Vector) -> bool:
+    """Let go of the number that pulls most from its limit; False where none does."""
+    worst, most = -1, 0.0
+    for i in range(len(x)):
+        pull = -held[i] * _pull(matrix, right, x, i)
+        if pull > most:
+            worst, most = i, pull
+    if worst >= 0:
+        held[worst] = 0.0
+    return worst >= 0
+
+
+# Preview: where the law would leave the limits of the input, the course to come is planned.
+
+MOVES = (0, 1, 2, 4, 8, 16, 32)
+"""Slow periods ahead at which the input of the plan changes, and its end."""
+
+AHEAD = MOVES[-1]
+"""Slow periods that are planned."""
+
+UNREST = 0.01
+"""w: price of a change of the input over that of the same error in one period."""
+
+
+def look_ahead(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    sample: SlowSample,
+    reference: float,
+    lead: float,
+) -> float:
+    """Return m[k] of the preview, NaN for that of the law.
+
+    There is none without knowledge of what comes, without the adaptive law alone in force, with the
+    paper's design, and with a battery, whose set-point is a limit.
+
+    Args:
+        settings: The design, and the limits of the law.
+        load: The load.
+        state: What is known; its preview is overwritten.
+        sample: What is asked for.
+        reference: r[k].
+        lead: d (`compensator`).
+    """
+    alone = state.blend >= 1.0 and sample.adaptive and load.charging is None
+    if len(sample.upcoming) == 0 or not (alone and settings.exact):
+        rest(state.preview, state.reference_filter.course)
+        return math.nan
+    references = led_references(reference, state.reference, sample.upcoming, lead)
+    return plan(
+        state.preview,
+        state.reference_filter.course,
+        state.reference_filter.asked,
+        state.trusted_a,
+        state.trusted_b,
+        references,
+        state.sent,
+        not state.saturated,
+        sample.pole,
+        sample.low,
+        sample.high,
+        settings.jacket.confidence * state.input_noise,
+    )
+
+
+def led_references(reference: float, last: float, upcoming: Vector, lead: float) -> Vector:
+    """Return r'[k] and those to come.
+
+    Args:
+        reference: r[k].
+        last: r[k-1].
+        upcoming: r[k+1] and the following ones.
+        lead: d (`compensator`).
+    """
+    led = [0.0] * (len(upcoming) + 1)
+    for i in range(len(led)):
+        value = reference if i == 0 else upcoming[i - 1]
+        led[i] = value + lead * (value - last)
+        last = value
+    return led
+
+
+def rest(state: PreviewState, course: Vector) -> None:
+    """Plan nothing: the course asked for is the one in force.
+
+    Args:
+        state: Overwritten.
+        course: m[k-1] ... m[k-1-n].
+    """
+    copy_into(state.course, course)
+    state.offset, state.moved = math.nan, 0.0
+
+
+def plan(
+    state: PreviewState,
+    course: Vector,
+    asked: Vector,
+    a: Vector,
+    b: Vector,
+    references: Vector,
+    last_input: float,
+    free: bool,
+    pole: float,
+    low: float,
+    high: float,
+    beyond: float,
+) -> float:
+    """Return m[k]: that of the law where it keeps the limits.
+
+    Args:
+        state: Overwritten.
+        course: m[k-1] ... m[k-1-n].
+        asked: A_m.
+        a: A of the model.
+        b: B of the model.
+        references: r'[k] and those to come.
+        last_input: u[k-1] as sent.
+        free: Whether no limit has changed it: a limit shows from one side only what f may be.
+        pole: Pole asked for: f is followed as fast as a set-point.
+        low: Lowest input.
+        high: Highest input.
+        beyond: How far the law may go beyond a limit before its course gives way.
+    """
+    past = len(course)
+    last = follow(a, course, 0.0, references)
+    added = last_input - _needed(a, b, last, past - 1)
+    if not math.isfinite(state.offset):
+        state.offset = added if free else 0.0
+    below, above = last_input <= low, last_input >= high
+    if free or (below and added < state.offset) or (above and added > state.offset):
+        state.offset += (1.0 - pole) * (added - state.offset)
+    ideal = follow(asked, state.course, total(asked), references)
+    shift_in(state.course, ideal[past])
+    law = follow(asked, course, total(asked), references)
+    bottom, top = low - state.offset, high - state.offset
+    found = law[past]
+    if not _keeps(a, b, law, past, bottom - beyond, top + beyond):
+        found = _planned(a, b, last, ideal, past, bottom, top)
+    state.moved = found - ideal[past]
+    return found
+
+
+def follow(polynomial: Vector, course: Vector, gain: float, inputs: Vector) -> Vector:
+    """Return a course, oldest first, and its continuation by gain/polynomial of the inputs."""
+    past = len(course)
+    values = [0.0] * (past + AHEAD)
+    for i in range(past):
+        values[i] = course[past - 1 - i]
+    for i in range(past, past + AHEAD):
+        values[i] = gain * inputs[i - past]
+        for j in range(1, len(polynomial)):
+            values[i] -= polynomial[j] * values[i - j]
+    return values
+
+
+def _needed(a: Vector, b: Vector, values: Vector, at: int) -> float:
+    """Return the input that a course needs, less f."""
+    result = 0.0
+    for j in range(len(a)):
+        result += a[j] * values[at - j]
+    return result / total(b)
+
+
+def _keeps(a: Vector, b: Vector, values: Vector, past: int, bottom: float, top: float) -> bool:
+    """Return whether the input of a course keeps the limits from now on."""
+    for i in range(past, len(values)):
+        if not bottom <= _needed(a, b, values, i) <= top:
+            return False
+    return True
+
+
+def _planned(
+    a: Vector, b: Vector, free: Vector, ideal: Vector, past: int, bottom: float, top: float
+) -> float:
+    """Return m[k] of the plan.
+
+    Args:
+        a: A of the model.
+        b: B of the model.
+        free: The course without any input.
+        ideal: The course asked for.
+        past: Their periods that are over.
+        bottom: Lowest input, less f.
+        top: Highest input, less f.
+    """
+    step = follow(a, [0.0] * past, total(b), [1.0] * AHEAD)
+    count = len(MOVES) - 1
+    matrix, right = [0.0] * (count * count), [0.0] * count
+    for i in range(AHEAD):
+        for j in range(count):
+            answer = _answer(step, past, i, j)
+            right[j] += answer * (ideal[past + i] - free[past + i])
+            for other in range(count):
+                matrix[j * count + other] += answer * _answer(step, past, i, other)
+    price = UNREST * (total(b) / total(a)) ** 2
+    right[0] += price * _needed(a, b, free, past - 1)
+    for j in range(count):
+        matrix[j * count + j] += price
+        if j > 0:
+            matrix[(j - 1) * count + j - 1] += price
+            matrix[(j - 1) * count + j] -= price
+            matrix[j * count + j - 1] -= price
+    return free[past] + step[past] * minimise(matrix, right, bottom, top)[0]
+
+
+def _answer(step: Vector, past: int, i: int, j: int) -> float:
+    """Return what the input between two changes does to the course, i periods ahead."""
+    begun, ended = i - MOVES[j], i - MOVES[j + 1]
+    result = step[past + begun] if begun >= 0 else 0.0
+    return result - step[past + ended] if ended >= 0 else result

@@ -1,0 +1,226 @@
+"""From an estimate to gains: the model, its checks, and the design.
+
+The checks run in the order of their cost; the first that fails gives the verdict.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.design.noise import fast_loop, noise_gain, quiet_loop
+from adaptdrive.control.design.pole_placement import (
+    asked_loop,
+    discrete_model,
+    equation,
+    loop_gains,
+)
+from adaptdrive.control.design.robustness import closed_loop, possible_models, response_spread
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation.second_estimates import restart
+from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import ControllerSettings, Jacket
+from adaptdrive.control.slow_state import SlowSample, SlowState
+from adaptdrive.control.supervision import supervisor as sup
+from adaptdrive.control.thresholds import MEMORY, NOISE_FLOOR
+from adaptdrive.control.vectors import Vector, copy_into, total
+
+
+def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
+    """Judge the estimate and, if it is trusted, make gains of it."""
+    gains = [0.0] * len(state.adaptive_gains)
+    verdict = _redesign(settings, load, state, sample, gains)
+    _look_for_a_way_back(settings, load, state, verdict)
+    periods = state.estimator.periods
+    state.accepted = sup.take_verdict(
+        state.supervisor, verdict, settings.jacket, periods, state.adaptive
+    )
+    if state.accepted or _is_recalled(settings, state, verdict):
+        _take_gains(settings.jacket, state, gains)
+        _take_loop(load, state, settings.jacket.gain_slew, sample.pole)
+        _take_fast_law(settings, load, state, sample)
+        state.trusted_a, state.trusted_b = state.model_a, state.model_b
+        state.input_noise = _input_noise(settings, state, state.new_loop, NOISE_FLOOR)
+        state.fast_noise = _input_noise(settings, state, state.fast_loop, 0.0)
+
+
+def _is_recalled(settings: ControllerSettings, state: SlowState, verdict: int) -> bool:
+    """Return whether gains follow from what a run before this one had trusted.
+
+    They act from the first slow period on, and as long as nothing is learnt they fit the noise as
+    it becomes known.
+    """
+    unchanged = state.estimator.periods <= max(1, settings.learning.settle_periods)
+    possible = verdict == sup.Verdict.TRUSTED or sup.is_doubt(verdict)
+    state.recalled = state.recalled and unchanged and possible
+    state.supervisor.trusted = state.supervisor.trusted or state.recalled
+    return state.recalled
+
+
+def _look_for_a_way_back(
+    settings: ControllerSettings, load: Load, state: SlowState, verdict: int
+) -> None:
+    """Let an estimate that cannot be right for as long as it remembers begin anew."""
+    estimator = state.estimator
+    if not settings.learning.alert or estimator.idle_periods > 0 or not sup.is_impossible(verdict):
+        estimator.lost_periods = 0
+        return
+    estimator.lost_periods += 1
+    if not settings.learning.method.physical or estimator.lost_periods <= MEMORY:
+        return
+    estimator.lost_periods = 0
+    if estimator.integrated.in_force:
+        restart(estimator.integrated)
+    else:
+        est.begin_anew(estimator, settings.learning, load)
+
+
+def _take_gains(jacket: Jacket, state: SlowState, gains: Vector) -> None:
+    """New gains: those in force move towards them, those that only wait are replaced."""
+    share = jacket.gain_slew
+    if share >= 1.0 or not state.adaptive:
+        copy_into(state.adaptive_gains, gains)
+        return
+    for i in range(len(gains)):
+        state.adaptive_gains[i] += share * (gains[i] - state.adaptive_gains[i])
+
+
+def _take_loop(load: Load, state: SlowState, share: float, pole: float) -> None:
+    """Make the reference filter fit the gains; these are affine in A_c, so both move alike."""
+    target = state.reference_filter
+    if not state.adaptive or total(target.loop) == 0.0:
+        share = 1.0
+    asked = asked_loop(state.model_b, load.order, pole)
+    for i in range(len(asked)):
+        target.asked[i] = asked[i]
+    for i in range(len(state.new_loop)):
+        target.loop[i] += share * (state.new_loop[i] - target.loop[i])
+
+
+def _take_fast_law(
+    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
+) -> None:
+    """Take over the fast law, or the quiet one where the covariance leaves the fast one unsure."""
+    a, b, quiet, solved = state.model_a, state.model_b, state.new_loop, state.equation
+    noise, limit = _output_noise(settings, state, 0.0), settings.jacket.noise_max
+    loop = fast_loop(solved, a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
+    gains = loop_gains(solved, a, b, loop)
+    most = settings.jacket.spread_max
+    if most > 0.0 and not _spread(settings, load, state, gains, loop, sample.pole) <= most:
+        loop, gains = quiet, loop_gains(solved, a, b, quiet)
+    copy_into(state.fast_loop, loop)
+    copy_into(state.fast_gains, gains)
+
+
+def _output_noise(
+    settings: ControllerSettings, state: SlowState, least: float = NOISE_FLOOR
+) -> float:
+    """σ_y of a slow sample: what a disturbance or an error of the estimate adds is not in it.
+
+    At rest a rounded output stands still, and seems to have no noise.
+
+    Args:
+        settings: Designs, rates and rules.
+        state: The estimate.
+        least: Least σ_y², in the units of the scaled output.
+    """
+    if not settings.learning.method.physical:
+        return 0.0
+    estimator = state.estimator
+    seen = math.sqrt(max(least, estimator.surprise.noise))
+    return max(seen, estimator.sample.rounding) * settings.learning.output_scale
+
+
+def _input_noise(
+    settings: ControllerSettings, state: SlowState, loop: Vector, least: float
+) -> float:
+    """σ_u of a loop, at most its limit; 0 where there is no limit."""
+    limit = settings.jacket.noise_max
+    if not limit > 0.0:
+        return 0.0
+    gain = noise_gain(state.equation, state.model_a, state.model_b, loop)
+    return min(limit, gain * _output_noise(settings, state, least))
+
+
+def _redesign(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    sample: SlowSample,
+    gains: Vector,
+) -> int:
+    a, b, verdict = settings.learning.method.model(settings, load, state, sample.period_s)
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    limit = settings.jacket.noise_max
+    noise, solved = _output_noise(settings, state), equation(a, b)
+    copy_into(state.new_loop, quiet_loop(solved, a, b, load.order, sample.pole, noise, limit))
+    copy_into(gains, loop_gains(solved, a, b, state.new_loop))
+    verdict = sup.judge_loop(closed_loop(gains, a, b, load.order))
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    state.model_a, state.model_b, state.equation = a, b, solved
+    return _judge_response(settings, load, state, gains, sample)
+
+
+def _judge_response(
+    settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, sample: SlowSample
+) -> int:
+    """Check how far the response may be off within the covariance of the estimate."""
+    limit, learning = settings.jacket.spread_max, settings.learning
+    if not (limit > 0.0 and learning.method.physical):
+        return sup.Verdict.TRUSTED
+    root = learning.method.root(state.estimator, learning, load, state.values)
+    models = possible_models(settings, load, state.values, root, sample.period_s)
+    copy_into(state.possible, models)
+    state.spread = _spread(settings, load, state, gains, state.new_loop, sample.pole)
+    return sup.Verdict.TRUSTED if state.spread <= limit else sup.Verdict.UNCERTAIN
+
+
+def _spread(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    gains: Vector,
+    loop: Vector,
+    pole: float,
+) -> float:
+    """Return how far the response may be off within the covariance of the estimate; 0 for none."""
+    if not settings.learning.method.physical:
+        return 0.0
+    return response_spread(load.order, state.possible, gains, loop, state.model_b, pole)
+
+
+def judge_physical(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    numerator: Vector,
+    denominator: Vector,
+    period_s: float,
+) -> tuple[Vector, Vector, int]:
+    """Check the physical parameters of an estimated model in s.
+
+    Args:
+        settings: Designs, rates and rules.
+        load: The nominal model and the meaning of the parameters.
+        state: The estimate; its physical parameters are overwritten.
+        numerator: Of the estimated model, highest power first.
+        denominator: Of the estimated model, highest power first.
+        period_s: T_k in s.
+
+    Returns:
+        A and B of the discrete model, and the verdict; the polynomials count only if trusted.
+    """
+    verdict = sup.judge_model(numerator, denominator)
+    if verdict != sup.Verdict.TRUSTED:
+        return denominator, numerator, verdict
+    copy_into(state.values, load.physical(numerator, denominator))
+    verdict = sup.judge_bounds(state.values, state.nominal, settings.jacket, state.supervisor)
+    if verdict == sup.Verdict.TRUSTED:
+        verdict = sup.judge_damping(denominator, settings.jacket)
+    if verdict == sup.Verdict.TRUSTED:
+        verdict = sup.judge_residual(state.supervisor, settings.jacket)
+    if verdict != sup.Verdict.TRUSTED:
+        return denominator, numerator, verdict
+    a, b = discrete_model(settings, load, numerator, denominator, period_s)
+    return a, b, sup.judge_load(a)

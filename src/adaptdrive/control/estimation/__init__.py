@@ -1,0 +1,1 @@
+"""Estimation: filters, regression, recursive least squares, and which model of the load holds."""

@@ -1,0 +1,175 @@
+"""A branch: an estimate with its covariance, how well it predicts, and an offset that moves.
+
+The estimator holds several. One is its estimate; the others explain an alarm (`rivals`), challenge
+the estimate (`challenger`) or follow a disturbance that never rests (`integrated`). With σ² known
+only as σ0² from ν0 samples the logarithm of the likelihood of n samples is, up to a constant
+(Bayesian linear regression with an inverse-gamma prior of σ²; Gelman et al., Bayesian Data
+Analysis, chapter 14),
+
+    L = -1/2 Σ ln(1 + rᵀPr/ρ) - (ν0 + n)/2 ln((ν0 σ0² + Σ ε² ρ/(ρ + rᵀPr)) / ((ν0 + n) σ0²))
+
+Least squares take every parameter as constant, but for the forgetting. A bias that moves is no
+constant: between two samples it follows a random walk, which widens P (Ljung, System
+Identification, section 11.2), and that is all that is forgotten of it. With the walk a sample is
+uncertain by its bias most of all, so that forgetting along P r would hardly reach the dynamics:
+they are forgotten separately.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation.regression import fill_initial_state
+from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.thresholds import PRIOR_SAMPLES, WINDOW
+from adaptdrive.control.vectors import Vector, copy_into, unit
+
+# A branch: an estimate with its covariance, and how well it has predicted.
+
+
+@dataclass(slots=True)
+class Datum:
+    """One slow sample, as the estimator sees it.
+
+    Attributes:
+        regressor: r, scaled; the functions of the initial state in it belong to the branch that
+            has predicted it last.
+        target: What r predicts, scaled.
+        time_s: Time since start.
+        rounding: Standard deviation of the rounding error of the output, scaled.
+    """
+
+    regressor: Vector
+    target: float = 0.0
+    time_s: float = 0.0
+    rounding: float = 0.0
+
+
+@dataclass(slots=True)
+class Branch:
+    """One estimate, and how well it has predicted.
+
+    Attributes:
+        theta: θ, scaled.
+        upper: U of P = U D Uᵀ.
+        diagonal: D.
+        origin_s: Since when the functions of the initial state are counted.
+        squares: Sum of ε² ρ / (ρ + rᵀPr).
+        logs: Sum of ln(1 + rᵀPr / ρ).
+        score: Logarithm of its likelihood, up to a constant.
+        innovation: ε of the last sample, scaled.
+        excitation: rᵀPr of the last sample.
+    """
+
+    theta: Vector
+    upper: Vector
+    diagonal: Vector
+    origin_s: float = 0.0
+    squares: float = 0.0
+    logs: float = 0.0
+    score: float = 0.0
+    innovation: float = 0.0
+    excitation: float = 0.0
+
+
+def new_branch(count: int) -> Branch:
+    """Return a branch for θ of a length."""
+    return Branch([0.0] * count, [0.0] * (count * count), [0.0] * count)
+
+
+def copy_estimate(target: Branch, source: Branch) -> None:
+    """Overwrite θ, P, origin and the last prediction."""
+    copy_into(target.theta, source.theta)
+    copy_into(target.upper, source.upper)
+    copy_into(target.diagonal, source.diagonal)
+    target.origin_s = source.origin_s
+    target.innovation, target.excitation = source.innovation, source.excitation
+
+
+def predict(branch: Branch, sample: Datum) -> None:
+    """Predict a sample, before it is learnt: innovation and excitation are overwritten."""
+    branch.excitation = ud.excitation(branch.upper, branch.diagonal, sample.regressor)
+    branch.innovation = sample.target - rls.predict(branch.theta, sample.regressor)
+
+
+def predict_sample(branch: Branch, learning: Learning, load: Load, sample: Datum) -> None:
+    """Predict a sample whose functions of the initial state are counted from the branch's origin.
+
+    Args:
+        branch: Innovation and excitation are overwritten.
+        learning: τ_λ.
+        load: Order.
+        sample: The functions of the initial state in it are overwritten.
+    """
+    fill_initial_state(sample.regressor, learning, load, sample.time_s - branch.origin_s)
+    predict(branch, sample)
+
+
+def squared_error(branch: Branch, forgetting: float) -> float:
+    """Return ε² ρ/(ρ + rᵀPr) of the last prediction, the quotient first as in old sessions."""
+    return branch.innovation * branch.innovation * (forgetting / (forgetting + branch.excitation))
+
+
+def count_prediction(branch: Branch, forgetting: float) -> None:
+    """Add the last prediction to the sums by which branches are compared."""
+    branch.squares += squared_error(branch, forgetting)
+    branch.logs += math.log(1.0 + branch.excitation / forgetting)
+
+
+def likelihood(branch: Branch, power: float, count: int) -> float:
+    """Return L of a branch that has predicted so many samples, from σ0²."""
+    weight = PRIOR_SAMPLES + count
+    mean = (PRIOR_SAMPLES * power + branch.squares) / power
+    return -0.5 * (branch.logs + weight * math.log(mean / weight))
+
+
+def posterior_power(branch: Branch, power: float, count: int) -> float:
+    """Return σ² as a branch leaves it after so many samples, from σ0²."""
+    return (PRIOR_SAMPLES * power + branch.squares) / (PRIOR_SAMPLES + count)
+
+
+def widen_last(branch: Branch, variance: float) -> None:
+    """Widen P along the last parameter, the bias."""
+    direction = unit(len(branch.theta), len(branch.theta) - 1)
+    ud.widen(branch.upper, branch.diagonal, direction, variance)
+
+
+# Learning with an offset that moves: the EMF of a battery, the inflow temperature of a bath.
+
+OFFSET_WALK = 1.0 / WINDOW
+"""Random walk of an offset that drifts, in σ for each slow period: it is a mean over a window."""
+
+
+def walking_count(learning: Learning) -> int:
+    """Return how many parameters, the last ones of θ, follow a random walk."""
+    if not learning.bias:
+        return 0
+    if learning.charge:
+        return 2
+    return 1 if learning.drifts else 0
+
+
+def learn_sample(branch: Branch, sample: Datum, learning: Learning, gate: float) -> None:
+    """Take in one sample, with directional forgetting of what does not walk.
+
+    The walk of a charge is in `estimator.let_emf_wander`.
+
+    Args:
+        branch: θ and P, overwritten.
+        sample: r and what it predicts.
+        learning: Forgetting, and what walks.
+        gate: Gate below which a sample moves only what walks.
+    """
+    theta, upper, diagonal = branch.theta, branch.upper, branch.diagonal
+    regressor, target, rho = sample.regressor, sample.target, learning.forgetting
+    walks = walking_count(learning)
+    if walks == 0:
+        rls.update_along(theta, upper, diagonal, regressor, target, rho)
+        return
+    rls.update_beside(theta, upper, diagonal, regressor, target, rho, gate, walks)
+    if not learning.charge:
+        widen_last(branch, OFFSET_WALK * OFFSET_WALK)

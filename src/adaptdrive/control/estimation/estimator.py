@@ -1,0 +1,243 @@
+"""The on-line estimator: recursive least squares with a gate, a bound of P and an alarm.
+
+What is learnt, from which signals and by which update is in the file of the method (`methods`); the
+arithmetic of the update is in `rls`, and what counts as an abrupt change in `surprise`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control.estimation import rivals as riv
+from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation.branch import Branch, Datum, learn_sample, new_branch, predict
+from adaptdrive.control.estimation.change_detector import Surprise, watch_noise
+from adaptdrive.control.estimation.hypotheses import DISTURBANCE_SHARE
+from adaptdrive.control.estimation.second_estimates import Challenger, Integrated, restart
+from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.thresholds import NOISE_FLOOR, WINDOW
+from adaptdrive.control.vectors import Vector, copy_into
+
+_LARGEST = 1.0e20
+"""Largest scaled entry of a sample, for which 1 is usual: the squares of larger ones overflow P."""
+
+_EMF_NOISE = 0.2
+"""Random walk of an EMF in each slow period, in σ of a sample: its charge is no more exact."""
+
+_EMF_BEND = 0.1
+"""Random walk of its rise, in σ, for a charge of τ_λ times the output's scale."""
+
+_PRIOR_VARIANCE = 2.0e3
+"""Variance of a prior over σ²: a few samples confirm it, some seconds of others correct it."""
+
+
+@dataclass(slots=True)
+class EstimatorState:
+    """State of the estimator.
+
+    Attributes:
+        estimate: θ and P, of a bias that rests.
+        opened: The estimate in force, with what the load may have become.
+        sample: The last sample.
+        residual_power: Forgetting sum of squared normalised innovations.
+        residual_weight: Forgetting count of them.
+        residual_lag: Forgetting sum of the products of each and the one before.
+        residual_last: The last of them.
+        innovation: ε of the last sample, in the unit of the output.
+        excitation: rᵀPr of the last sample.
+        periods: Slow periods since start.
+        idle_periods: Slow periods since the last sample that taught something.
+        charge: Integral of the output since start over τ_λ, scaled.
+        surprise: Detector of abrupt changes.
+        alarm_period: Slow period of the last alarm.
+        lost_periods: Slow periods in a row in which no load can have such an estimate.
+        unseen_periods: Slow periods since a sample that would have shown another load.
+        rivals: Explanations of an alarm.
+        challenger: A second estimate, learnt anew since an alarm.
+        integrated: A second estimate, whose bias walks.
+    """
+
+    estimate: Branch
+    opened: Branch
+    sample: Datum
+    surprise: Surprise
+    rivals: riv.Rivals
+    challenger: Challenger
+    integrated: Integrated
+    residual_power: float = 0.0
+    residual_weight: float = 0.0
+    residual_lag: float = 0.0
+    residual_last: float = 0.0
+    innovation: float = math.nan
+    excitation: float = 0.0
+    periods: int = 0
+    idle_periods: int = 0
+    charge: float = 0.0
+    alarm_period: int = -WINDOW
+    lost_periods: int = 0
+    unseen_periods: int = 0
+
+
+def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
+    """Return an estimator without data, which starts from zero or from the nominal model."""
+    count = learning.method.parameter_count(learning, load, taps)
+    state = EstimatorState(
+        new_branch(count),
+        new_branch(count),
+        Datum([0.0] * count),
+        Surprise(),
+        riv.new_rivals(count),
+        Challenger(new_branch(count)),
+        Integrated(new_branch(count)),
+    )
+    _open(state.estimate, learning)
+    learning.method.begin(state, learning, load)
+    if learning.start_at_nominal:
+        copy_into(state.estimate.theta, nominal_theta(learning, load, taps))
+    return state
+
+
+def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:
+    """Return θ of the nominal model, scaled; zeros where the method cannot express it."""
+    theta = [0.0] * learning.method.parameter_count(learning, load, taps)
+    numerator, denominator = list(load.numerator), list(load.denominator)
+    copy_into(theta, learning.method.theta_of(learning, load, numerator, denominator))
+    return theta
+
+
+def _open(estimate: Branch, learning: Learning) -> None:
+    """Know nothing, and expect an offset of the size of a disturbance.
+
+    The latter only where it rests and the nominal gain is known.
+
+    Without this the first step of torque, which comes before the load is known, is learnt as
+    dynamics with an offset that nothing can cause.
+    """
+    diagonal = estimate.diagonal
+    rls.reset(estimate.theta, estimate.upper, diagonal, learning.initial_covariance)
+    if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
+        expected = DISTURBANCE_SHARE * DISTURBANCE_SHARE / NOISE_FLOOR
+        diagonal[len(diagonal) - 1] = min(diagonal[len(diagonal) - 1], expected)
+
+
+def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
+    """Start from the nominal model again: an estimate that no load can have has lost its way.
+
+    It learnt a disturbance as dynamics before σ² was known, and what surprises it is explained by
+    other disturbances ever since.
+    """
+    own, numerator, denominator = state.estimate, list(load.numerator), list(load.denominator)
+    _open(own, learning)
+    copy_into(own.theta, learning.method.theta_of(learning, load, numerator, denominator))
+    own.origin_s = state.sample.time_s
+    state.surprise.sum = 0.0
+    state.rivals.samples = 0
+    state.challenger.samples = 0
+    restart(state.integrated)
+    riv.drop_anchor(state.rivals, own, state.sample)
+
+
+def start_from(state: EstimatorState, learning: Learning, load: Load, values: Vector) -> None:
+    """Start from a load that an earlier run has learnt, moderately sure of it.
+
+    Sure enough to be confirmed without much excitation, and doubtful enough to be corrected within
+    seconds by data that contradict it; the bias is unknown.
+
+    Args:
+        state: A new estimator of a method with physical parameters, overwritten.
+        learning: Scales.
+        load: The load.
+        values: Its physical parameters.
+    """
+    numerator, denominator = load.realise(values)
+    theta = learning.method.theta_of(learning, load, numerator, denominator)
+    copy_into(state.estimate.theta, theta)
+    copy_into(state.estimate.diagonal, [_PRIOR_VARIANCE] * len(theta))
+
+
+def learn(
+    state: EstimatorState, learning: Learning, load: Load, output: float, usable: bool
+) -> None:
+    """Take in one slow sample whose regressor has been filled in.
+
+    Args:
+        state: Overwritten.
+        learning: Forgetting and gates.
+        load: What an abrupt change leaves as it was.
+        output: What r predicts, as `Method.target` returns it.
+        usable: False for a sample that must not teach: its innovation is still computed.
+    """
+    own, sample = state.estimate, state.sample
+    sample.target = output / learning.output_scale
+    state.periods += 1
+    predict(own, sample)
+    state.excitation = own.excitation
+    state.innovation = own.innovation * learning.output_scale
+    usual = abs(own.innovation) < _LARGEST and all(abs(one) < _LARGEST for one in sample.regressor)
+    if not (usual and math.isfinite(own.excitation)):
+        return
+    state.idle_periods += 1
+    riv.forget_changes(state.rivals)
+    if not usable:
+        return
+    watch_noise(state.surprise, own.innovation)
+    if state.periods > learning.settle_periods:
+        learning.method.take_in(state, learning, load)
+
+
+def take_in(state: EstimatorState, learning: Learning, *, directional: bool) -> None:
+    """Update θ and P, if the sample can teach anything.
+
+    Args:
+        state: Its estimate has predicted the sample; overwritten.
+        learning: Forgetting and gates.
+        directional: Whether to forget only along r (`learn_sample`).
+    """
+    own, sample, rho = state.estimate, state.sample, learning.forgetting
+    if not own.excitation > learning.gate * (1.0 - rho):
+        return
+    state.idle_periods = 0
+    theta, upper, diagonal = own.theta, own.upper, own.diagonal
+    if directional:
+        learn_sample(own, sample, learning, learning.gate)
+    else:
+        rls.update(theta, upper, diagonal, sample.regressor, sample.target, rho)
+    if learning.covariance_max > 0.0:
+        ud.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
+    remember_residual(state, own, rho)
+
+
+def let_emf_wander(state: EstimatorState, learning: Learning) -> None:
+    """Let a slow period pass for an EMF that rises with the charge, at a rate that changes slowly.
+
+    At a constant current only the EMF moves: without this, what a straight line misses of its
+    course would be mistaken for dynamics.
+
+    Args:
+        state: P is overwritten.
+        learning: Whether a charge is learnt.
+    """
+    if not learning.charge:
+        return
+    _wander(state, 0.0, _EMF_NOISE)
+    _wander(state, _EMF_BEND, -_EMF_BEND * state.charge)
+
+
+def _wander(state: EstimatorState, rise: float, bias: float) -> None:
+    """Widen P along a change of the rise with the charge and of the bias."""
+    direction = [0.0] * len(state.estimate.theta)
+    direction[len(direction) - 2], direction[len(direction) - 1] = rise, bias
+    ud.widen(state.estimate.upper, state.estimate.diagonal, direction, 1.0)
+
+
+def remember_residual(state: EstimatorState, branch: Branch, forgetting: float) -> None:
+    """Add the innovation of a branch to the forgetting sums from which σ follows."""
+    power = rls.normalised(branch.excitation, branch.innovation, forgetting)
+    state.residual_power = forgetting * state.residual_power + power
+    state.residual_weight = forgetting * state.residual_weight + 1.0
+    own = math.copysign(math.sqrt(max(0.0, power)), branch.innovation)
+    state.residual_lag = forgetting * state.residual_lag + own * state.residual_last
+    state.residual_last = own

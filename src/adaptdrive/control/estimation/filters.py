@@ -1,0 +1,317 @@
+"""Filters at the fast rate: outliers, the resolution of the sensor, and the chain of λ filters.
+
+λ = 1/(τ_λ p + 1) (eq. 6), and λ^i is the signal after i filters in a row. One fast tick of length
+T, with h = T/τ_λ, moves the chain x_i = λ^i w exactly for two kinds of input w:
+
+    held (step-invariant):            x_i <- Σ_j φ_j x_(i-j) + P_i w[n]
+    linear between samples (ramp-invariant):
+                                      x_i <- Σ_j φ_j x_(i-j) + (P_i - R_i) w[n] + R_i w[n+1]
+
+    φ_j = e^-h h^j / j!               (impulse response of j filters, over one tick)
+    P_i = e^-h Σ_(j>=i) h^j / j!      (response of x_i to a held 1: incomplete gamma function)
+    R_i = P_i - (i/h) P_(i+1)         (response of x_i to a ramp that rises from 0 to 1)
+
+The sums are written with positive terms only, so that high orders at small h keep full precision.
+
+A tracker predicts each fast sample from level and slope (an α-β filter) and keeps the mean
+absolute deviation s of the samples from their prediction:
+
+    e = y - (ŷ + v)          e_c = e clipped to ± c s
+    ŷ <- ŷ + v + α e_c       v <- v + β e_c       s <- s + γ n (min(|e|, 2 c s) - s)
+
+The sample passed on is ŷ + v + e_c; n is the number of ticks since the last one. A spike counts
+as c deviations and no more. A change lasts: the fifth sample in a row beyond the same limit opens
+the screen to its own deviation, however narrow the screen had become at a standstill. For Gaussian
+noise s is 0.8 σ.
+(Huber, Ann. Math. Statist. 35, 1964, doi:10.1214/aoms/1177703732.)
+
+The differences of the samples of a rounded output are whole multiples of one step q. Each
+difference d > 0 of two successive samples is compared with the multiples of a candidate:
+
+    k = round(d / q)      agrees: k >= 1 and |d / q - k| <= tolerance      else: k q - d remains
+
+A candidate counts once enough differences agreed. One with which several do not agree is replaced
+by what remained of the last, as in Euclid's algorithm; below the finest step that matters the
+search begins again. A candidate outlives single samples off the steps. Samples that are not
+rounded, or to steps far below the noise that is always counted with, give no step.
+
+Rounding errs by q/√12 while the output stands still. Noise of a deviation σ before it spreads the
+samples over several steps, whose mean errs less, by exp(-2 π² σ²/q²) (B. Widrow and I. Kollár,
+Quantization Noise, 2008, chapter 4). σ shows in the share p of the samples that differ from the
+one before: two samples differ by 2 σ/√π on average, which is p q as long as p is small. The result
+is at most a sixth of q/√12 too large.
+
+    rounding error = q/√12 exp(-π³ p²/2)
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+
+from adaptdrive.control.thresholds import MEMORY, NOISE_FLOOR, PRIOR_SAMPLES
+from adaptdrive.control.vectors import Vector
+
+# The λ filters: a chain of first-order low-pass filters, run at the fast rate.
+
+_SERIES_TERMS = 40
+"""Terms of the series in h: up to h = 5 the last are below the rounding of a double."""
+
+
+def chain_decay(order: int, tick_period_s: float, tau_s: float) -> Vector:
+    """φ_0 ... φ_(order-1): what is left of each filter's state after one tick."""
+    h = tick_period_s / tau_s
+    decay = [0.0] * order
+    term = math.exp(-h)
+    for j in range(order):
+        decay[j] = term
+        term *= h / (j + 1)
+    return decay
+
+
+def step_gains(order: int, tick_period_s: float, tau_s: float) -> Vector:
+    """P_1 ... P_order: response to an input that is held over the tick."""
+    h = tick_period_s / tau_s
+    return [_held_response(i + 1, h) for i in range(order)]
+
+
+def ramp_gains(order: int, tick_period_s: float, tau_s: float) -> Vector:
+    """R_1 ... R_order: response to an input that rises linearly from 0 to 1 over the tick."""
+    h = tick_period_s / tau_s
+    gains = [0.0] * order
+    for i in range(order):
+        stage = i + 1
+        gains[i] = _held_response(stage, h) - stage / h * _held_response(stage + 1, h)
+    return gains
+
+
+def _held_response(stage: int, h: float) -> float:
+    term = math.exp(-h)
+    for j in range(1, stage + 1):
+        term *= h / j
+    result = 0.0
+    for j in range(stage + 1, stage + _SERIES_TERMS):
+        result += term
+        term *= h / j
+    return result
+
+
+def advance(
+    chain: Vector, decay: Vector, held: Vector, ramp: Vector, start: float, end: float
+) -> None:
+    """Move a chain over one tick whose input goes linearly from `start` to `end`.
+
+    Args:
+        chain: λw, λ²w, ..., overwritten.
+        decay: From `chain_decay`.
+        held: From `step_gains`.
+        ramp: From `ramp_gains`.
+        start: Input at the beginning of the tick.
+        end: Input at the end of the tick; equal to `start` for a held input.
+    """
+    rise = end - start
+    for i in range(len(chain) - 1, -1, -1):
+        value = held[i] * start + ramp[i] * rise
+        for j in range(i + 1):
+            value += decay[j] * chain[i - j]
+        chain[i] = value
+
+
+# The screen in front of the filters: spikes are clipped, honest changes pass.
+
+ALPHA = 0.1
+"""Gain on the level: it follows a change within about 10 samples."""
+
+BETA = ALPHA * ALPHA / (2.0 - ALPHA)
+"""Gain on the slope: the tracker is damped by 0.71 then (T. R. Benedict and G. W. Bordner, IRE
+Transactions on Automatic Control 7, 1962)."""
+
+GAMMA = 0.02
+"""Rate of the mean deviation: a mean over about 50 ticks."""
+
+_GAMMA_MAX = 1.0 / PRIOR_SAMPLES
+"""Largest share of one sample in the mean deviation: fewer samples are no mean."""
+
+WIDE = 0.01
+"""Deviation to start with, as a share of the output: wide enough for an honest first second."""
+
+LASTING = 5
+"""Samples in a row beyond one limit that are a change, not spikes."""
+
+
+@dataclass(slots=True)
+class Screen:
+    """State of the screen.
+
+    Attributes:
+        level: ŷ.
+        slope: v, per tick.
+        deviation: s.
+        beyond: Samples in a row beyond the upper limit, negative for the lower one.
+    """
+
+    level: float
+    slope: float
+    deviation: float
+    beyond: int = 0
+
+
+def pass_sample(
+    screen: Screen, sample: float, clip: float, ticks: int, least: float = 0.0
+) -> float:
+    """One fast sample, clipped.
+
+    Args:
+        screen: Overwritten.
+        sample: y.
+        clip: c.
+        ticks: n: a drive that is polled has one sample in several ticks.
+        least: Least deviation: a noiseless output must not close the screen.
+    """
+    predicted = screen.level + screen.slope
+    error = sample - predicted
+    limit = _limit(screen, error, clip)
+    kept = min(max(error, -limit), limit)
+    screen.level = predicted + ALPHA * kept
+    screen.slope += BETA * kept
+    seen = min(abs(error), 2.0 * limit)
+    share = min(GAMMA * ticks, _GAMMA_MAX)
+    screen.deviation = max(least, screen.deviation + share * (seen - screen.deviation))
+    return predicted + kept
+
+
+def _limit(screen: Screen, error: float, clip: float) -> float:
+    """Return the largest deviation that passes, opened for a change that lasts."""
+    limit = clip * screen.deviation
+    if abs(error) <= limit:
+        screen.beyond = 0
+        return limit
+    if error > 0.0:
+        screen.beyond = max(screen.beyond, 0) + 1
+    else:
+        screen.beyond = min(screen.beyond, 0) - 1
+    if abs(screen.beyond) < LASTING:
+        return limit
+    screen.beyond = 0
+    screen.deviation = abs(error) / clip
+    return abs(error)
+
+
+# The resolution of the sensor, found in its own samples, and the rounding error that it leaves.
+
+FINEST = math.sqrt(NOISE_FLOOR)
+"""Smallest step that is looked for: the rounding error of smaller ones is far below least noise."""
+
+COARSEST = 0.05
+"""Largest step that is believed: such a sensor shows twenty values up to the scale."""
+
+TOLERANCE = 0.02
+"""Distance from a multiple, in steps: more than single precision leaves of the finest step."""
+
+_FOUND = math.ceil(math.log(sys.float_info.epsilon) / math.log(2.0 * TOLERANCE))
+"""Differences that must agree: without steps each does by a chance of twice the tolerance, and all
+of them by less than the rounding of a double."""
+
+_MISS = _FOUND // 3
+"""Weight of a difference that does not agree, which by chance only one of 25 does: three refute a
+step that has just been found."""
+
+_SURE = _FOUND + 2 * _MISS
+"""Differences that are counted: a sample off the steps makes two that do not agree, after which
+the step is still found."""
+
+_LARGEST_MULTIPLE = 1.0e6
+"""Steps in a difference: more no sensor shows, and an infinite number of them has no multiple."""
+
+
+@dataclass(slots=True)
+class Grid:
+    """State of the search for the step of a sensor.
+
+    Attributes:
+        last: Last sample; NaN where only the step is known.
+        candidate: Step that is being tried, in the unit of the output; 0 for none.
+        score: Differences that agreed with it, less those that did not.
+        changes: Ticks of the slow period so far whose sample differs from the one before.
+        share: p, over the slow periods so far.
+        periods: Slow periods in it, up to its memory.
+    """
+
+    last: float
+    candidate: float = 0.0
+    score: int = 0
+    changes: int = 0
+    share: float = 0.0
+    periods: float = 0.0
+
+
+def remembered_grid(step: float) -> Grid:
+    """Return a search that begins with the step that an earlier run has found, 0 for none."""
+    return Grid(math.nan, step, _SURE) if step > 0.0 else Grid(0.0)
+
+
+def note_sample(grid: Grid, sample: float, scale: float, ticks: int = 1) -> None:
+    """Compare a raw sample with the one before it.
+
+    Args:
+        grid: Overwritten.
+        sample: y as the sensor gave it.
+        scale: Output of order one.
+        ticks: Half line cycles since the last sample: more than 1 where a drive is polled.
+    """
+    if sample == grid.last:
+        return
+    difference = abs(sample - grid.last)
+    grid.last = sample
+    grid.changes += ticks
+    finest = FINEST * scale
+    if not grid.candidate > 0.0:
+        grid.candidate = difference if finest <= difference < 1.0 / FINEST * scale else 0.0
+        return
+    ratio = difference / grid.candidate
+    if not ratio < _LARGEST_MULTIPLE:
+        return
+    multiple = math.floor(ratio + 0.5)
+    rest = abs(ratio - multiple)
+    if multiple >= 1 and rest <= TOLERANCE:
+        grid.score = min(grid.score + 1, _SURE)
+        return
+    grid.score -= _MISS
+    if grid.score < 0:
+        remains = rest * grid.candidate
+        grid.candidate, grid.score = (remains if remains >= finest else 0.0), 0
+
+
+def step_found(grid: Grid, scale: float) -> float:
+    """Return the step of the sensor in the unit of the output, 0 while none is known.
+
+    Args:
+        grid: What the samples showed.
+        scale: Output of order one.
+    """
+    if grid.score < _FOUND or grid.candidate > COARSEST * scale:
+        return 0.0
+    return grid.candidate
+
+
+def close_share(grid: Grid, ticks: int) -> None:
+    """Take the changes of a slow period into their share.
+
+    Args:
+        grid: Overwritten.
+        ticks: Half line cycles of the period.
+    """
+    grid.periods = min(grid.periods + 1.0, MEMORY)
+    grid.share += (min(1.0, grid.changes / ticks) - grid.share) / grid.periods
+    grid.changes = 0
+
+
+def rounding_error(step: float, share: float) -> float:
+    """Return the standard deviation of the rounding error of a slow sample.
+
+    Args:
+        step: q, in the unit of the output.
+        share: p.
+    """
+    return step / math.sqrt(12.0) * math.exp(-0.5 * math.pi**3 * share * share)

@@ -1,0 +1,264 @@
+"""Rival explanations of an alarm, on the samples since the change.
+
+An alarm shows that something has changed, and not what. The estimate goes back to the last sample
+before the change, and four explanations take in the samples since then, each with its
+estimate: nothing; a disturbance of the input; another load; both (`hypotheses`). Their likelihoods
+L (`branch`) are compared, less a handicap for what is rare. The sum of logarithms in L is the price
+of an explanation that fits anything. The likeliest is the estimate from the alarm on, and stays
+when it has won.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control.estimation.branch import (
+    Branch,
+    Datum,
+    copy_estimate,
+    count_prediction,
+    learn_sample,
+    likelihood,
+    new_branch,
+    posterior_power,
+    predict_sample,
+    squared_error,
+)
+from adaptdrive.control.estimation.change_detector import DRIFT
+from adaptdrive.control.estimation.covariance import is_sure
+from adaptdrive.control.estimation.hypotheses import (
+    BOTH,
+    DISTURBANCE,
+    LOAD,
+    NOTHING,
+    Anchor,
+    restart_past,
+    widen,
+)
+from adaptdrive.control.estimation.regression import fill_initial_state, filtered_model
+from adaptdrive.control.loads.load import Load, is_damped
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.thresholds import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, RARER, WINDOW
+from adaptdrive.control.vectors import Vector, copy_into
+
+ROOM = EARLIEST + 1
+"""Samples that can be kept: ten that may be the first after a change, and the one that shows it."""
+
+_PROOF = 8.0
+"""Lead over `nothing` that any other explanation needs: odds of 3,000 to 1."""
+
+
+@dataclass(slots=True)
+class Rivals:
+    """The explanations, and the samples from which they can start.
+
+    Attributes:
+        calm: The estimate at the anchor.
+        branches: The explanations, by their kinds.
+        anchor: The last sample before the change, while nothing changes the last one.
+        lowered: r of the last sample with every power of λ lowered by one.
+        kept: The samples since the anchor.
+        waiting: How many they are.
+        samples: Samples that the explanations have taken in; 0 when nothing is to be explained.
+        kind: The likeliest explanation, of the last alarm when nothing is to be explained.
+        loads: Changes of the load that were found, forgotten with time.
+        offset: Offset of the input at the alarm, over the input's scale.
+        moved: Sum of the squares of its changes by disturbances that were found, forgotten alike.
+    """
+
+    calm: Branch
+    branches: list[Branch]
+    anchor: Anchor
+    lowered: Vector
+    kept: list[Datum]
+    waiting: int = 0
+    samples: int = 0
+    kind: int = NOTHING
+    loads: float = 0.0
+    offset: float = 0.0
+    moved: float = 0.0
+
+
+def new_rivals(count: int) -> Rivals:
+    """Explanations for θ of a length."""
+    return Rivals(
+        calm=new_branch(count),
+        branches=[new_branch(count) for _ in range(NOTHING, BOTH + 1)],
+        anchor=Anchor([0.0] * count, [0.0] * count),
+        lowered=[0.0] * count,
+        kept=[Datum([0.0] * count) for _ in range(ROOM)],
+    )
+
+
+def forget_changes(rivals: Rivals) -> None:
+    """Let a slow period pass."""
+    rivals.loads *= 1.0 - 1.0 / LIFE
+    rivals.moved *= 1.0 - 1.0 / LIFE
+
+
+def note_disturbance(rivals: Rivals, offset: float) -> None:
+    """Remember the size of a disturbance that was found.
+
+    Args:
+        rivals: Overwritten.
+        offset: Offset of the input with it, over the input's scale; NaN for an unknown one.
+    """
+    moved = offset - rivals.offset
+    if math.isfinite(moved):
+        rivals.moved += moved * moved
+
+
+def drop_anchor(rivals: Rivals, estimate: Branch, sample: Datum) -> None:
+    """Remember the estimate of now, after a sample that did not surprise."""
+    copy_estimate(rivals.calm, estimate)
+    copy_into(rivals.anchor.regressor, sample.regressor)
+    copy_into(rivals.anchor.lowered, rivals.lowered)
+    rivals.anchor.time_s = sample.time_s
+    rivals.waiting = 0
+
+
+def keep_sample(rivals: Rivals, sample: Datum, room: int) -> bool:
+    """Keep a sample that may be the first after a change; False when so many are kept already."""
+    if rivals.waiting >= room:
+        return False
+    kept = rivals.kept[rivals.waiting]
+    copy_into(kept.regressor, sample.regressor)
+    kept.target, kept.time_s = sample.target, sample.time_s
+    rivals.waiting += 1
+    return True
+
+
+def prepare(rivals: Rivals, power: float) -> None:
+    """Note at the anchor what is known of a change at an alarm.
+
+    Args:
+        rivals: Overwritten.
+        power: σ0².
+    """
+    rivals.anchor.power = power
+    rivals.anchor.gap_s = rivals.kept[0].time_s - rivals.anchor.time_s
+
+
+def split(rivals: Rivals, learning: Learning, load: Load, power: float) -> None:
+    """After an alarm: go back to the anchor, and start every explanation from there.
+
+    Args:
+        rivals: Overwritten.
+        learning: Scales and forgetting.
+        load: Order and structure.
+        power: σ0².
+    """
+    prepare(rivals, power)
+    for kind, branch in enumerate(rivals.branches):
+        copy_estimate(branch, rivals.calm)
+        branch.squares = branch.logs = branch.score = 0.0
+        if kind != NOTHING:
+            restart_past(branch, learning, load, rivals.anchor.time_s)
+            widen(branch, kind, learning, load, rivals.anchor)
+    rivals.samples = 0
+    for number in range(rivals.waiting):
+        follow(rivals, learning, load, rivals.kept[number])
+    rivals.waiting = 0
+
+
+def follow(rivals: Rivals, learning: Learning, load: Load, sample: Datum) -> None:
+    """Let every explanation take in a sample, and find the likeliest.
+
+    Args:
+        rivals: Overwritten.
+        learning: Forgetting.
+        load: Order.
+        sample: The functions of the initial state in it are overwritten.
+    """
+    rivals.samples += 1
+    power, count = rivals.anchor.power, rivals.samples
+    for kind, branch in enumerate(rivals.branches):
+        predict_sample(branch, learning, load, sample)
+        count_prediction(branch, learning.forgetting)
+        branch.score = likelihood(branch, power, count) - _rarity(rivals, kind)
+        learn_sample(branch, sample, learning, 0.0)
+    rivals.kind = _likeliest(rivals)
+    since_s = sample.time_s - likeliest(rivals).origin_s
+    fill_initial_state(sample.regressor, learning, load, since_s)
+
+
+def _rarity(rivals: Rivals, kind: int) -> float:
+    """Logarithm of how much rarer than a disturbance a kind of change is.
+
+    A load does not change again and again: what looks like that is a disturbance of another kind.
+    """
+    if kind < LOAD:
+        return 0.0
+    changes = 1.0 if kind == LOAD else 2.0
+    return RARER * (changes + rivals.loads)
+
+
+def likeliest(rivals: Rivals) -> Branch:
+    """Return the explanation in `kind`."""
+    return rivals.branches[rivals.kind]
+
+
+def _likeliest(rivals: Rivals) -> int:
+    best = NOTHING
+    for kind, branch in enumerate(rivals.branches):
+        if branch.score > rivals.branches[best].score:
+            best = kind
+    return best
+
+
+def is_clear(rivals: Rivals) -> bool:
+    """Return whether the likeliest explanation has left the others behind."""
+    best, rival = _likeliest(rivals), -math.inf
+    for kind, branch in enumerate(rivals.branches):
+        if kind != best:
+            rival = max(rival, branch.score)
+    return rivals.branches[best].score - rival > CLEAR
+
+
+def is_expected(rivals: Rivals, learning: Learning) -> bool:
+    """Return whether an explanation that has not been left behind expected the last sample."""
+    least = rivals.branches[_likeliest(rivals)].score - CLEAR
+    largest, rho = DRIFT * rivals.anchor.power, learning.forgetting
+    return any(one.score >= least and squared_error(one, rho) <= largest for one in rivals.branches)
+
+
+def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
+    """Decide when the evidence suffices or time is over; the explanation is in `kind` then.
+
+    Another explanation than `nothing` needs proof, and a load must be one that can exist.
+    """
+    best = _likeliest(rivals)
+    if rivals.samples < EARLIEST or (rivals.samples < WINDOW and not is_clear(rivals)):
+        return False
+    if best >= LOAD and not is_possible(rivals.branches[best].theta, learning, load):
+        if rivals.samples < 2 * WINDOW:
+            return False
+        best = DISTURBANCE
+    if best >= LOAD and not is_clear(rivals):
+        power = rivals.anchor.power
+        best = best if is_sure(rivals.branches[best], power, learning, load) else DISTURBANCE
+    if rivals.branches[best].score - rivals.branches[NOTHING].score < _PROOF:
+        best = NOTHING
+    rivals.kind = best
+    return True
+
+
+def settle(rivals: Rivals) -> None:
+    """End a comparison that is under way: the explanation in `kind` is the one."""
+    if rivals.samples > 0 and rivals.kind >= LOAD:
+        rivals.loads += 1.0
+    rivals.samples = 0
+
+
+def explained_power(rivals: Rivals) -> float:
+    """Return σ² as the explanation in `kind` leaves it."""
+    power = posterior_power(likeliest(rivals), rivals.anchor.power, rivals.samples)
+    return max(NOISE_FLOOR, power)
+
+
+def is_possible(theta: Vector, learning: Learning, load: Load) -> bool:
+    """Return whether such a load can exist: it stores and loses, so it neither grows nor swings."""
+    _, denominator = filtered_model(theta, learning, load)
+    losing = all(coefficient > 0.0 for coefficient in denominator)
+    return losing and is_damped(denominator, learning.damping_min)

@@ -1,0 +1,390 @@
+"""The fast half of the controller: one call per half line cycle.
+
+It runs the λ filters of output and input, averages what the slow half will want, and closes the
+voltage loop. The input of the λ filters is the measured boost voltage (through the load's input
+map), not V_c: the lag of the voltage loop would otherwise be taken for the load's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control import voltage_loop
+from adaptdrive.control.estimation.filters import (
+    WIDE,
+    Grid,
+    Screen,
+    advance,
+    chain_decay,
+    close_share,
+    note_sample,
+    pass_sample,
+    ramp_gains,
+    rounding_error,
+    step_found,
+    step_gains,
+)
+from adaptdrive.control.loads.load import Load, to_input
+from adaptdrive.control.settings import ControllerSettings, PowerStage
+from adaptdrive.control.signals import Measurement
+from adaptdrive.control.thresholds import NOISE_FLOOR
+from adaptdrive.control.vectors import Vector, copy_into
+
+_CEILING_RISE = 1.002
+"""Rise of the ceiling of V_c for each reading: slow, so that the power limit does not oscillate."""
+
+_LOWEST_CEILING = 0.01
+"""Lowest ceiling of V_c, as a share of the largest V_c: from 0 it would not rise again."""
+
+_LEAST_DEVIATION = math.sqrt(NOISE_FLOOR)
+"""Least deviation of the output in the screen, as a share of its scale."""
+
+_LIMITED_SHARE = 0.25
+"""Share of a slow period with k or V_c at a limit above which V_c counts as not followed."""
+
+
+@dataclass(slots=True)
+class FilterBank:
+    """The λ chains of output and input, and their sums over the averaging window.
+
+    Attributes:
+        decay: φ of both chains.
+        held: P of both chains.
+        ramp: R of both chains.
+        outputs: λy ... λ^m y.
+        inputs: λu ... λ^m u.
+        output: y at the last tick.
+        load_input: u at the last tick, a dead time ago.
+        fed: u at the last tick.
+        late: u of the last tick and of those of the dead time.
+        oldest: Place of the oldest of them.
+        sums: Sums over the window: y, λy ... λ^m y, u, λu ... λ^m u.
+        count: Samples in `sums`.
+        screen: What stands in front of the output's chain.
+        grid: What is known of the resolution of the output.
+    """
+
+    decay: Vector
+    held: Vector
+    ramp: Vector
+    outputs: Vector
+    inputs: Vector
+    output: float
+    load_input: float
+    fed: float
+    late: Vector
+    oldest: int
+    sums: Vector
+    count: int
+    screen: Screen
+    grid: Grid
+
+
+@dataclass(slots=True)
+class FastState:
+    """State of the fast half, apart from its filters.
+
+    Attributes:
+        tick: Last tick.
+        boost_reference_V: V_c as decided.
+        ceiling_V: What the load's power, or its voltage, leaves of it.
+        error_sum: Sum of the voltage loop.
+        limit: 1, -1 or 0: the limit at which k is held.
+        voltage_sum: Sum of v_bst over the slow period so far.
+        readings: Measurements in `voltage_sum`.
+        limited_ticks: Ticks of the slow period so far with k or V_c at a limit.
+        held_ticks: Ticks of the slow period so far without a fresh measurement.
+        by_hand: Whether the operator has set V_c in the slow period so far.
+        kicked_V: V_c whose last change has been kicked; NaN before the first one.
+        kick_V: That change.
+        kick_tick: Tick at which it came.
+    """
+
+    tick: int
+    boost_reference_V: float
+    error_sum: float
+    ceiling_V: float = math.inf
+    limit: int = 0
+    voltage_sum: float = 0.0
+    readings: int = 0
+    limited_ticks: int = 0
+    held_ticks: int = 0
+    by_hand: bool = False
+    kicked_V: float = math.nan
+    kick_V: float = 0.0
+    kick_tick: int = 0
+
+
+def new_filter_bank(
+    load: Load, tick_period_s: float, tau_lambda_s: float, output: float, boost_voltage_V: float
+) -> FilterBank:
+    """λ chains that have seen the present output and boost voltage for ever."""
+    order = load.order
+    load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
+    expected = load.gain * load_input
+    bank = FilterBank(
+        decay=[0.0] * order,
+        held=[0.0] * order,
+        ramp=[0.0] * order,
+        outputs=[output] * order,
+        inputs=[load_input] * order,
+        output=output,
+        load_input=load_input,
+        fed=load_input,
+        late=[load_input] * (1 + round(load.delay_s / tick_period_s)),
+        oldest=0,
+        sums=[0.0] * (2 * order + 2),
+        count=0,
+        screen=Screen(output, 0.0, WIDE * max(abs(output), abs(expected))),
+        grid=Grid(output),
+    )
+    tune_filters(bank, tick_period_s, tau_lambda_s)
+    return bank
+
+
+def tune_filters(bank: FilterBank, tick_period_s: float, tau_lambda_s: float) -> None:
+    """Set the coefficients of the chains for a tick length."""
+    order = len(bank.decay)
+    bank.decay[:] = chain_decay(order, tick_period_s, tau_lambda_s)
+    bank.held[:] = step_gains(order, tick_period_s, tau_lambda_s)
+    bank.ramp[:] = ramp_gains(order, tick_period_s, tau_lambda_s)
+
+
+def take_in(
+    settings: ControllerSettings,
+    load: Load,
+    state: FastState,
+    bank: FilterBank,
+    measurement: Measurement,
+) -> bool:
+    """Filter one measurement and keep the books.
+
+    Args:
+        settings: Rates and clipping.
+        load: Its input map.
+        state: Overwritten.
+        bank: Overwritten.
+        measurement: Of this tick.
+
+    Returns:
+        True when a slow period ends with this tick.
+    """
+    rates, tick = settings.rates, measurement.tick
+    into_period = tick % rates.ticks_per_period
+    load_input = to_input(measurement.boost_voltage_V, load.input_gain, load.input_exponent)
+    elapsed = tick - state.tick
+    counted = min(max(elapsed, 1), rates.ticks_per_period)
+    if elapsed > 0:
+        output = measurement.output
+        note_sample(bank.grid, output, settings.learning.output_scale, counted)
+        if rates.clip > 0.0:
+            learning = settings.learning
+            least = max(_LEAST_DEVIATION * learning.output_scale, learning.resolution)
+            output = pass_sample(bank.screen, output, rates.clip, elapsed, least)
+        filter_sample(bank, output, load_input, counted)
+    count_tick(state, measurement.boost_voltage_V, measurement.fresh, counted)
+    if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:
+        accumulate(bank)
+    state.tick = tick
+    return not 0 <= into_period - elapsed < rates.ticks_per_period  # the tick before lies outside
+
+
+def filter_sample(bank: FilterBank, output: float, load_input: float, ticks: int) -> None:
+    """Move the chains to a new sample, linearly over the ticks since the last one."""
+    for i in range(ticks):
+        y0 = bank.output + (output - bank.output) * i / ticks
+        y1 = bank.output + (output - bank.output) * (i + 1) / ticks
+        u0 = bank.load_input
+        bank.load_input = _delayed(bank, bank.fed + (load_input - bank.fed) * (i + 1) / ticks)
+        advance(bank.outputs, bank.decay, bank.held, bank.ramp, y0, y1)
+        advance(bank.inputs, bank.decay, bank.held, bank.ramp, u0, bank.load_input)
+    bank.output = output
+    bank.fed = load_input
+
+
+def _delayed(bank: FilterBank, load_input: float) -> float:
+    """Return the input of a dead time ago, and keep the present one."""
+    bank.late[bank.oldest] = load_input
+    bank.oldest = (bank.oldest + 1) % len(bank.late)
+    return bank.late[bank.oldest]
+
+
+def accumulate(bank: FilterBank) -> None:
+    """Add the present sample to the window."""
+    order = len(bank.outputs)
+    sums = bank.sums
+    sums[0] += bank.output
+    sums[order + 1] += bank.load_input
+    for i in range(order):
+        sums[i + 1] += bank.outputs[i]
+        sums[order + 2 + i] += bank.inputs[i]
+    bank.count += 1
+
+
+def take_means(bank: FilterBank) -> Vector:
+    """The means over the window, which starts again empty; the last sample if it was empty."""
+    if bank.count == 0:
+        accumulate(bank)
+    means = [value / bank.count for value in bank.sums]
+    copy_into(bank.sums, [0.0] * len(bank.sums))
+    bank.count = 0
+    return means
+
+
+def take_rounding(settings: ControllerSettings, bank: FilterBank) -> tuple[float, float]:
+    """Return step and rounding error of the output at the end of a slow period, in its unit.
+
+    Args:
+        settings: A resolution that is configured counts instead of what the samples show.
+        bank: Overwritten: its count of changes begins again.
+    """
+    learning, grid = settings.learning, bank.grid
+    close_share(grid, settings.rates.ticks_per_period)
+    if not settings.exact:
+        return 0.0, 0.0
+    step = learning.resolution
+    if not step > 0.0:
+        step = step_found(grid, learning.output_scale)
+    return step, rounding_error(step, grid.share)
+
+
+def drive(
+    state: FastState, stage: PowerStage, measurement: Measurement, highest_V: float = math.inf
+) -> tuple[float, float]:
+    """Return the command for the drive: current scale k in siemens, and V_c in force in volts.
+
+    Args:
+        state: Overwritten.
+        stage: Limits.
+        measurement: Of this tick.
+        highest_V: V_c that the load bears at present.
+    """
+    voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
+    reference_V = limit_power(state, stage, voltage_V, power_W)
+    hold_below(state, stage, highest_V)  # after the ceiling has risen, or V_c would pass it
+    reference_V = min(reference_V, state.ceiling_V)
+    if stage.kick_ticks > 0:
+        reference_V = kick(state, stage, reference_V, measurement.tick)
+    if stage.holds_voltage:
+        return 0.0, reference_V
+    line_V, tick_s = measurement.line_voltage_V, measurement.tick_period_s
+    scale_S = regulate_voltage(state, stage, reference_V, voltage_V, line_V, power_W, tick_s)
+    return scale_S, reference_V
+
+
+def kick(state: FastState, stage: PowerStage, reference_V: float, tick: int) -> float:
+    """Exaggerate the last change of V_c, so that the impulse-invariant model holds."""
+    if math.isnan(state.kicked_V) or state.by_hand:
+        state.kicked_V, state.kick_V = state.boost_reference_V, 0.0
+    elif state.kicked_V != state.boost_reference_V:
+        state.kick_V, state.kick_tick = state.boost_reference_V - state.kicked_V, tick
+        state.kicked_V = state.boost_reference_V
+    part = (tick - state.kick_tick) // stage.kick_ticks
+    if part == 0:
+        reference_V += stage.kick_first * state.kick_V
+    elif part == 1:
+        reference_V += stage.kick_second * state.kick_V
+    limited_V = max(reference_V, stage.boost_reference_min_V)
+    return min(limited_V, stage.boost_reference_max_V, state.ceiling_V)
+
+
+def set_by_hand(
+    state: FastState, stage: PowerStage, voltage_V: float, highest_V: float = math.inf
+) -> None:
+    """Set V_c to the operator's value within the limits of the drive; one that is NaN changes none.
+
+    Args:
+        state: Overwritten.
+        stage: Limits.
+        voltage_V: The operator's value.
+        highest_V: V_c that the load bears at present.
+    """
+    if math.isfinite(voltage_V):
+        limited_V = max(min(voltage_V, highest_V), stage.boost_reference_min_V)
+        state.boost_reference_V = min(limited_V, stage.boost_reference_max_V)
+    state.by_hand = True
+
+
+def hold_below(state: FastState, stage: PowerStage, highest_V: float) -> None:
+    """Lower the ceiling of V_c to what the load bears at present; it rises slowly again.
+
+    Args:
+        state: Overwritten.
+        stage: Limits.
+        highest_V: Largest V_c.
+    """
+    state.ceiling_V = min(state.ceiling_V, max(highest_V, stage.boost_reference_min_V))
+
+
+def limit_power(
+    state: FastState, stage: PowerStage, boost_voltage_V: float, load_power_W: float
+) -> float:
+    """V_c in force: held back while the load draws more than the drive may give.
+
+    At constant speed or temperature the power goes with the square of the voltage, so that the
+    square root of the excess is a voltage that ends it; the ceiling then rises slowly again.
+    """
+    excess = load_power_W / stage.load_power_max_W
+    if excess > 1.0:
+        lowest_V = max(stage.boost_reference_min_V, _LOWEST_CEILING * stage.boost_reference_max_V)
+        state.ceiling_V = max(lowest_V, abs(boost_voltage_V) / math.sqrt(excess))
+    elif state.ceiling_V < stage.boost_reference_max_V:
+        state.ceiling_V *= _CEILING_RISE
+    return min(state.boost_reference_V, state.ceiling_V)
+
+
+def regulate_voltage(
+    state: FastState,
+    stage: PowerStage,
+    reference_V: float,
+    boost_voltage_V: float,
+    line_voltage_V: float,
+    load_power_W: float,
+    tick_period_s: float,
+) -> float:
+    """One step of the voltage loop: the limited current scale k in siemens."""
+    wanted = voltage_loop.current_scale(
+        state.error_sum,
+        boost_voltage_V,
+        load_power_W if stage.feed_forward else 0.0,
+        max(line_voltage_V, stage.line_voltage_min_V),
+        tick_period_s,
+        stage.capacitance_F,
+    )
+    if not math.isfinite(wanted):  # an absurd measurement; it must not stay in the sum
+        return min(max(0.0, stage.current_scale_min_S), stage.current_scale_max_S)
+    scale = min(max(wanted, stage.current_scale_min_S), stage.current_scale_max_S)
+    state.limit = (wanted > scale) - (wanted < scale)
+    state.error_sum = voltage_loop.advance_sum(
+        state.error_sum, reference_V, boost_voltage_V, state.limit
+    )
+    return scale
+
+
+def count_tick(state: FastState, boost_voltage_V: float, fresh: bool, ticks: int = 1) -> None:
+    """Keep the books of the slow period.
+
+    Args:
+        state: Overwritten.
+        boost_voltage_V: v_bst.
+        fresh: Whether it was measured now, not held.
+        ticks: Half line cycles since the last reading: more than 1 where a drive is polled.
+    """
+    state.voltage_sum += boost_voltage_V
+    state.readings += 1
+    if state.limit != 0 or state.ceiling_V < state.boost_reference_V:
+        state.limited_ticks += ticks
+    if not fresh:
+        state.held_ticks += ticks
+
+
+def close_period(state: FastState, settings: ControllerSettings) -> tuple[float, bool, int]:
+    """Books of the elapsed slow period: mean voltage, whether it followed V_c, held ticks."""
+    applied_V = state.voltage_sum / state.readings if state.readings else math.nan
+    followed = state.limited_ticks <= _LIMITED_SHARE * settings.rates.ticks_per_period
+    held = state.held_ticks
+    state.voltage_sum = 0.0
+    state.readings = state.limited_ticks = state.held_ticks = 0
+    state.by_hand = False
+    return applied_V, followed, held

@@ -1,0 +1,1 @@
+"""Supervision: which controller is in force, and what the load can reach."""
