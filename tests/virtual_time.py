@@ -19,7 +19,7 @@ import pytest
 
 from adaptdrive.devices.can import connection, kind
 from adaptdrive.devices.can import port as dbc_port
-from adaptdrive.devices.can.arrival import ArrivalClock
+from adaptdrive.devices.can.integrity import ArrivalClock
 from adaptdrive.devices.canopen import node as canopen_node
 from adaptdrive.devices.canopen import port as canopen_port
 from adaptdrive.devices.modbus.link import SerialPort

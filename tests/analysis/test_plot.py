@@ -16,8 +16,7 @@ import pytest
 from pyarrow import parquet as pq
 
 from adaptdrive.analysis.curves import find_window, read_curves
-from adaptdrive.analysis.figure import draw_session
-from adaptdrive.analysis.plot import plot
+from adaptdrive.analysis.figure import draw_session, plot
 from adaptdrive.control.signals import Mode
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import reconfigured

@@ -19,7 +19,7 @@ from tests.app.test_replay import EXAMPLE, PRIOR, lived
 from tests.recording.material import INFO, make_batch, record_messages
 
 COMPUTATIONS = {
-    "plot": "adaptdrive.analysis.plot.draw_session",
+    "plot": "adaptdrive.analysis.figure.draw_session",
     "identify": "adaptdrive.analysis.record_load.identify_any",
     "whatif": "adaptdrive.analysis.record_load.identify_any",
 }

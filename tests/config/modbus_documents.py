@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from adaptdrive.config import Configuration, parse_configuration
 from adaptdrive.config.polled import ModbusRtu, ModbusTcp
-from adaptdrive.devices.demands import demands_of
+from adaptdrive.devices.description import demands_of
 from adaptdrive.devices.polled.mapping import map_drive
 from adaptdrive.util.errors import ConfigurationError
 from tests.config.documents import SOURCE

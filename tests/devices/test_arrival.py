@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.devices.can.arrival import ArrivalClock
+from adaptdrive.devices.can.integrity import ArrivalClock
 
 STEPS_s = st.one_of(st.floats(-7200.0, 7200.0), st.floats(-0.1, 0.1), st.just(0.0))
 WAITS_s = st.lists(st.floats(0.0, 0.5), min_size=1, max_size=20)

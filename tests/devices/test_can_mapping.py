@@ -9,7 +9,7 @@ from adaptdrive.config.bus import CanBus, CommandSignals, FrameIntegrity, Signal
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.devices.can.database import read_dbc
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.demands import demands_of
+from adaptdrive.devices.description import demands_of
 from adaptdrive.util.errors import ConfigurationError
 from tests.devices.bench import (
     MOTOR,

@@ -9,7 +9,7 @@ import pytest
 from adaptdrive.app.examine import load_examined
 from adaptdrive.cli import main
 from adaptdrive.config.bus import CanBus
-from adaptdrive.devices.proposal import OUTPUTS, QUANTITIES, Candidate, propose
+from adaptdrive.devices.description import OUTPUTS, QUANTITIES, Candidate, propose
 
 
 def candidate(

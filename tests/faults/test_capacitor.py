@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.app.capacitor_faults import highest_voltages
+from adaptdrive.app.check_report import highest_voltages
 from adaptdrive.app.settings import capacitor_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading

@@ -10,7 +10,7 @@ from typing import get_args
 from adaptdrive.config.load import LoadName
 
 ROOT = Path(__file__).parents[2]
-OPTIONAL = {"devices/proposal.py"}
+OPTIONAL = {"devices/description.py"}
 """Names and units of outputs that `init` recognises in a DBC; a load without a row is left out."""
 
 PUBLIC = {"adaptdrive.lab"}

@@ -69,8 +69,11 @@ HARDWARE: dict[str, tuple[str, ...]] = {
         *_CAN_PORT,
     ),
     "adaptdrive.devices.can.codec": _FRAMES,
-    "adaptdrive.devices.can.integrity": ("tests/devices/test_can_integrity.py", *_FRAMES),
-    "adaptdrive.devices.can.arrival": ("tests/devices/test_arrival.py",),
+    "adaptdrive.devices.can.integrity": (
+        "tests/devices/test_can_integrity.py",
+        *_FRAMES,
+        "tests/devices/test_arrival.py",
+    ),
     "adaptdrive.devices.canopen.port": (
         *_CANOPEN_PORT,
         "tests/devices/canopen/test_frames.py",

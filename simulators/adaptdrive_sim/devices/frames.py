@@ -25,7 +25,7 @@ from adaptdrive.devices.can.orders import (
     find_orders,
     is_carried,
 )
-from adaptdrive.devices.demands import demands_of
+from adaptdrive.devices.description import demands_of
 from adaptdrive.util.errors import ConfigurationError
 from adaptdrive_sim.devices.drive import Frame
 

@@ -3,6 +3,6 @@
 import sys
 from pathlib import Path
 
-from adaptdrive.analysis.plot import plot
+from adaptdrive.analysis.figure import plot
 
 plot(Path(sys.argv[1]))

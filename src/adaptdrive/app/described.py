@@ -10,7 +10,7 @@ from cantools.database.can.message import Message
 
 from adaptdrive.devices.can.database import cycle_time_s
 from adaptdrive.devices.can.kind import proofs
-from adaptdrive.devices.proposal import Candidate
+from adaptdrive.devices.description import Candidate
 
 Choices = Mapping[str, Candidate | None]
 """The chosen signal of each quantity, by its key in `[signals]`; None for no such signal."""

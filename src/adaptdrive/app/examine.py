@@ -17,7 +17,7 @@ from adaptdrive.config.polled import ModbusBus, ScpiBus
 from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.supervision.attainable import nominal_reach
-from adaptdrive.devices.demands import NO_DEMANDS, demands_of
+from adaptdrive.devices.description import NO_DEMANDS, demands_of
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import ConfigurationError, Flaw
 

@@ -18,8 +18,7 @@ from adaptdrive.app.described import quoted
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.services import LONGEST_STALE_S
 from adaptdrive.config.units import si_unit
-from adaptdrive.util.errors import ConfigurationError, Flaw
-from adaptdrive.util.spelling import nearest
+from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen", "scpi"]
 

@@ -61,7 +61,7 @@ def _misuse(program: str, problem: CycloptsError) -> str:
     """Return what is wrong with the words of a command."""
     words = " ".join(problem.unused_tokens or ())
     if isinstance(problem, UnknownCommandError):
-        from adaptdrive.util.spelling import nearest  # noqa: PLC0415 - no command needs it
+        from adaptdrive.util.errors import nearest  # noqa: PLC0415 - no command needs it
 
         hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
         return f"unknown command {words!r}{hint}; see {program} --help"

@@ -30,7 +30,7 @@ def _check_limit(_type: object, limit: float | None) -> None:
 
 def _refuse_unknown(kinds: tuple[str, ...]) -> None:
     from adaptdrive.runtime.reports import EVENT_KINDS  # noqa: PLC0415
-    from adaptdrive.util.spelling import nearest  # noqa: PLC0415 - `--help` needs none of these
+    from adaptdrive.util.errors import nearest  # noqa: PLC0415 - `--help` needs none of these
 
     known = ", ".join(EVENT_KINDS)
     flaws = [
@@ -54,7 +54,7 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         directory: Folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out.
         as_json: Print JSON.
     """
-    from adaptdrive.recording.retention import size_of  # noqa: PLC0415
+    from adaptdrive.recording.segments import size_of  # noqa: PLC0415
     from adaptdrive.recording.session import (  # noqa: PLC0415
         NO_SESSION,
         Dropped,
@@ -95,8 +95,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         as_json: Print JSON.
     """
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
-    from adaptdrive.recording.retention import size_of  # noqa: PLC0415
-    from adaptdrive.recording.segments import segments  # noqa: PLC0415
+    from adaptdrive.recording.segments import segments, size_of  # noqa: PLC0415
 
     found = read_session(find(session, directory))
     info, last = found.info, found.last_tick
@@ -186,7 +185,7 @@ def prune(
         as_json: Print JSON: a sentence for each removal.
     """
     from adaptdrive.recording.records import Keep  # noqa: PLC0415 - see above
-    from adaptdrive.recording.retention import prune as prune_sessions  # noqa: PLC0415
+    from adaptdrive.recording.segments import prune as prune_sessions  # noqa: PLC0415
 
     keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
     removals: list[str] = []
@@ -256,7 +255,7 @@ def _condition(verdict: Verification) -> str:
 
 
 def _facts(path: Path, info: object) -> dict[str, object]:
-    from adaptdrive.recording.retention import size_of  # noqa: PLC0415
+    from adaptdrive.recording.segments import size_of  # noqa: PLC0415
 
     return {
         "session": escaped(path.name),

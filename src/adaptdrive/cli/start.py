@@ -27,7 +27,7 @@ from adaptdrive.app.starter import (
 from adaptdrive.cli.options import Flag
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
-from adaptdrive.devices.proposal import (
+from adaptdrive.devices.description import (
     NO_PROPOSAL,
     OUTPUTS,
     QUANTITIES,

@@ -15,8 +15,7 @@ from typing import Annotated, Any
 from pydantic import TypeAdapter, ValidationError
 
 from adaptdrive.config.root import Configuration, consistency_flaws
-from adaptdrive.util.errors import ConfigurationError, Flaw
-from adaptdrive.util.spelling import key_proposal
+from adaptdrive.util.errors import ConfigurationError, Flaw, key_proposal
 
 _TYPE_AT = {"load": 1, "bus": 1, "sensor_bus": 2}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}

@@ -15,8 +15,7 @@ from adaptdrive.config.bus import COMMANDED, CanBus, CanOpenBus, PolledBus, Sign
 from adaptdrive.config.polled import ModbusBus, Register, ScpiBus
 from adaptdrive.config.section import misfit
 from adaptdrive.config.timing import LATE_READINGS
-from adaptdrive.util.errors import Flaw
-from adaptdrive.util.spelling import nearest
+from adaptdrive.util.errors import Flaw, nearest
 
 if TYPE_CHECKING:
     from adaptdrive.config.root import Configuration

@@ -28,11 +28,10 @@ from adaptdrive.config.bus import (
 from adaptdrive.config.sensors import SensorBusSection
 from adaptdrive.config.units import unit_caution, unit_problem
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.demands import NO_DEMANDS, Demands
+from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
-from adaptdrive.util.errors import Flaw
-from adaptdrive.util.spelling import nearest
+from adaptdrive.util.errors import Flaw, nearest
 
 Use = Literal["measured", "word", "state", "command", "constant", "setup"]
 """Role of a value that is received or sent; a state is the report of the bridge."""

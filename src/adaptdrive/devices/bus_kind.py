@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices.demands import Demands
+from adaptdrive.devices.description import Demands
 from adaptdrive.devices.port import Port, SensorPort
 from adaptdrive.util.errors import Flaw
-from adaptdrive.util.hosts import look_up
+from adaptdrive.util.threads import look_up
 
 Bus = TypeVar("Bus")
 

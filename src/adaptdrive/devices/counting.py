@@ -1,11 +1,19 @@
-"""Counts of a port, answers that most ports have in common, and delays of a bus that is lost."""
+"""What most ports have in common: counts, answers, delays of a lost bus, the reset of a fault.
+
+No tick commands it: an operator asks for it while the drive is off.
+"""
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
+from adaptdrive.devices.binding import Sink
 from adaptdrive.devices.port import PortStatistics
+
+# Counts of a port, answers that most ports have in common, and delays of a bus that is lost.
 
 _FIRST_S = 0.1
 """An interface or a server that is restarted is soon back."""
@@ -74,3 +82,31 @@ class BusBackoff:
             self._before, self._delay_s = heard, _FIRST_S
         delay_s, self._delay_s = self._delay_s, min(2.0 * self._delay_s, _LONGEST_S)
         return delay_s
+
+
+# Reset of a drive's fault by a part of its command: on for a moment, and off again.
+
+_READINGS = 3.0
+"""Readings for which each level lasts: a drive that is polled takes one command in each."""
+
+_LEAST_S = 0.1
+"""Shortest time of a level: drives look at such a bit every few milliseconds."""
+
+
+async def pulse_reset(sinks: Iterable[Sink[Any]], reading_s: float) -> None:
+    """Switch the reset of a fault on and off with the next commands; nothing where there is none.
+
+    Args:
+        sinks: All parts of the command.
+        reading_s: Time from one reading of the drive to the next.
+    """
+    resets = [sink.reset for sink in sinks if sink.reset is not None]
+    level_s = max(_LEAST_S, _READINGS * reading_s)
+    for level in (True, False) if resets else ():
+        try:
+            for reset in resets:
+                reset.on = level
+            await asyncio.sleep(level_s)
+        finally:
+            for reset in resets:
+                reset.on = False

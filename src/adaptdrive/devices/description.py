@@ -1,14 +1,24 @@
-"""Files that describe a drive: read whole, and never waited for."""
+"""Files that describe a drive: reading them, what they must carry, and a proposal of signals.
+
+A proposal is a start for a configuration; its author confirms each line.
+"""
 
 from __future__ import annotations
 
 import codecs
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import shorten
 from typing import TypeVar
 
+from adaptdrive.config import Configuration
+from adaptdrive.config.units import WANTED
+from adaptdrive.control.signals import Command
 from adaptdrive.util.errors import ConfigurationError, Flaw
+
+# Files that describe a drive: read whole, and never waited for.
 
 Parsed = TypeVar("Parsed")
 
@@ -60,3 +70,219 @@ def read_description(
         raise ConfigurationError(
             source, [Flaw(place, f"{path} cannot be used: {text}")]
         ) from problem
+
+
+# Values that the description of a drive must be able to carry.
+
+
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """Requirements of the limits of a configuration on its signals.
+
+    Attributes:
+        output_unit: Unit of the regulated quantity, empty where it has none.
+        drive_unit: Unit of what the drive is commanded, and gives.
+        commands: Commands at the ends of their limits; each must be sent as it is.
+        trips: Key of the value above which each quantity trips, and the value; the signal must
+            be able to show more.
+    """
+
+    output_unit: str = ""
+    drive_unit: str = "V"
+    commands: tuple[Command, ...] = ()
+    trips: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+
+    def unit_of(self, quantity: str) -> str:
+        """The unit of a quantity, empty for one of any unit."""
+        if quantity in {"boost_voltage_V", "boost_reference_V"}:
+            return self.drive_unit
+        return self.output_unit if quantity == "output" else WANTED.get(quantity, "")
+
+
+NO_DEMANDS = Demands()
+
+
+def demands_of(configuration: Configuration) -> Demands:
+    """Return what the limits of a configuration ask of its signals."""
+    limits, trips = configuration.drive.limits, configuration.interlocks
+    in_daemon = configuration.voltage_loop.where == "daemon"
+    lowest_S = configuration.drive.current_scale_min_S if in_daemon else 0.0
+    scale_S = limits.current_scale_max_S if in_daemon else 0.0
+    return Demands(
+        output_unit=configuration.load.output_unit,
+        drive_unit=configuration.drive.manipulated.unit,
+        commands=(
+            Command(lowest_S, limits.boost_reference_min_V, bridge=True),
+            Command(scale_S, limits.boost_reference_max_V, bridge=True),
+        ),
+        trips={
+            "boost_voltage_V": ("boost_voltage_max_V", trips.boost_voltage_max_V),
+            "output": ("output_max", trips.output_max),
+        },
+    )
+
+
+# Proposal of the signal of each quantity, by unit and by name.
+
+_VOLT, _WATT, _AMPERE = "V mV kV", "W kW", "A mA kA"
+_VOLTAGE, _POWER, _CURRENT = "voltage volt u v", "power p", "current i"
+
+_UNIT_POINTS = 3  # a unit counts more than one word of a name
+_NAME_POINTS = 2  # a word that names the quantity counts more than one that goes with it
+_LEAST_BITS = 8  # shorter values are flags and states, no quantities
+
+_LIMITS = "limit max min"
+_OF_THE_BUS = "node id baud address version lockout discharge"
+_OPPOSITES = f"{_OF_THE_BUS} disable disabled inhibit off not fault error alive crc mode reset"
+
+_ON = ("run", "on", "enabled", "enable", "operation", "active", "start")
+_OFF = ("stop", "off", "disabled", "disable", "standby", "idle", "ready")
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One value that a DBC or EDS describes.
+
+    Attributes:
+        reference: Name in a configuration, such as `Status.BoostVoltage` or `0x6079`.
+        words: Names and comments that describe it.
+        unit: Unit as in the configuration, an empty string for none.
+        range: Range as text, such as `0…600`.
+        commanded: True for a value that the daemon sends.
+        names: Names of its values, as a value table has them.
+        bits: Length.
+    """
+
+    reference: str
+    words: str
+    unit: str
+    range: str
+    commanded: bool
+    names: tuple[str, ...] = ()
+    bits: int = 16
+
+    @property
+    def on(self) -> str | None:
+        """Name of the value that probably means on."""
+        return _first_named(self.names, _ON)
+
+    @property
+    def off(self) -> str | None:
+        """Name of the value that probably means off."""
+        return _first_named(self.names, _OFF)
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Units and names by which a quantity is recognised in foreign descriptions.
+
+    Blanks separate words and units. The own name of a signal decides, without that of its message
+    or record: what stands in `Status` is no state for that.
+
+    Attributes:
+        words: Parts of a name that mean the quantity; one of them is needed.
+        against: Parts of a name that mean something else.
+        units: Units of which it must have one; none for a value without a unit.
+        kind: Parts of a name of which a value without a unit needs one in place of it.
+        beside: Parts of a name, or of that of its message, that often go with it.
+        named: Parts of a name that mean it where a named value of it means on.
+        commanded: True for a value that the daemon sends.
+    """
+
+    words: str
+    against: str = ""
+    units: str = ""
+    kind: str = ""
+    beside: str = ""
+    named: str = ""
+    commanded: bool = False
+
+
+QUANTITIES: Mapping[str, Wanted] = {
+    "boost_voltage_V": Wanted(
+        "boost bst dc link zwk cap bus", f"set ref line mains {_LIMITS}", _VOLT, _VOLTAGE
+    ),
+    "line_voltage_V": Wanted(
+        "line mains grid netz ac supply", f"dc boost link {_LIMITS}", _VOLT, _VOLTAGE
+    ),
+    "load_power_W": Wanted(
+        "power load p", f"{_LIMITS} supply voltage current", _WATT, _POWER, "load out"
+    ),
+    "counter": Wanted("half cycle count tick", "alive crc hours error fault"),
+    "fault": Wanted("fault error alarm trip", "crc alive reset"),
+    "bridge": Wanted("bridge run enable on", f"{_OPPOSITES} relay lamp", named="state status"),
+    "command.current_scale_S": Wanted(
+        "current scale k conductance", units="S", kind="scale k conductance", commanded=True
+    ),
+    "command.boost_reference_V": Wanted(
+        "boost dc link voltage", f"line mains {_OF_THE_BUS}", _VOLT, _VOLTAGE, "set ref",
+        commanded=True,
+    ),
+    "command.bridge": Wanted(
+        "bridge enable run start", f"{_OPPOSITES} page", named="request state", commanded=True
+    ),
+}  # fmt: skip
+
+NO_PROPOSAL = Wanted("")
+"""Fits no candidate: the output of a load that `OUTPUTS` does not describe is left to its user."""
+
+_SPEED = "speed tach rpm n omega velocity"
+
+OUTPUTS: Mapping[str, Wanted] = {
+    "motor": Wanted(_SPEED, f"set ref {_LIMITS}", "rpm rad/s V Hz", _SPEED, "act"),
+    "bath": Wanted("temp bath water t", "heatsink igbt motor fet board", "K degC degF", "temp"),
+    "battery": Wanted(
+        "current batt i", f"line mains ac input motor {_LIMITS}", _AMPERE, _CURRENT, "batt out"
+    ),
+}
+
+
+def propose(wanted: Wanted, candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Return the candidates for a quantity, the likeliest first.
+
+    Args:
+        wanted: What the quantity looks like.
+        candidates: Everything that is described.
+    """
+    ranked = [(_points(wanted, one), one) for one in candidates]
+    fitting = [pair for pair in ranked if pair[0] > 0]
+    fitting.sort(key=lambda pair: -pair[0])  # stable: equals stay in the order of the file
+    return tuple(one for _, one in fitting)
+
+
+def is_doubtful(wanted: Wanted, proposed: tuple[Candidate, ...]) -> bool:
+    """Return whether nothing tells the likeliest candidate from the next one."""
+    best = [_points(wanted, one) for one in proposed[:2]]
+    return len(best) == 2 and best[0] == best[1]
+
+
+def _points(wanted: Wanted, candidate: Candidate) -> int:
+    """Return the score of a candidate; 0 for one that it cannot be."""
+    own, all_parts = _parts(candidate.words.rpartition(".")[2]), _parts(candidate.words)
+    named = _spoken(wanted.words, own) + (candidate.on is not None and _spoken(wanted.named, own))
+    if not named or candidate.commanded is not wanted.commanded or _spoken(wanted.against, own):
+        return 0
+    unit, units = candidate.unit, wanted.units.split()
+    right = unit in units if unit else not units or _spoken(wanted.kind, own)
+    if not right or (units and candidate.bits < _LEAST_BITS):
+        return 0
+    points = _NAME_POINTS * named + _spoken(wanted.beside, all_parts)
+    return points + _UNIT_POINTS if unit else points
+
+
+def _parts(words: str) -> set[str]:
+    """Return the lower-case words of names such as `BoostVoltage`, `U_DC` and `N_ACT`."""
+    return {part.lower() for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", words)}
+
+
+def _spoken(words: str, parts: set[str]) -> int:
+    """Return how many of some words are parts of a name."""
+    return sum(_speaks(word, parts) for word in words.split())
+
+
+def _speaks(word: str, parts: set[str]) -> bool:
+    return word in parts or (len(word) > 3 and any(part.startswith(word) for part in parts))
+
+
+def _first_named(names: tuple[str, ...], wanted: tuple[str, ...]) -> str | None:
+    return next((name for word in wanted for name in names if name.lower() == word), None)

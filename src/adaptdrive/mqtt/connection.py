@@ -28,8 +28,8 @@ from adaptdrive.mqtt.clock import BrokerBackoff, Monotonic
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.util.errors import first_error
 from adaptdrive.util.files import read_regular
-from adaptdrive.util.hosts import find
 from adaptdrive.util.lines import log
+from adaptdrive.util.threads import find
 
 # The name of the daemon at the broker, and what happens when another client uses it too.
 

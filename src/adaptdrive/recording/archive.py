@@ -33,12 +33,12 @@ from adaptdrive.recording.journal_files import (
 )
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import ROW_KINDS, EventRow, Header, Kind
-from adaptdrive.recording.retention import prune
 from adaptdrive.recording.segments import (
     Batches,
     Segment,
     content_of,
     logged_batches,
+    prune,
     segments,
     write_segment,
 )

@@ -1,12 +1,25 @@
-"""Segments of a session's tables: Parquet files, and after them what is in the log only."""
+"""Segments of a session's tables on disk, and which of them go first when space is short.
+
+Ages follow the wall clock, which may be wrong at the start of a machine. A recorder removes
+sessions for their age only while one session, its own included, began at least a day and at most
+`keep.days` ago: after the clock has leapt ahead there is none.
+
+A symbolic link to a session, such as one that was moved to another disk, takes no room here: it is
+neither counted nor removed.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import re
+import shutil
+import stat
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -14,13 +27,21 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording.journal_files import LogFile, records, unarchived
-from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Kind, Record, Ticks
-from adaptdrive.recording.session import NOTES, SessionInfo, TableName
+from adaptdrive.recording.journal_files import LogFile, in_progress, records, unarchived
+from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Keep, Kind, Record, Ticks
+from adaptdrive.recording.session import (
+    NOTES,
+    SessionInfo,
+    TableName,
+    read_info,
+    session_directories,
+)
 from adaptdrive.recording.tables import read_parquet, rows_batch, ticks_batch, write_parquet
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.runtime.statistics import BINS, bin_of
-from adaptdrive.util.errors import NOT_JSON
+from adaptdrive.util.errors import NOT_JSON, RecordingError
+
+# Segments of a session's tables: Parquet files, and after them what is in the log only.
 
 Batches = Iterator[pa.RecordBatch]
 _TIMES = ("lateness_us", "turnaround_us", "tick_us")
@@ -222,3 +243,102 @@ def content_of(record: Record, kind: type[Any], losses: list[str]) -> Any:  # no
     except (zlib.error, *NOT_JSON) as problem:
         losses.append(f"record {record.number}: {problem}")
         return None
+
+
+# Retention: the oldest sessions go first, then the oldest segments of the session in progress.
+
+_DAY_S = 86_400.0
+
+_CONFIRMED_DAYS = 1.0
+"""Age of the session that confirms the clock: a wrong one is noticed or set within this time."""
+
+
+def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None) -> Iterator[str]:
+    """Remove what is too old or too much.
+
+    Args:
+        sessions: Folder of all sessions.
+        keep: How long sessions are kept.
+        now: Present time, UTC.
+        current: The session in progress, which loses closed segments at most; None where a person
+            has asked for the removal.
+
+    Yields:
+        A sentence for each removal.
+
+    Raises:
+        RecordingError: A session cannot be removed; the others are.
+    """
+    directories = [path for path in session_directories(sessions) if not path.is_symlink()]
+    older = [path for path in directories if path != current]
+    outdated = _too_old(directories, keep, now, by_person=current is None)
+    excess = sum(map(size_of, directories)) - keep.bytes if keep.bytes is not None else 0
+    failed: list[RecordingError] = []
+    for directory in older:
+        size = size_of(directory)
+        if excess > 0:
+            cause = f"sessions take more than {(keep.bytes or 0) / 1e6:g} MB"
+        elif directory in outdated:
+            cause = f"it is older than {keep.days:g} days"
+        else:
+            continue
+        try:
+            removed = _remove(directory)
+        except FileNotFoundError:
+            continue  # another drive that shares the folder, or a person, has removed it
+        except OSError as problem:
+            failed.append(RecordingError(directory, f"the session cannot be removed: {problem}"))
+            continue
+        if removed:
+            excess -= size
+            yield f"session {directory.name} removed: {cause}"
+    if current is not None and excess > 0:
+        yield from _prune_segments(current, excess)
+    if failed:
+        raise failed[0]
+
+
+def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
+    for segment in closed_segments(directory):
+        if segment.table in NOTES:
+            continue
+        if excess <= 0:
+            return
+        excess -= segment.path.stat().st_size
+        segment.path.unlink()
+        yield f"{segment.path.name} of session {directory.name} removed: sessions take too much"
+
+
+def _remove(directory: Path) -> bool:
+    # nobody writes a session whose facts cannot be read
+    with contextlib.suppress(RecordingError):
+        if in_progress(directory, read_info(directory)):
+            return False
+    shutil.rmtree(directory)
+    return True
+
+
+def _too_old(directories: list[Path], keep: Keep, now: datetime, *, by_person: bool) -> set[Path]:
+    """Return the sessions that are too old, none where no session shows the clock to be right."""
+    if keep.days is None:
+        return set()
+    ages_days: dict[Path, float] = {}
+    for path in directories:
+        # one that cannot be read is left for a person
+        with contextlib.suppress(RecordingError):
+            ages_days[path] = (now - read_info(path).started).total_seconds() / _DAY_S
+    least_days = min(_CONFIRMED_DAYS, 0.5 * keep.days)
+    if by_person or any(least_days <= age_days <= keep.days for age_days in ages_days.values()):
+        return {path for path, age_days in ages_days.items() if age_days > keep.days}
+    return set()
+
+
+def size_of(directory: Path) -> int:
+    """Return the bytes of the files in a folder; what is removed meanwhile takes none."""
+    size = 0
+    for folder, _, names in os.walk(directory):
+        for name in names:
+            with contextlib.suppress(OSError):
+                found = Path(folder, name).stat()
+                size += found.st_size if stat.S_ISREG(found.st_mode) else 0
+    return size

@@ -1,4 +1,4 @@
-"""Calls that may hang, each in a separate thread, and tasks that are taken again and again.
+"""Calls that may hang, look-ups of hosts among them, and tasks that are taken again and again.
 
 The helper threads of the event loop are few, everything else that blocks needs them, and the
 process cannot end before they do: a call to a name server or to a broken device takes minutes.
@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import Future
 from threading import Thread
 from typing import Any, NoReturn, TypeVar
+
+# Calls that may hang, each in a separate thread, and tasks that are taken again and again.
 
 # Calls that may hang, each in a separate thread.
 
@@ -90,3 +93,46 @@ def uncaught_errors_end(fail: Callable[[BaseException], None]) -> Iterator[None]
     finally:
         loop.set_exception_handler(None)
         threading.excepthook = hook
+
+
+# Looking up the addresses of a host, which takes half a minute where no name server answers.
+
+Addresses = tuple[str, ...]
+
+
+def look_up(host: str, port: int) -> Future[Addresses]:
+    """Start to look up the addresses of a host.
+
+    Args:
+        host: Name or address.
+        port: TCP port.
+
+    Returns:
+        The addresses in the order in which they are to be tried, or the error: an OSError, or a
+        ValueError where the name cannot be one. The process need not wait for it to end.
+    """
+
+    def addresses() -> Addresses:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        return tuple(dict.fromkeys(str(entry[4][0]) for entry in found))
+
+    return in_thread(addresses, "look-up")
+
+
+async def find(host: str, port: int, timeout_s: float) -> Addresses:
+    """Return the addresses of a host, as `look_up` does.
+
+    Args:
+        host: Name or address.
+        port: TCP port.
+        timeout_s: Longest wait for a name server.
+
+    Raises:
+        OSError: There is no such host, or no name server answers in time.
+        ValueError: The name cannot be one.
+    """
+    try:
+        async with asyncio.timeout(timeout_s):
+            return await asyncio.wrap_future(look_up(host, port))
+    except TimeoutError as problem:
+        raise TimeoutError(f"no name server answers within {timeout_s:g} s") from problem

@@ -18,8 +18,8 @@ from typing import Any, Generic, NoReturn, Protocol, TypeVar
 import can
 
 from adaptdrive.config.bus import CanLink
-from adaptdrive.devices.can.arrival import ArrivalClock
 from adaptdrive.devices.can.bus import open_bus
+from adaptdrive.devices.can.integrity import ArrivalClock
 from adaptdrive.devices.counting import BusBackoff
 from adaptdrive.devices.obedience import Uptake
 from adaptdrive.devices.port import Listener, SensorListener

@@ -30,8 +30,7 @@ from adaptdrive.devices.can.integrity import CHECK_INPUT, crc_function
 from adaptdrive.devices.can.layout import compile_field, is_multiplexed, signal_bits
 from adaptdrive.devices.description import read_description
 from adaptdrive.devices.field import Field
-from adaptdrive.util.errors import ConfigurationError, Flaw
-from adaptdrive.util.spelling import nearest
+from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
 _NIBBLE_BITS = 4
 

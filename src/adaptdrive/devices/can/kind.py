@@ -24,12 +24,11 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.config.units import known_unit
 from adaptdrive.devices.binding import sensor_entries
 from adaptdrive.devices.bus_kind import BusKind, Row, bus_of, timeout_cautions
-from adaptdrive.devices.can.arrival import ArrivalClock
 from adaptdrive.devices.can.bus import describe_bus, requests
 from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.devices.can.connection import CanConnection
 from adaptdrive.devices.can.database import open_catalogue
-from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.can.integrity import ArrivalClock, FrameVerdict
 from adaptdrive.devices.can.mapping import (
     CanMapping,
     CanSource,
@@ -39,9 +38,8 @@ from adaptdrive.devices.can.mapping import (
 )
 from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.counting import CountingPort
-from adaptdrive.devices.demands import NO_DEMANDS, Demands, demands_of
+from adaptdrive.devices.description import NO_DEMANDS, Candidate, Demands, demands_of
 from adaptdrive.devices.port import Port, SensorListener
-from adaptdrive.devices.proposal import Candidate
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Signals of a DBC, as candidates for the quantities of a configuration.

@@ -28,7 +28,7 @@ from adaptdrive.devices.can.orders import (
     find_copies,
     find_orders,
 )
-from adaptdrive.devices.demands import NO_DEMANDS, Demands
+from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 

@@ -23,8 +23,8 @@ from adaptdrive.devices.binding import BRIDGE, Sink, is_word
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.database import Located, SignalCatalogue
 from adaptdrive.devices.can.layout import compile_field, initial_value, signal_bits
-from adaptdrive.devices.demands import NO_DEMANDS, Demands
-from adaptdrive.util.spelling import nearest
+from adaptdrive.devices.description import NO_DEMANDS, Demands
+from adaptdrive.util.errors import nearest
 
 _NOTHING: Mapping[str, float] = MappingProxyType({})
 Choice = dict[str, float]

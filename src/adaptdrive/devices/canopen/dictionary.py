@@ -20,8 +20,7 @@ from canopen.objectdictionary.eds import import_eds
 from adaptdrive.devices.binding import Catalogue, Use
 from adaptdrive.devices.description import read_description
 from adaptdrive.devices.field import Field, natural_limits, sensible_limits
-from adaptdrive.util.errors import ConfigurationError, Flaw
-from adaptdrive.util.spelling import nearest
+from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
 # Lines of an EDS that its parser refuses, although nothing may use them.
 

@@ -22,9 +22,8 @@ from adaptdrive.devices.can.bus import channel_flaws
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
-from adaptdrive.devices.demands import NO_DEMANDS, Demands
+from adaptdrive.devices.description import NO_DEMANDS, Candidate, Demands
 from adaptdrive.devices.faults import FaultWord
-from adaptdrive.devices.proposal import Candidate
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Process data objects: packing entries into frames, and the codec of each frame.

@@ -12,9 +12,9 @@ import can
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.binding import BRIDGE
-from adaptdrive.devices.can.arrival import ArrivalClock
 from adaptdrive.devices.can.bus import describe_bus
 from adaptdrive.devices.can.connection import CanConnection
+from adaptdrive.devices.can.integrity import ArrivalClock
 from adaptdrive.devices.canopen.mapping import CanOpenMapping
 from adaptdrive.devices.canopen.profile import POWERED, STATUSWORD, state_of
 from adaptdrive.devices.canopen.reports import newest_values

@@ -22,7 +22,7 @@ from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.bus_kind import BusKind, Row, bus_of, stale_limits
-from adaptdrive.devices.can.arrival import PROMPT_S
+from adaptdrive.devices.can.integrity import PROMPT_S
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
 from adaptdrive.devices.canopen.master import (
     Emergency,
@@ -36,7 +36,7 @@ from adaptdrive.devices.canopen.profile import DISABLE_VOLTAGE, DriveControl, Un
 from adaptdrive.devices.canopen.reports import Reports
 from adaptdrive.devices.canopen.sdo import describe_node
 from adaptdrive.devices.canopen.setup import SYNC_COB_ID, set_up
-from adaptdrive.devices.demands import demands_of
+from adaptdrive.devices.description import demands_of
 from adaptdrive.devices.obedience import Obedience, Rival
 from adaptdrive.devices.port import Port
 from adaptdrive.util.clock import pulsing

@@ -25,7 +25,7 @@ from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.config.timing import LATE_READINGS, Timing
 from adaptdrive.devices.binding import Source, sensor_entries
 from adaptdrive.devices.bus_kind import BusKind, polled_cautions, tcp_locks
-from adaptdrive.devices.demands import NO_DEMANDS, Demands
+from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.devices.modbus.frames import are_alike
 from adaptdrive.devices.modbus.link import ModbusConnection, SerialPort, describe_bus, miss_s
 from adaptdrive.devices.polled.capacity import Exchange, cycle_flaws, plan_blocks

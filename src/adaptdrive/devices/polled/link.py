@@ -17,7 +17,7 @@ from adaptdrive.devices.counting import BusBackoff, CountingPort
 from adaptdrive.devices.polled.capacity import Exchange
 from adaptdrive.devices.port import Listener, SensorListener
 from adaptdrive.util.errors import AdaptdriveError, BusError
-from adaptdrive.util.hosts import find
+from adaptdrive.util.threads import find
 
 # One exchange at a time with a device that answers, and what can go wrong with it.
 

@@ -24,7 +24,7 @@ from adaptdrive.devices.binding import (
     other_names,
     watched_words,
 )
-from adaptdrive.devices.demands import NO_DEMANDS, Demands, demands_of
+from adaptdrive.devices.description import NO_DEMANDS, Demands, demands_of
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled.capacity import Block, Exchange, cycle_flaws, plan_blocks

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from adaptdrive.config.polled import ModbusBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.fault_reset import pulse_reset
+from adaptdrive.devices.counting import pulse_reset
 from adaptdrive.devices.polled.capacity import Block, Exchange
 from adaptdrive.devices.polled.commander import Commander
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Polling
