@@ -24,7 +24,7 @@ from adaptdrive_sim.experiments.case import (
     run_case,
 )
 from adaptdrive_sim.experiments.figure import save
-from adaptdrive_sim.experiments.published import MOTOR
+from adaptdrive_sim.experiments.experiment import MOTOR
 
 FIRST_min, LAST_min = 8.0, 20.0
 

@@ -25,11 +25,11 @@ from adaptdrive_sim.devices.drive import (
     Overvoltage,
     Report,
     SimulatedDrive,
+    VoltageHolder,
 )
 from adaptdrive_sim.devices.kinds import KINDS, DriveNode, SensorNode
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
-from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.parameters import check_range

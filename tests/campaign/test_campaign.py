@@ -9,10 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bench import Stand, deployed, draw
-from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.campaign.main import ClusterError, repeat_run, run_campaign, run_seed, workers
-from adaptdrive_sim.campaign.report import claims, failures, shared_failures
+from adaptdrive_sim.campaign.motors import Stand, deployed, draw
+from adaptdrive_sim.campaign.report import claims, failures, judge, shared_failures
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign
 
 STANDARD = Path("standard.toml")

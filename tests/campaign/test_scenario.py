@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptdrive_sim.campaign.bench import Scenario, draw
+from adaptdrive_sim.campaign.motors import Scenario, draw
 from adaptdrive_sim.campaign.settings import Campaign, read_campaign
 
 

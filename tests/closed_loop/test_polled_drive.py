@@ -15,7 +15,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.file import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot, Stage
-from adaptdrive_sim.devices.voltage_holder import VoltageHolder
+from adaptdrive_sim.devices.drive import VoltageHolder
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
 from tests.closed_loop.bench import STAGE, TICKS

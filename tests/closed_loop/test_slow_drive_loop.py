@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.control.signals import Command
-from adaptdrive_sim.devices.voltage_holder import VoltageHolder
+from adaptdrive_sim.devices.drive import VoltageHolder
 from adaptdrive_sim.world import Sample
 from tests.closed_loop.bench import EXACT, RATES, STAGE, Bench, TICK_s, order
 

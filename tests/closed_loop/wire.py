@@ -26,11 +26,10 @@ from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.watchdog import ServiceManager
 from adaptdrive_sim.device_main import build_drive, build_node, build_sensors
 from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.devices.can_drive import CanDrive
+from adaptdrive_sim.devices.can import CanDrive
 from adaptdrive_sim.devices.drive import SimulatedDrive
-from adaptdrive_sim.devices.modbus_drive import ModbusDrive
-from adaptdrive_sim.devices.modbus_server import serving
-from adaptdrive_sim.devices.scpi_drive import ScpiDrive
+from adaptdrive_sim.devices.modbus import ModbusDrive, serving
+from adaptdrive_sim.devices.scpi import ScpiDrive
 from adaptdrive_sim.world import World
 
 WAIT_s = 2.0

@@ -13,9 +13,8 @@ from adaptdrive_sim.experiments.case import (
     case_settings,
     run_case,
 )
-from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
+from adaptdrive_sim.experiments.experiment import MOTOR, Experiment, LoadChange
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
-from adaptdrive_sim.experiments.published import MOTOR
 
 SEEDS = range(20)
 SHORT_MOTOR = replace(

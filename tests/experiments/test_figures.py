@@ -12,10 +12,9 @@ from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
 from adaptdrive_sim.experiments.case import Disturbance, ReproduceRequest, Variant, run_case
-from adaptdrive_sim.experiments.experiment import LoadChange
+from adaptdrive_sim.experiments.experiment import DROPPED, LoadChange
 from adaptdrive_sim.experiments.figure import experiment_figure
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
-from adaptdrive_sim.experiments.published import DROPPED
 from tests.experiments.cases import make_case
 
 SHORT = dataclasses.replace(

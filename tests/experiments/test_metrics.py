@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.experiment import Experiment
+from adaptdrive_sim.experiments.experiment import BATH, MOTOR, Experiment
 from adaptdrive_sim.experiments.metrics import (
     convergence_cycles,
     cycles,
@@ -13,7 +13,6 @@ from adaptdrive_sim.experiments.metrics import (
     model_errors,
     rms_between,
 )
-from adaptdrive_sim.experiments.published import BATH, MOTOR
 
 TIMES = [float(k) for k in range(1320)]
 

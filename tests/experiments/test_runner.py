@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from adaptdrive_sim.experiments.case import Disturbance, run_case
-from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
-from adaptdrive_sim.experiments.published import MOTOR
+from adaptdrive_sim.experiments.experiment import MOTOR, Experiment, LoadChange
 from tests.experiments.cases import make_case
 
 SHORT: Experiment = dataclasses.replace(

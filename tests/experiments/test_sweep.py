@@ -7,7 +7,7 @@ import pytest
 
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Disturbance, run_case
-from adaptdrive_sim.experiments.published import MOTOR
+from adaptdrive_sim.experiments.experiment import MOTOR
 from adaptdrive_sim.experiments.sweep import (
     Heard,
     Setting,

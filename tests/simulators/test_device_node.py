@@ -14,7 +14,7 @@ import pytest
 from adaptdrive.config.file import validate_configuration
 from adaptdrive_sim.device_main import build_drive, build_node
 from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.devices.can_drive import CanDrive
+from adaptdrive_sim.devices.can import CanDrive
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bench import Stand, draw
+from adaptdrive_sim.campaign.motors import Stand, draw
 from adaptdrive_sim.campaign.settings import read_campaign
 
 Array = NDArray[np.float64]

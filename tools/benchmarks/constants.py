@@ -19,10 +19,10 @@ from pathlib import Path
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.util.errors import AdaptdriveError
-from adaptdrive_sim.campaign import bench
-from adaptdrive_sim.campaign.bench import draw
+from adaptdrive_sim.campaign import motors
 from adaptdrive_sim.campaign.drawn import Row
-from adaptdrive_sim.campaign.judge import WORSE, judge
+from adaptdrive_sim.campaign.motors import draw
+from adaptdrive_sim.campaign.report import WORSE, judge
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.course import Run
 from tools.benchmarks.dials import DIALS, Dial, Number, turn
@@ -104,12 +104,12 @@ def _run(dial: Dial, value: Number, place: Place) -> Row:
     fixed = _fixed(place)
     turn(dial, value)
     try:
-        bench.deployed.cache_clear()  # settings hold some of the constants
+        motors.deployed.cache_clear()  # settings hold some of the constants
         stand = _stand(place)
         return judge(stand, fixed, stand.run(Mode.ADAPTIVE))
     finally:
         turn(dial, dial.value)
-        bench.deployed.cache_clear()
+        motors.deployed.cache_clear()
 
 
 @cache
@@ -117,9 +117,9 @@ def _fixed(place: Place) -> Run:
     return _stand(place).run(Mode.FIXED)
 
 
-def _stand(place: Place) -> bench.Stand:
+def _stand(place: Place) -> motors.Stand:
     name, seed = place
-    return bench.Stand(draw(read_campaign(Path(name)), seed))
+    return motors.Stand(draw(read_campaign(Path(name)), seed))
 
 
 def _line(known: tuple[str, ...], found: Effect | None, before: Effect) -> str:

@@ -27,8 +27,8 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive.control.vectors import Vector, copy_into
-from adaptdrive_sim.campaign.bench import Stand, draw
-from adaptdrive_sim.campaign.judge import judge
+from adaptdrive_sim.campaign.motors import Stand, draw
+from adaptdrive_sim.campaign.report import judge
 from adaptdrive_sim.campaign.settings import read_campaign
 
 WIDE = Path(__file__).parents[2] / "simulators/adaptdrive_sim/campaign/wide.toml"

@@ -17,8 +17,8 @@ from functools import cache
 from pathlib import Path
 
 from adaptdrive_sim.experiments.case import Design, Disturbance, Variant, run_case
+from adaptdrive_sim.experiments.experiment import DROPPED
 from adaptdrive_sim.experiments.metrics import Cycle, convergence_cycles, cycles
-from adaptdrive_sim.experiments.published import DROPPED
 from tests.experiments.cases import make_case
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.pure import build_name
-from adaptdrive_sim.campaign.bench import Stand, draw
+from adaptdrive_sim.campaign.motors import Stand, draw
 from adaptdrive_sim.campaign.settings import read_campaign
 
 

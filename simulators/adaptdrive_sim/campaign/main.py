@@ -18,14 +18,12 @@ from rich.console import Console
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.util.errors import AdaptdriveError
-from adaptdrive_sim.campaign.bath_bench import BathStand, draw_bath
-from adaptdrive_sim.campaign.bath_settings import BathCampaign
-from adaptdrive_sim.campaign.battery_bench import BatteryCampaign, BatteryTrial, draw_battery
-from adaptdrive_sim.campaign.bench import Stand, draw
+from adaptdrive_sim.campaign.baths import BathStand, draw_bath
+from adaptdrive_sim.campaign.batteries import BatteryCampaign, BatteryTrial, draw_battery
 from adaptdrive_sim.campaign.drawn import Row, Trial
-from adaptdrive_sim.campaign.judge import judge
-from adaptdrive_sim.campaign.report import print_results, repeat, write_results
-from adaptdrive_sim.campaign.settings import MOST_RUNS, Campaign, read_campaign_of
+from adaptdrive_sim.campaign.motors import Stand, draw
+from adaptdrive_sim.campaign.report import judge, print_results, repeat, write_results
+from adaptdrive_sim.campaign.settings import MOST_RUNS, BathCampaign, Campaign, read_campaign_of
 from adaptdrive_sim.jobs import processes, progress
 from adaptdrive_sim.parameters import SEED_MAX, check_range
 

@@ -10,14 +10,12 @@ from typing import Any, Protocol
 
 from adaptdrive.config import Configuration
 from adaptdrive.devices.can.kind import map_sensors
-from adaptdrive_sim.devices.can_drive import CanDrive
-from adaptdrive_sim.devices.can_sensors import CanSensors
-from adaptdrive_sim.devices.canopen_drive import CanOpenDrive
+from adaptdrive_sim.devices.can import CanDrive, CanSensors
+from adaptdrive_sim.devices.canopen import CanOpenDrive
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import load_messages
-from adaptdrive_sim.devices.modbus_drive import ModbusDrive
-from adaptdrive_sim.devices.modbus_sensors import ModbusSensors
-from adaptdrive_sim.devices.scpi_drive import ScpiDrive
+from adaptdrive_sim.devices.modbus import ModbusDrive, ModbusSensors
+from adaptdrive_sim.devices.scpi import ScpiDrive
 
 
 class SensorNode(Protocol):

@@ -15,9 +15,8 @@ from adaptdrive.util.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.claims import Claim
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
-from adaptdrive_sim.experiments.experiment import Experiment
+from adaptdrive_sim.experiments.experiment import BATH, DROPPED, MOTOR, Experiment
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, claims, judge, summary
-from adaptdrive_sim.experiments.published import BATH, DROPPED, MOTOR
 from adaptdrive_sim.experiments.sweep import (
     listen,
     settings_over_forgetting,

@@ -13,7 +13,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import paper_settings
-from adaptdrive_sim.experiments.published import BATH, MOTOR
+from adaptdrive_sim.experiments.experiment import BATH, MOTOR
 from tools.benchmarks.rivals.cases import Case
 from tools.benchmarks.rivals.controllers import RIVALS, Rival, Task
 from tools.benchmarks.rivals.held import run_held

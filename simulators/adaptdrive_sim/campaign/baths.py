@@ -12,13 +12,13 @@ from adaptdrive.control.loads.bath import realise
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive_sim.campaign import drawn as draws
-from adaptdrive_sim.campaign.bath_settings import (
+from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Numbers, Row
+from adaptdrive_sim.campaign.settings import (
     BathCampaign,
     BathReferenceRanges,
     bath_parameters,
     bath_reach,
 )
-from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Numbers, Row
 from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.coupling import CouplingParameters

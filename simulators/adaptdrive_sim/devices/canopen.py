@@ -1,4 +1,7 @@
-"""The simulated drive as a CiA 402 node on CANopen.
+"""The simulated drive as a CiA 402 node on CANopen, with its state machine.
+
+One controlword makes one transition. A fault is left by an edge of bit 7 only, and only when its
+cause is gone.
 
 It serves its object dictionary over SDO, obeys NMT, sends heartbeats, emergencies and the PDOs that
 it has been given. Where object 0x1005 is set so, it sends SYNC at the line's zero crossings. It
@@ -30,7 +33,70 @@ from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
-from adaptdrive_sim.devices.power_states import PowerState, PowerStates
+
+# The state machine of CiA 402 as a drive runs it: controlwords in, statusword out.
+
+_SWITCH_ON, _ENABLE_VOLTAGE, _NO_QUICK_STOP, _ENABLE, _RESET = 0x01, 0x02, 0x04, 0x08, 0x80
+
+
+class PowerState(IntEnum):
+    """States by their statusword; bit 4 means that the line current may flow."""
+
+    SWITCH_ON_DISABLED = 0x0040
+    READY = 0x0021
+    SWITCHED_ON = 0x0033
+    ENABLED = 0x0037
+    FAULT = 0x0008
+
+
+class PowerStates:
+    """State of the drive.
+
+    Attributes:
+        state: The present state.
+    """
+
+    def __init__(self) -> None:
+        self.state = PowerState.SWITCH_ON_DISABLED
+        self._reset = False
+
+    @property
+    def charging(self) -> bool:
+        """True if line current may flow."""
+        return self.state in {PowerState.SWITCHED_ON, PowerState.ENABLED}
+
+    def obey(self, controlword: int, *, healthy: bool) -> None:
+        """Make the transition that a controlword asks for, if there is one."""
+        edge = bool(controlword & _RESET) and not self._reset
+        self._reset = bool(controlword & _RESET)
+        if self.state is PowerState.FAULT:
+            if edge and healthy:
+                self.state = PowerState.SWITCH_ON_DISABLED
+            return
+        self.state = self._next(controlword)
+
+    def disable_voltage(self) -> None:
+        """Leave everything but a fault at once."""
+        if self.state is not PowerState.FAULT:
+            self.state = PowerState.SWITCH_ON_DISABLED
+
+    def fail(self) -> None:
+        """Enter the fault; the power stage is off at once."""
+        self.state = PowerState.FAULT
+
+    def _next(self, word: int) -> PowerState:
+        if not word & _ENABLE_VOLTAGE or not word & _NO_QUICK_STOP:
+            return PowerState.SWITCH_ON_DISABLED
+        if not word & _SWITCH_ON:
+            return PowerState.READY
+        if self.state is PowerState.SWITCH_ON_DISABLED:
+            return self.state
+        if self.state is PowerState.READY or not word & _ENABLE:
+            return PowerState.SWITCHED_ON
+        return PowerState.ENABLED
+
+
+# The simulated drive as a CiA 402 node on CANopen.
 
 _NMT, _SYNC = 0x000, 0x080
 _CONTROLWORD, _STATUSWORD = (0x6040, 0), (0x6041, 0)

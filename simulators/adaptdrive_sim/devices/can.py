@@ -1,4 +1,4 @@
-"""The simulated drive as a node on a CAN bus.
+"""The simulated drive and simulated sensors as nodes on a CAN bus.
 
 At the end of each half line cycle, on an absolute grid that follows the line, it sends the status
 messages that are due by their cycle times, the clocking one last; the pages of a multiplexed
@@ -18,14 +18,19 @@ from collections.abc import Callable, Mapping
 import can
 
 from adaptdrive.config.bus import CanBus
+from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.can.mapping import StatusFrame
 from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
+from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
+
+# The simulated drive as a node on a CAN bus.
 
 _REOPEN_S = 0.1
 """Interval at which a drive that has lost its bus tries to open it."""
@@ -161,3 +166,67 @@ class CanDrive:
 
 def _key(codec: MessageCodec) -> tuple[int, bool]:
     return codec.frame_id, codec.is_extended
+
+
+# Simulated sensors on a CAN bus: every cycle they send what they measure on the drive's plant.
+
+
+class CanSensors:
+    """The sensors on one bus.
+
+    Attributes:
+        counts: Frames sent and dropped, by name.
+    """
+
+    def __init__(
+        self, drive: SimulatedDrive, config: Config, messages: tuple[StatusFrame, ...]
+    ) -> None:
+        self.counts: collections.Counter[str] = collections.Counter()
+        self._drive = drive
+        self._config = config
+        self._messages = messages
+        self._frozen: dict[str, float] = {}
+
+    async def run(self, opened: Callable[[str], None]) -> None:
+        """Open the bus, pass its description to `opened`, and send until cancelled.
+
+        Raises:
+            BusError: The bus cannot be opened.
+        """
+        bus = open_bus(self._config)
+        try:
+            opened(describe_bus(self._config))
+            while True:
+                await asyncio.sleep(self._config.cycle_s)
+                self._send_all(bus)
+        finally:
+            bus.shutdown()
+
+    def _send_all(self, bus: can.BusABC) -> None:
+        frame, fault = self._drive.frame, self._drive.world.sensor_fault
+        if frame is None or fault == SensorFault.UNPLUGGED:
+            return
+        if fault != SensorFault.FROZEN:
+            self._frozen = values_of(self._drive.world, frame)
+        for message in self._messages:
+            shown = self._shown(message, self._frozen, open_circuit=fault == SensorFault.OPEN)
+            self._send(bus, message, shown)
+
+    @staticmethod
+    def _shown(
+        message: StatusFrame, values: Mapping[str, float], *, open_circuit: bool
+    ) -> dict[str, float | None]:
+        return {
+            one.signal: None if open_circuit else (values[one.quantity] - one.offset) / one.scale
+            for one in message.sources
+        }
+
+    def _send(
+        self, bus: can.BusABC, message: StatusFrame, shown: Mapping[str, float | None]
+    ) -> None:
+        try:
+            bus.send(message.codec.frame(message.codec.encode(shown)))
+        except (can.CanError, OSError):
+            self.counts["dropped"] += 1
+        else:
+            self.counts["sent"] += 1
