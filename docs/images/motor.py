@@ -23,8 +23,8 @@ from adaptdrive_sim.experiments.case import (
     case_settings,
     run_case,
 )
-from adaptdrive_sim.experiments.figure import save
 from adaptdrive_sim.experiments.experiment import MOTOR
+from adaptdrive_sim.experiments.figure import save
 
 FIRST_min, LAST_min = 8.0, 20.0
 
