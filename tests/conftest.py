@@ -79,7 +79,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def _is_outside(item: pytest.Item) -> bool:
-    return OUTSIDE in getattr(item, "fixturenames", ())
+    return item.path.is_relative_to(SCENES) or OUTSIDE in getattr(item, "fixturenames", ())
 
 
 def pytest_asyncio_loop_factories(

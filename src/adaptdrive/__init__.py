@@ -9,6 +9,6 @@ import os as _os
 if _os.environ.get("ADAPTDRIVE_PURE", "0") != "0":
     from adaptdrive import pure as _pure
 
-    _pure.import_sources()
+    _pure.import_sources(__path__[0])
 
 __version__ = "0.1.0"

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import sys
 from importlib.machinery import SOURCE_SUFFIXES, FileFinder, SourceFileLoader
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from importlib.abc import PathEntryFinder
 
-_ROOT = str(Path(__file__).parent)
 
+def import_sources(folder: str) -> None:
+    """Import the sources of a package from now on, also those that are compiled.
 
-def import_sources() -> None:
-    """Import the sources of this package from now on, also those that are compiled."""
+    Args:
+        folder: Folder of the package.
+    """
     hook = FileFinder.path_hook((SourceFileLoader, SOURCE_SUFFIXES))
 
     def ours(path: str) -> PathEntryFinder:
-        if path != _ROOT and not path.startswith(f"{_ROOT}/"):
+        if path != folder and not path.startswith(f"{folder}/"):
             raise ImportError(f"{path} is not in this package", path=path)
         return hook(path)
 

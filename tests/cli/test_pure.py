@@ -11,22 +11,26 @@ from pathlib import Path
 
 import pytest
 
-SOURCES = Path(__file__).parents[2] / "src" / "adaptdrive"
-SHOW = "from adaptdrive.pure import build_name; print(build_name())"
+ROOT = Path(__file__).parents[2]
+SOURCES = (ROOT / "src" / "adaptdrive", ROOT / "simulators" / "adaptdrive_sim")
+MODULES = ("adaptdrive/control/controller", "adaptdrive_sim/line")
+SHOW = "from adaptdrive.pure import build_name; import {}; print(build_name())"
 
 
 @pytest.fixture
 def damaged(outside: None, tmp_path: Path) -> Path:
-    """A copy of the package with a compiled module that no interpreter can load."""
-    shutil.copytree(SOURCES, tmp_path / "adaptdrive", ignore=shutil.ignore_patterns("panel"))
-    module = tmp_path / "adaptdrive" / "control" / f"controller{EXTENSION_SUFFIXES[0]}"
-    module.write_bytes(b"no shared object")
+    """A copy of the packages with compiled modules that no interpreter can load."""
+    for source in SOURCES:
+        copy = tmp_path / source.name
+        shutil.copytree(source, copy, ignore=shutil.ignore_patterns("panel", "examples"))
+    for module in MODULES:
+        (tmp_path / f"{module}{EXTENSION_SUFFIXES[0]}").write_bytes(b"no shared object")
     return tmp_path
 
 
-def show(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def show(folder: Path, module: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", SHOW],
+        [sys.executable, "-c", SHOW.format(module.replace("/", "."))],
         check=False,
         capture_output=True,
         text=True,
@@ -34,10 +38,12 @@ def show(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_compiled_module_precedes_its_source(damaged: Path) -> None:
-    assert "ImportError" in show(damaged, ADAPTDRIVE_PURE="0").stderr
+@pytest.mark.parametrize("module", MODULES)
+def test_a_compiled_module_precedes_its_source(damaged: Path, module: str) -> None:
+    assert "ImportError" in show(damaged, module, ADAPTDRIVE_PURE="0").stderr
 
 
-def test_the_environment_chooses_the_sources(damaged: Path) -> None:
-    shown = show(damaged, ADAPTDRIVE_PURE="1")
+@pytest.mark.parametrize("module", MODULES)
+def test_the_environment_chooses_the_sources(damaged: Path, module: str) -> None:
+    shown = show(damaged, module, ADAPTDRIVE_PURE="1")
     assert (shown.returncode, shown.stdout) == (0, "pure Python\n"), shown.stderr

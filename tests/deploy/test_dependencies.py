@@ -98,23 +98,28 @@ def test_an_extra_holds_what_its_folder_imports() -> None:
     assert declared(("sim", "cluster")) - declared(()) - used == set()
 
 
+HOOK = PYPROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]
+SIMULATORS = PYPROJECT["tool"]["adaptdrive"]["compiled-simulators"]
+COMPILED = [*HOOK["include"], *(f"/simulators/{path}" for path in SIMULATORS)]
+
+
+def named(pattern: str) -> str:
+    """The module or the package that a pattern of files stands for."""
+    path = pattern.removeprefix("/src/").removeprefix("/simulators/")
+    return path.removesuffix("/**/*.py").removesuffix(".py").replace("/", ".")
+
+
 def test_every_compiled_module_is_held_to_what_a_compiled_module_may_import() -> None:
-    hook = PYPROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]
     contracts = {one["id"]: one for one in PYPROJECT["tool"]["importlinter"]["contracts"]}
     held = set(contracts["compiled"]["source_modules"])
-    compiled = {
-        pattern.removeprefix("/src/").removesuffix("/**/*.py").removesuffix(".py").replace("/", ".")
-        for pattern in hook["include"]
-    }
-    assert compiled == held
-    for pattern in (*hook["include"], *hook["exclude"]):
+    assert set(map(named, COMPILED)) == held
+    for pattern in (*COMPILED, *HOOK["exclude"]):
         assert list(ROOT.glob(pattern.removeprefix("/"))), f"{pattern} names no file"
 
 
 def test_no_compiled_module_awaits() -> None:
     """From Python 3.12 on, a coroutine of mypyc warns where it is cancelled while it awaits."""
-    hook = PYPROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]
-    paths = [path for pattern in hook["include"] for path in ROOT.glob(pattern.lstrip("/"))]
+    paths = [path for pattern in COMPILED for path in ROOT.glob(pattern.lstrip("/"))]
     trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
     nodes = [(path, node) for path, tree in trees.items() for node in ast.walk(tree)]
     assert paths
