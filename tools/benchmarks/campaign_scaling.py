@@ -1,8 +1,7 @@
-"""Measure how campaigns scale, and draw docs/images/campaign-scaling.png.
+"""Measure how campaigns scale: one and two processes take turns on the same seeds.
 
-One and two processes take turns on the same seeds; each dot is a round. Run it on a machine that
-does nothing else, with `python -m tools.benchmarks.campaign_scaling`: it takes some minutes on
-compiled modules, and five times as long on the sources.
+Run it on a machine that does nothing else, with `python -m tools.benchmarks.campaign_scaling`: it
+takes some minutes on compiled modules, and four times as long on the sources.
 """
 
 from __future__ import annotations
@@ -15,15 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from matplotlib.figure import Figure
-
-from adaptdrive.analysis import style
 from adaptdrive_sim.campaign.main import run_seed, workers
 from adaptdrive_sim.campaign.settings import Campaign, read_campaign
-from adaptdrive_sim.experiments.figure import save
 
 COUNTS = (1, 2)
-IMAGE = Path(__file__).parents[2] / "docs" / "images" / "campaign-scaling.png"
 RUNS, ROUNDS = 16, 5
 
 
@@ -76,37 +70,14 @@ def _cpu_time_of(campaign: Campaign, seed: int) -> float:
     return time.process_time() - began_s
 
 
-def draw(found: dict[int, list[Round]], path: Path) -> None:
-    """Experiments per second over the number of processes."""
-    speeds = {count: median(one.experiments_per_s for one in found[count]) for count in found}
-    cpu_ms = median(one.cpu_ms for rounds in found.values() for one in rounds)
-    with style.journal():
-        figure = Figure(figsize=(style.WIDTH_in / 2.0, 2.6), layout="constrained")
-        axes = figure.subplots()
-        ideal = [speeds[COUNTS[0]] * count for count in COUNTS]
-        axes.plot(COUNTS, ideal, ":", color="0.4", label="in proportion")
-        axes.plot(COUNTS, [speeds[count] for count in COUNTS], "-o", label="median")
-        for count, rounds in found.items():
-            axes.plot([count] * len(rounds), [one.experiments_per_s for one in rounds], "k.", ms=2)
-        for count, speed in speeds.items():
-            axes.annotate(f"{speed:.1f}", (count, speed), (6.0, -10.0), textcoords="offset points")
-        axes.set(xlabel="processes", ylabel="experiments per second", xticks=COUNTS)
-        axes.set_xlim(COUNTS[0] - 0.3, COUNTS[-1] + 0.4)
-        axes.set_ylim(0.0)
-        axes.set_title(f"{1e-3 * cpu_ms:.2f} s of a processor for each experiment")
-        axes.legend(loc="upper left")
-        save(figure, path)
-
-
 def main() -> None:
-    """Measure, print and draw."""
+    """Measure and print."""
     found = measure(read_campaign(Path("standard.toml")), COUNTS, runs=RUNS, rounds=ROUNDS)
     for count, rounds in found.items():
         speeds = sorted(one.experiments_per_s for one in rounds)
         cpu_ms = median(one.cpu_ms for one in rounds)
         told = f"{median(speeds):.1f} experiments/s ({speeds[0]:.1f} to {speeds[-1]:.1f})"
         print(f"{count} processes: {told}, {cpu_ms:.0f} ms CPU each")  # noqa: T201
-    draw(found, IMAGE)
 
 
 if __name__ == "__main__":
