@@ -12,7 +12,7 @@ from tests.scenes.system.site import Site, until
 pytestmark = pytest.mark.proof
 
 CLIMB = ["READY", "SWITCHED_ON", "ENABLED"]
-SETTINGS = {"bus.command_timeout_s": "", "bus.heartbeat_timeout_s": "4.0"}
+SETTINGS = {"bus.command_timeout_s": "", "bus.heartbeat_timeout_s": "2.0"}
 DRIVE_SYNCS = {
     "bus.sync": '"drive"',
     "voltage_loop.where": '"daemon"',
