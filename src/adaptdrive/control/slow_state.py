@@ -74,7 +74,7 @@ class SlowState:
         charge: The charger of a battery.
         reference: r[k-1].
         nominal_theta: θ of the nominal model.
-        possible: Models within the covariance of the estimate (`assurance`).
+        possible: Models within the covariance of the estimate (`robustness`).
         spread: How far the response may be off within the covariance, as a share of a step.
         model_a: A of this period's estimate.
         model_b: B of it.
@@ -83,7 +83,7 @@ class SlowState:
         trusted_b: B of it.
         reference_filter: Reference filter of the adaptive law.
         new_loop: A_c of the design of this period.
-        circle: What margins need of the unit circle (`fast_feedback`).
+        circle: What margins need of the unit circle (`noise`).
         expected: Response to the reference that was asked for, a lag for each pole.
         recalled: Whether the estimate is what a run before this one had trusted.
         saturated: Whether the last input was at a limit or could not be followed.

@@ -21,11 +21,11 @@ Control Theory, 1970, section 5.2): with a, b of degree n, the recursion
 adds b_k β to it in each step, and b_0²/a_0 at the end, for a_0 = 1 at the start.
 
 The response to the reference is that of the poles asked for, whatever the poles of the feedback are
-(`reference_filter`). These decide how soon a disturbance is corrected, and at what cost: noise of
+(`reference_model`). These decide how soon a disturbance is corrected, and at what cost: noise of
 the output reaches the input through the loop, and a wrong model makes a fast loop unstable sooner
 than a slow one. Two laws share one history of inputs, outputs and course:
 
-    quiet    the poles asked for, slower where noise demands it (`noise_limit`): A_q
+    quiet    the poles asked for, slower where noise demands it: A_q
     fast     faster ones: p from the pole asked for down to half of it, while the poles that are
              free rise from 0 as much, which costs least noise for the speed: A_f
 

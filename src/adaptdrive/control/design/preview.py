@@ -7,7 +7,7 @@ by the method of active limits (J. Nocedal and S. J. Wright, Numerical Optimizat
 first limit. Where they have reached it, the one that pulls most from its limit is let go. Each step
 is exact, and none leaves the limits or makes the function larger; the steps are bounded.
 
-The response asked for is B/B(1) m*, m* = A_m(1)/A_m r' (`reference_filter`). It needs the input
+The response asked for is B/B(1) m*, m* = A_m(1)/A_m r' (`reference_model`). It needs the input
 
     u* = A/B(1) m* + f        f: what the feedback adds, for a load torque or an error of the model
 
@@ -132,7 +132,7 @@ def look_ahead(
         state: What is known; its preview is overwritten.
         sample: What is asked for.
         reference: r[k].
-        lead: d (`compensator`).
+        lead: d (`slow`).
     """
     alone = state.blend >= 1.0 and sample.adaptive and load.charging is None
     if len(sample.upcoming) == 0 or not (alone and settings.exact):
@@ -162,7 +162,7 @@ def led_references(reference: float, last: float, upcoming: Vector, lead: float)
         reference: r[k].
         last: r[k-1].
         upcoming: r[k+1] and the following ones.
-        lead: d (`compensator`).
+        lead: d (`slow`).
     """
     led = [0.0] * (len(upcoming) + 1)
     for i in range(len(led)):

@@ -1,7 +1,7 @@
 """A branch: an estimate with its covariance, how well it predicts, and an offset that moves.
 
 The estimator holds several. One is its estimate; the others explain an alarm (`rivals`), challenge
-the estimate (`challenger`) or follow a disturbance that never rests (`integrated`). With σ² known
+the estimate, or follow a disturbance that never rests (`second_estimates`). With σ² known
 only as σ0² from ν0 samples the logarithm of the likelihood of n samples is, up to a constant
 (Bayesian linear regression with an inverse-gamma prior of σ²; Gelman et al., Bayesian Data
 Analysis, chapter 14),

@@ -1,7 +1,7 @@
 """The on-line estimator: recursive least squares with a gate, a bound of P and an alarm.
 
 What is learnt, from which signals and by which update is in the file of the method (`methods`); the
-arithmetic of the update is in `rls`, and what counts as an abrupt change in `surprise`.
+arithmetic of the update is in `rls`, and what counts as an abrupt change in `change_detector`.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from adaptdrive.control.settings import Learning
 from adaptdrive.control.thresholds import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.vectors import Vector
 
-# The estimate in force: the one whose bias rests, or the one whose bias walks (`integrated`).
+# The estimate in force: the one whose bias rests, or the one whose bias walks (`second_estimates`).
 
 
 def show(state: EstimatorState, learning: Learning) -> None:
