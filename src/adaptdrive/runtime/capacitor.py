@@ -36,7 +36,7 @@ _LOST_OF_MAXIMUM: Final = 0.02
 """The same as a share of the largest power: at rest, and for errors of the power's sensor."""
 
 _UNSEEN_SHARE: Final = 0.1
-"""Unseen rise of v_bst that trips, as a share of its limit."""
+"""Unseen rise of v_bst that asks its report, as a share of its limit."""
 
 _ASKED_TICKS: Final = 12
 """Half cycles in which a report that is asked has to move: 0.1 s."""
@@ -150,20 +150,27 @@ class CapacitorBalance:
         is_confirmed = self._silent_ticks < self._cycle_ticks and not is_asked
         base_V2 = self._predicted_V2 if is_confirmed else self._worst_V2
         room_W = (self._limits.highest_V**2 - base_V2) / self._per_W - self._next_S * self._line_V2
-        taken_W = _FED_SHARE * self._load_W if is_asked else self._load_W
-        if is_asked and not self._runs:
-            taken_W = self._load_W + _TRICKLE_SHARE * self._standing_room_V2() / self._per_W
-        highest_W = room_W + 2.0 * self._load_W if is_confirmed else min(taken_W, room_W)
+        fed_W = self._asked_W() if is_asked else self._load_W
+        highest_W = room_W + 2.0 * self._load_W if is_confirmed else min(fed_W, room_W)
         highest_S = max(0.0, highest_W) / self._line_V2
         if not command.current_scale_S > highest_S:  # the guard refuses one that is NaN
             return command
         return replace(command, current_scale_S=highest_S)
 
+    def _asked_W(self) -> float:
+        """Return the power that feeds the capacitor while the report is asked."""
+        if self._runs:
+            return _FED_SHARE * self._load_W
+        return self._load_W + _TRICKLE_SHARE * self._standing_room_V2() / self._per_W
+
     def _standing_room_V2(self) -> float:
         """Return the rise up to the limit that is left if the report stands still wrongly."""
-        coming_V2 = self._per_W * (self._next_S * self._line_V2 - self._load_W)
-        room_V2 = self._limits.highest_V**2 - self._reported_V2 - self._stood_V2 - coming_V2
-        return max(0.0, room_V2)
+        gone_V2 = self._reported_V2 + self._stood_V2 + self._coming_V2()
+        return max(0.0, self._limits.highest_V**2 - gone_V2)
+
+    def _coming_V2(self) -> float:
+        """Return the rise by the command on its way."""
+        return self._per_W * (self._next_S * self._line_V2 - self._load_W)
 
     def _confirm(self, reading: Reading) -> None:
         """Take a report: what was predicted so far is known now."""
@@ -182,7 +189,8 @@ class CapacitorBalance:
         before_V2 = self._reported_V2
         self._confirm(reading)
         self._unseen_V2 = max(0.0, self._unseen_V2 - (self._reported_V2 - before_V2))
-        self._stood_V2 *= self._reported_V2 == before_V2
+        if self._reported_V2 != before_V2:
+            self._stood_V2 = 0.0
         unseen_V = math.sqrt(self._reported_V2 + self._unseen_V2) - math.sqrt(self._reported_V2)
         asks = unseen_V > _UNSEEN_SHARE * self._limits.highest_V or not self._standing_room_V2()
         if asks and math.isnan(self._asked_V2):
@@ -193,9 +201,10 @@ class CapacitorBalance:
         if math.isnan(self._asked_V2):
             return None
         if not self._runs:
-            rises = self._reported_V2 > self._asked_V2
-            self._asked_V2 = math.nan if rises else self._reported_V2
-            self._unseen_V2 *= not rises
+            if self._reported_V2 > self._asked_V2:
+                self._asked_V2, self._unseen_V2 = math.nan, 0.0
+            else:
+                self._asked_V2 = self._reported_V2
             return None
         self._asked_ticks += ticks
         self._fall_V2 += ticks * self._per_W * (1.0 - _FED_SHARE) * max(self._load_W, 0.0)
@@ -213,8 +222,7 @@ class CapacitorBalance:
 
     def _exceeded(self) -> str | None:
         """Return the cause of a trip where the command on its way leads beyond the limit."""
-        coming_W = self._next_S * self._line_V2 - self._load_W
-        coming_V = math.sqrt(max(0.0, self._predicted_V2 + self._per_W * coming_W))
+        coming_V = math.sqrt(max(0.0, self._predicted_V2 + self._coming_V2()))
         if coming_V <= self._limits.highest_V:
             return None
         return (
