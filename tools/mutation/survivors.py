@@ -112,7 +112,7 @@ RUNTIME: dict[str, str] = {
     "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
 }
 
-OPERATION: dict[str, str] = {
+MQTT: dict[str, str] = {
     "mqtt.desk:Desk.__init__: self._stops = 0 -> self._stops = 1": _COMPARED,
     "mqtt.desk:Desk.receive: self._stops += 1 -> self._stops += 2": _COMPARED,
 }
@@ -164,4 +164,4 @@ CONTROL: dict[str, str] = {
     "if not power >= _RESIDUAL_FLOOR:": "a power of just the floor gives 1 either way",
 }
 
-REASONS = RUNTIME | OPERATION | CONTROL
+REASONS = RUNTIME | MQTT | CONTROL

@@ -60,7 +60,7 @@ _MODBUS = (
 _LOST = ("tests/devices/modbus/test_losses.py",)
 _FRAMES = ("tests/devices/test_can_codec.py", "tests/devices/test_can_crc.py")
 
-HARDWARE: dict[str, tuple[str, ...]] = {
+DEVICES: dict[str, tuple[str, ...]] = {
     "adaptdrive.devices.can.port": _CAN_PORT,
     "adaptdrive.devices.can.mapping": (
         "tests/devices/test_can_mapping.py",
@@ -92,7 +92,7 @@ HARDWARE: dict[str, tuple[str, ...]] = {
     "adaptdrive.devices.obedience": (*_CAN_PORT, "tests/devices/canopen/test_port.py"),
 }
 
-OPERATION: dict[str, tuple[str, ...]] = {
+MQTT: dict[str, tuple[str, ...]] = {
     "adaptdrive.mqtt.desk": ("tests/mqtt/test_desk.py",),
     "adaptdrive.mqtt.publisher": (
         "tests/mqtt/test_intake.py",
@@ -195,7 +195,7 @@ HALVES = _control({
 })  # fmt: skip
 
 PARTS = {
-    "hardware": HARDWARE,
+    "devices": DEVICES,
     "recording": RECORDING,
     "supervision": SUPERVISION,
     "learning": LEARNING,
@@ -206,4 +206,4 @@ PARTS = {
 
 CONTROL = SUPERVISION | LEARNING | DESIGN | HALVES
 
-TARGETS = RUNTIME | HARDWARE | OPERATION | RECORDING | CONTROL
+TARGETS = RUNTIME | DEVICES | MQTT | RECORDING | CONTROL

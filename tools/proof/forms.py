@@ -11,7 +11,7 @@ import os
 from dataclasses import dataclass, field
 
 from tests.faults.rows import GROUPS
-from tools.mutation.targets import OPERATION, PARTS, RUNTIME
+from tools.mutation.targets import MQTT, PARTS, RUNTIME
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +81,11 @@ def forms() -> tuple[Form, ...]:
              ("-m", "tools.mutation.faults"), is_shown=False),
         *(Form(f"mutants-{module.rpartition('.')[2]}", f"Small changes of the code: {module}",
                ("-m", "tools.mutation", module.removeprefix("adaptdrive.")), fewer, as_table=True)
-          for module in RUNTIME | OPERATION),
+          for module in RUNTIME | MQTT),
         *(Form(f"mutants-{part}", f"Small changes of the code: {part}",
                ("-m", "tools.mutation", part), {"MUTANTS": mutants}, as_table=True)
           for part in PARTS),
         *(Form(f"branches-{package}", f"Lines and branches: {package}",
                ("-m", "tools.branches", package), as_table=True)
-          for package in ("runtime", "operation", "control")),
+          for package in ("runtime", "mqtt", "control")),
     )  # fmt: skip

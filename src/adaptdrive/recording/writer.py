@@ -1,7 +1,7 @@
 """Threads that write the journal: files that are appended to, and kept by the disk in groups.
 
-A disk may hold it up for as long as it likes. Another thread has the disk keep what was written
-(`log_syncs.py`), so that rows and events go into the file while that takes its time.
+A disk may stall a write. Another thread syncs what was written, so that rows and events go into the
+file meanwhile.
 """
 
 from __future__ import annotations

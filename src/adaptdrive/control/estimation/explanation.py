@@ -7,7 +7,7 @@ until one has won.
 from __future__ import annotations
 
 from adaptdrive.control.estimation import rivals as riv
-from adaptdrive.control.estimation import second_estimates as chal
+from adaptdrive.control.estimation import second_estimates
 from adaptdrive.control.estimation.branch import Branch, copy_estimate, posterior_power
 from adaptdrive.control.estimation.change_detector import is_surprising
 from adaptdrive.control.estimation.estimator import EstimatorState, remember_residual, take_in
@@ -105,7 +105,7 @@ def _settle(state: EstimatorState, learning: Learning, load: Load) -> None:
     power = riv.explained_power(rivals)
     if rivals.kind >= LOAD:
         state.surprise.power = power
-        chal.recount(state.challenger, state.estimate)
+        second_estimates.recount(state.challenger, state.estimate)
     elif rivals.kind == NOTHING:
         state.surprise.power = min(power, _LOUDER * state.surprise.power)
     state.residual_power = state.surprise.power * state.residual_weight
@@ -124,10 +124,10 @@ def _publish(state: EstimatorState, learning: Learning) -> None:
 
 def _challenge_anew(state: EstimatorState, learning: Learning, load: Load) -> bool:
     """Start a challenger at an alarm, unless there is one that expected what surprised."""
-    if not chal.is_surprised(state.challenger, learning, load, state.sample):
+    if not second_estimates.is_surprised(state.challenger, learning, load, state.sample):
         return False
     riv.prepare(state.rivals, state.surprise.power)
-    chal.begin(state.challenger, state.estimate, state.rivals, learning, load)
+    second_estimates.begin(state.challenger, state.estimate, state.rivals, learning, load)
     return True
 
 
@@ -136,10 +136,12 @@ def _challenge(state: EstimatorState, learning: Learning, load: Load) -> None:
     challenger, rivals, sample, own = state.challenger, state.rivals, state.sample, state.estimate
     if challenger.samples == 0:
         return
-    chal.follow(challenger, learning, load, sample, own)
+    second_estimates.follow(challenger, learning, load, sample, own)
     fill_initial_state(sample.regressor, learning, load, sample.time_s - own.origin_s)
     learning_load = rivals.samples > 0 and rivals.kind >= LOAD
-    if not learning_load and chal.has_won(challenger, own, rivals.loads, learning, load):
+    if not learning_load and second_estimates.has_won(
+        challenger, own, rivals.loads, learning, load
+    ):
         _take_over(state)
 
 

@@ -19,8 +19,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import second_estimates as chal
+from adaptdrive.control.estimation import rls, second_estimates
 from adaptdrive.control.estimation.branch import Branch, copy_estimate
 from adaptdrive.control.estimation.covariance import deviations_of, root_of
 from adaptdrive.control.estimation.estimator import EstimatorState
@@ -131,7 +130,7 @@ def is_contested(state: EstimatorState) -> bool:
     challenger = state.challenger
     if challenger.samples == 0:
         return False
-    return challenger.judged < EARLIEST or chal.lead(challenger, state.estimate) > 0.0
+    return challenger.judged < EARLIEST or second_estimates.lead(challenger, state.estimate) > 0.0
 
 
 def doubted_deviations(
