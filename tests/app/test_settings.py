@@ -10,7 +10,6 @@ import pytest
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import Jacket, Learning
 from tests.config.documents import parse
 from tests.devices.bench import EXAMPLES
@@ -70,7 +69,7 @@ def test_the_papers_design_has_the_papers_numbers_and_no_limits() -> None:
     assert settings.exact is False
     assert settings.rates.samples == 1
     assert settings.learning == Learning(
-        method=METHODS["lm-rls"],
+        method="lm-rls",
         forgetting=0.97,
         tau_lambda_s=10.0,
         dead_band=0.0,

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.settings import ControllerSettings, Jacket, Learning, PowerStage, Rates
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Stage
-from adaptdrive.control.slow_state import SlowSample
+from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import Sample, World, WorldParameters
@@ -55,9 +55,11 @@ STAGE = PowerStage(
     feed_forward=True,
     holds_voltage=False,
 )
-RATES = Rates(ticks_per_period=TICKS, latency_ticks=2, samples=60, nominal_tick_s=TICK_s)
+RATES = Rates(
+    ticks_per_period=TICKS, latency_ticks=2, samples=60, lag_ticks=LAG_TICKS, nominal_tick_s=TICK_s
+)
 PLAIN_LEARNING = Learning(
-    method=METHODS["lm-rls"],
+    method="lm-rls",
     forgetting=0.97,
     tau_lambda_s=10.0,
     dead_band=0.0,

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from adaptdrive.control import fast
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation.methods import direct_model, fill_direct_regressor
+from adaptdrive.control.estimation.methods import METHODS, direct_model, fill_direct_regressor
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning
@@ -101,7 +101,7 @@ def learn_sampled(
 ) -> tuple[list[float], list[float]]:
     """Learn A and B directly from inputs that were held and the outputs at their ends."""
     order = load.order
-    state = est.new_estimator(learning, load, order)
+    state = est.new_estimator(METHODS[learning.method], learning, load, order)
     for k in range(order, len(inputs)):
         past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
         fill_direct_regressor(state.sample.regressor, learning, load, *past)

@@ -15,6 +15,7 @@ from adaptdrive.control.estimation.branch import Branch
 from adaptdrive.control.estimation.covariance import deviations_of, is_sure
 from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, remember_residual
 from adaptdrive.control.estimation.in_force import correlation_factor, doubted_deviations
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import filtered_model, theta_of
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import EXACT, MOTOR, SCALED_LEARNING
@@ -96,7 +97,7 @@ def neighbours(correlation: float, shape: tuple[int, int], seed: int) -> Array:
 
 def fed(innovations: Array) -> EstimatorState:
     """Return an estimator that has seen these innovations, each of them certain."""
-    state = new_estimator(LONG, MOTOR, 2)
+    state = new_estimator(METHODS[LONG.method], LONG, MOTOR, 2)
     for one in innovations:
         state.estimate.innovation = float(one)
         remember_residual(state, state.estimate, LONG.forgetting)

@@ -10,6 +10,7 @@ import pytest
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation.in_force import is_doubtful
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING, TICKS, TICK_s
@@ -52,12 +53,12 @@ def course(
 
 def learn(voltages: Array, outputs: Array, learning: Learning = LEARNING) -> list[Row]:
     """Learn a course; second, values, shown deviations and doubt of each slow period."""
-    state = est.new_estimator(learning, MOTOR, 2)
-    learning.method.begin(state, learning, MOTOR)
+    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
+    METHODS[learning.method].begin(state, learning, MOTOR)
     rows, samples = [], (voltages, outputs)
     for n in learn_course(state, learning, MOTOR, samples, tick_s=TICK_s, ticks=TICKS, samples=90):
         values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
-        shown = learning.method.shown_deviations(state, learning, MOTOR, values)
+        shown = METHODS[learning.method].shown_deviations(state, learning, MOTOR, values)
         rows.append((n // TICKS, values, shown, is_doubtful(state)))
     return rows
 

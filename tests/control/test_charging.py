@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.config.load import Charge
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.charging import (
     ChargeState,
@@ -19,7 +20,7 @@ from adaptdrive.control.loads.charging import (
     voltage_limit,
 )
 from adaptdrive.control.slow import slow_step
-from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.slow_state import SlowState, new_slow_state
 from tests.closed_loop.bench import AT_REST, EXACT
 
 LIMITS = Charging(

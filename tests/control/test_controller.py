@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
-from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Jacket, Rates
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -22,6 +21,7 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
+from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import (
     EXACT,
@@ -215,7 +215,9 @@ def test_the_gains_shown_are_those_of_the_law_in_force(learnt: Bench) -> None:
 
 # what it never does
 
-SMALL = Rates(ticks_per_period=4, latency_ticks=1, samples=2, nominal_tick_s=TICK_s)
+SMALL = Rates(
+    ticks_per_period=4, latency_ticks=1, samples=2, lag_ticks=LAG_TICKS, nominal_tick_s=TICK_s
+)
 EAGER = Jacket(warm_up_periods=1, ratio_min=1e-3, ratio_max=1e3, patience_periods=2)
 KINDS = [
     replace(EXACT, rates=SMALL, jacket=EAGER),
@@ -225,7 +227,7 @@ KINDS = [
         PAPER,
         rates=replace(SMALL, samples=1),
         jacket=EAGER,
-        learning=replace(PLAIN_LEARNING, method=METHODS["rls"]),
+        learning=replace(PLAIN_LEARNING, method="rls"),
     ),
 ]
 anything = st.floats(allow_nan=False, allow_infinity=False)

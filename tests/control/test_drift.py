@@ -11,6 +11,7 @@ import pytest
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import in_force
 from adaptdrive.control.estimation.covariance import deviations_of
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import Learning
 from tests.control.learning import (
     BATH,
@@ -53,7 +54,7 @@ def simulated(drift_K_per_h: float, noise_K: float, seed: int) -> tuple[Array, A
 def course(learning: Learning, drift_K_per_h: float, noise_K: float = 0.0, seed: int = 7) -> Course:
     """Learn a bath whose dynamics stand still."""
     samples = simulated(drift_K_per_h, noise_K, seed)
-    state = est.new_estimator(learning, BATH, 2)
+    state = est.new_estimator(METHODS[learning.method], learning, BATH, 2)
     relative, counted = [], []
     for n in learn_course(state, learning, BATH, samples, tick_s=BATH_TICK_s, ticks=BATH_TICKS):
         if n * BATH_TICK_s > 0.5 * SECONDS:
@@ -93,7 +94,7 @@ def learnt(inflow_K: Array, noise_K: float = 0.002, seed: int = 7) -> est.Estima
     """Learn the bath from its samples."""
     noise = np.random.default_rng(seed).normal(0.0, noise_K, TIMES_s.size)
     course = POWER_W, bath_temperatures(POWER_W, inflow_K, noise)
-    state = est.new_estimator(BATH_LEARNING, BATH, 2)
+    state = est.new_estimator(METHODS[BATH_LEARNING.method], BATH_LEARNING, BATH, 2)
     for _ in learn_course(state, BATH_LEARNING, BATH, course, tick_s=BATH_TICK_s, ticks=BATH_TICKS):
         pass
     return state

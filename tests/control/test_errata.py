@@ -162,7 +162,7 @@ def test_either_estimator_is_there_for_either_load(
     """The print calls the bath's estimator LM-RLS in one section and plain RLS in the next."""
     system = System(list(load.numerator), list(load.denominator))
     learning = Learning(
-        method=METHODS["lm-rls" if filtered else "rls"],
+        method="lm-rls" if filtered else "rls",
         forgetting=1.0,
         tau_lambda_s=10.0 * period_s,
         dead_band=0.0,
@@ -191,7 +191,7 @@ def _learn_filtered(
     bank = fast.new_filter_bank(
         load, period_s / ticks, learning.tau_lambda_s, float(outputs[0]), voltage_V
     )
-    state = est.new_estimator(learning, load, load.paper_taps)
+    state = est.new_estimator(METHODS[learning.method], learning, load, load.paper_taps)
     for n, output in enumerate(outputs):
         bank.load_input = float(held[max(0, n - 1)])  # held from the beginning of the tick
         fast.filter_sample(bank, float(output), bank.load_input, 1)

@@ -48,7 +48,10 @@ def simulate(
 def learn_filtered(
     learning: Learning, voltages: Array, outputs: Array, samples: int
 ) -> est.EstimatorState:
-    state, course = est.new_estimator(learning, MOTOR, 2), (voltages, outputs)
+    state, course = (
+        est.new_estimator(METHODS[learning.method], learning, MOTOR, 2),
+        (voltages, outputs),
+    )
     for _ in learn_course(
         state, learning, MOTOR, course, tick_s=TICK_s, ticks=TICKS, samples=samples
     ):
@@ -126,7 +129,7 @@ def held_motor(count: int, noise: float) -> tuple[Array, Array, Array, Array]:
 
 def test_noise_ruins_direct_least_squares_and_leaves_the_lambda_method_standing() -> None:
     noise = 0.002
-    direct = replace(PLAIN_LEARNING, method=METHODS["rls"])
+    direct = replace(PLAIN_LEARNING, method="rls")
     inputs, outputs, a, _ = held_motor(600, noise)
     assert abs(learn_sampled(direct, MOTOR, inputs, outputs)[0][1] - a[1]) > 0.1
     voltages, clean = simulate(1, 300)
@@ -140,7 +143,7 @@ def random_regressors(count: int) -> Array:
 
 
 def taught(learning: Learning, count: int = 40, *, noise: float = 0.01) -> est.EstimatorState:
-    state = est.new_estimator(learning, MOTOR, 2)
+    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
     draws = np.random.default_rng(6).normal(size=count)
     for regressor, draw in zip(random_regressors(count), draws, strict=True):
         state.sample.regressor[:] = regressor.tolist()
@@ -162,7 +165,7 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
             rows.append(fast.take_means(bank))
     random, found, claimed = np.random.default_rng(7), [], []
     for _ in range(150):
-        state = est.new_estimator(learning, MOTOR, 2)
+        state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
         noisy = outputs[slow] + 1e-4 * random.normal(size=len(rows))
         for (_, *rest), y in zip(rows, noisy, strict=True):
             reg.fill_filtered_regressor(state.sample.regressor, learning, MOTOR, rest[:2], rest[2:])
@@ -187,7 +190,7 @@ def memory(state: est.EstimatorState) -> list[float]:
 @example([0.0, 0.0, 0.0, 1.5e8, 0.0, 0.0, 1.3e154, 0.0, 6.2e279, 0.0, 1.0, 1.7e308, 0.0])
 @example([0.0, 0.0, 1.2097955445810007e45, 4.0274937984114055e99, 0.0, 0.0, 0.0])
 def test_no_stream_of_samples_makes_the_estimate_stop_being_a_number(values: list[float]) -> None:
-    state = est.new_estimator(PLAIN_LEARNING, MOTOR, 2)
+    state = est.new_estimator(METHODS[PLAIN_LEARNING.method], PLAIN_LEARNING, MOTOR, 2)
     for at in range(len(values) - 3):
         state.sample.regressor[:] = values[at : at + 3]
         est.learn(state, PLAIN_LEARNING, MOTOR, values[at + 3], usable=True)
@@ -203,7 +206,7 @@ def test_numbers_that_no_sensor_gives_teach_nothing(
     entry: float, output: float, *, taught: bool
 ) -> None:
     """From 1e20 on, where 1 is usual: the squares of larger ones leave the doubles."""
-    state = est.new_estimator(PLAIN_LEARNING, MOTOR, 2)
+    state = est.new_estimator(METHODS[PLAIN_LEARNING.method], PLAIN_LEARNING, MOTOR, 2)
     state.sample.regressor[:] = [1.0, entry, 0.0]
     est.learn(state, PLAIN_LEARNING, MOTOR, output, usable=False)
     assert (state.idle_periods == 1) is taught

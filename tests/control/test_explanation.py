@@ -13,6 +13,7 @@ from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import in_force
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import theta_of
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.learning import fill_sample
@@ -82,7 +83,7 @@ def learn(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
     y1, u1 = lagged(outputs, held=False), lagged(voltages, held=True)
     y2, u2 = lagged(y1, held=False), lagged(u1, held=False)
     random = np.random.default_rng(4)
-    seen = Seen(est.new_estimator(LEARNING, MOTOR, 2))
+    seen = Seen(est.new_estimator(METHODS[LEARNING.method], LEARNING, MOTOR, 2))
     for second in range(1, END_s):
         n = second * STEPS
         output = float(noisy[n] + NOISE * random.normal())
@@ -99,7 +100,7 @@ def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> N
     est.learn(state, LEARNING, MOTOR, output, usable=True)
     values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, LEARNING, MOTOR))
     seen.values.append(values)
-    seen.shown.append(LEARNING.method.shown_deviations(state, LEARNING, MOTOR, values))
+    seen.shown.append(METHODS[LEARNING.method].shown_deviations(state, LEARNING, MOTOR, values))
     seen.doubtful.append(in_force.is_doubtful(state))
     seen.kinds.append(state.rivals.kind)
     seen.waiting.append(state.rivals.samples)

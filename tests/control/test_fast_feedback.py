@@ -104,6 +104,7 @@ def test_the_loop_stands_another_gain_and_another_delay(disks: int) -> None:
         latency_ticks=EXACT.rates.latency_ticks + round(DELAY_MARGIN * tick),
         samples=EXACT.rates.samples,
         nominal_tick_s=EXACT.rates.nominal_tick_s,
+        lag_ticks=EXACT.rates.lag_ticks,
     )
     system = motor_system(disks)
     settings = EXACT.__class__(EXACT.exact, EXACT.stage, later, EXACT.learning, EXACT.jacket)

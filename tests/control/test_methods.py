@@ -16,13 +16,13 @@ from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import in_force
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation import ud_factors as ud
-from adaptdrive.control.estimation.method import Method
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Learning
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState, new_slow_state
+from adaptdrive.control.supervision.redesign import judged_model
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive.control.vectors import shift_in
 from tests.closed_loop.bench import (
@@ -39,7 +39,7 @@ from tests.closed_loop.bench import (
 from tests.control.systems import Array, held_polynomials, motor_system
 
 
-def innovations(method: Method) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def innovations(method: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     bench = Bench(replace(EXACT, learning=replace(EXACT.learning, method=method)))
     bench.motor.disks = 2
     for second in range(480):
@@ -61,7 +61,8 @@ def filled(learning: Learning, load: Load) -> SlowState:
     state = new_slow_state(replace(EXACT, learning=learning), load, 3.0, 280.0)
     estimator = state.estimator
     estimator.sample.time_s, estimator.estimate.origin_s, estimator.charge = 60.0, 40.0, 0.7
-    learning.method.fill_regressor(state, learning, load, MEASURED)
+    past = (state.outputs, state.inputs)
+    estimator.method.fill_regressor(estimator, learning, load, MEASURED, past)
     return state
 
 
@@ -97,7 +98,7 @@ def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
     """P[0] is a deviation of 1 at the least σ: an EMF or the drift of an inflow may be as large."""
     usual = {"alert": True, "bias": True, "initial_covariance": 1e8}
     learning = replace(SCALED_LEARNING, **(usual | options))
-    state = est.new_estimator(learning, MOTOR, 2)
+    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
     variance = share**2 * learning.initial_covariance
     assert state.estimate.diagonal[-1] == pytest.approx(variance, rel=1e-12)
     state.estimate.diagonal[-1] = 1.0
@@ -108,7 +109,7 @@ def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
 @pytest.mark.parametrize("ceiling", [0.0, 0.5])
 def test_a_ceiling_of_the_covariance_adds_its_information_to_each_sample(ceiling: float) -> None:
     learning = replace(SCALED_LEARNING, forgetting=0.9, covariance_max=ceiling)
-    state = est.new_estimator(learning, MOTOR, 2)
+    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
     state.sample.regressor[:] = [-1.0, -0.9, 1.1]
     before = np.linalg.inv(covariance(state))
     est.learn(state, learning, MOTOR, 3.0, usable=True)
@@ -120,7 +121,7 @@ def test_a_ceiling_of_the_covariance_adds_its_information_to_each_sample(ceiling
 
 
 DIRECT = replace(
-    SCALED_LEARNING, method=METHODS["rls"], start_at_nominal=False, gate=0.0, bias=True,
+    SCALED_LEARNING, method="rls", start_at_nominal=False, gate=0.0, bias=True,
     initial_covariance=1e6,
 )  # fmt: skip
 SETTINGS = replace(PAPER, learning=DIRECT)
@@ -144,9 +145,10 @@ def learn(
         y = float(-np.dot(a[1:], outputs) + np.dot(b[1:], np.add(inputs, OFFSET_V)))
         outputs = [y, outputs[0]]
         sample = replace(AT_REST, output=y + noise * random.normal())
-        learning.method.fill_regressor(state, learning, MOTOR, sample)
-        target = learning.method.target(learning, sample)
-        est.learn(state.estimator, learning, MOTOR, target, usable=True)
+        estimator, past = state.estimator, (state.outputs, state.inputs)
+        estimator.method.fill_regressor(estimator, learning, MOTOR, sample, past)
+        target = estimator.method.target(learning, sample)
+        est.learn(estimator, learning, MOTOR, target, usable=True)
         innovations.append(state.estimator.innovation)
         shift_in(state.outputs, sample.output)
         inputs = [280.0 + 20.0 * random.normal(), inputs[0]]
@@ -156,15 +158,17 @@ def learn(
 
 def test_the_discrete_model_and_the_offset_of_the_input_are_found() -> None:
     state, _ = learn(SETTINGS, [2] * 600)
-    method, estimator = DIRECT.method, state.estimator
-    a, b, verdict = method.model(SETTINGS, MOTOR, state, 1.0)
+    estimator = state.estimator
+    a, b, verdict = judged_model(SETTINGS, MOTOR, state, 1.0)
     bottom, top = held(2)
     assert a == pytest.approx(bottom, rel=1e-5)
     assert b[:3] == pytest.approx(top, abs=1e-8)
     assert b[3:] == pytest.approx([0.0] * len(b[3:]), abs=1e-8)
     assert verdict == Verdict.TRUSTED
     assert state.values == pytest.approx([0.011, 33.4, 234.0], rel=1e-3)
-    assert method.input_offset(estimator, DIRECT, MOTOR) == pytest.approx(OFFSET_V, rel=1e-3)
+    assert estimator.method.input_offset(estimator, DIRECT, MOTOR) == pytest.approx(
+        OFFSET_V, rel=1e-3
+    )
 
 
 def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> None:
@@ -226,7 +230,7 @@ def simulated_charge() -> tuple[Array, Array]:
 def learnt_charge(learning: Learning) -> est.EstimatorState:
     """An estimate from the tick-wise samples, which start at rest on the first ones."""
     voltages, currents = simulated_charge()
-    state = est.new_estimator(learning, CHARGED, 2)
+    state = est.new_estimator(METHODS[learning.method], learning, CHARGED, 2)
     bank = fast.new_filter_bank(CHARGED, TICK_s, 20.0, float(currents[0]), float(voltages[0]))
     for n in range(1, voltages.size):
         fast.filter_sample(bank, float(currents[n]), float(voltages[n]), 1)

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptdrive.control.design import redesign
 from adaptdrive.control.design.noise import noise_gain
 from adaptdrive.control.design.pole_placement import (
     asked_loop,
@@ -19,6 +18,7 @@ from adaptdrive.control.design.pole_placement import (
 from adaptdrive.control.estimation.regression import theta_of
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_state import SlowState, new_slow_state
+from adaptdrive.control.supervision import redesign
 from adaptdrive.control.supervision.supervisor import Verdict
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
 from tests.control.systems import distance

@@ -12,6 +12,7 @@ from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Measurement, Mode, Order, Snapshot, Stage
+from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import (
     EXACT,
@@ -163,7 +164,9 @@ def test_the_filters_follow_the_measured_line_frequency() -> None:
     assert snapshot.period_s == pytest.approx(1.2)
 
 
-SMALL = Rates(ticks_per_period=2, latency_ticks=1, samples=1, nominal_tick_s=1.0)
+SMALL = Rates(
+    ticks_per_period=2, latency_ticks=1, samples=1, lag_ticks=LAG_TICKS, nominal_tick_s=1.0
+)
 RESPONDING = replace(
     EXACT,
     rates=SMALL,

@@ -16,13 +16,12 @@ from adaptdrive.control.design.pole_placement import (
     loop_gains,
     reference_lead,
 )
-from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.estimation.regression import theta_of
+from adaptdrive.control.estimation.regression import SlowSample, theta_of
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow import slow_step
-from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervision.monitor import Fallback
 from adaptdrive.control.vectors import copy_into
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, PAPER, PLAIN_LEARNING, REST_V
@@ -110,7 +109,7 @@ def test_only_physical_estimates_are_compared_with_the_nominal_load(
     method: str, compared: bool
 ) -> None:
     """Whose error is proportional to the distance of the output from where the load rests."""
-    settings, powers = replace(EXACT, learning=replace(PLAIN_LEARNING, method=METHODS[method])), []
+    settings, powers = replace(EXACT, learning=replace(PLAIN_LEARNING, method=method)), []
     for distance in (0.0, 0.01, 0.02):
         state = at_rest(settings)
         slow_step(settings, MOTOR, state, sample(3.0 + distance))

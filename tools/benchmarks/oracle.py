@@ -9,6 +9,7 @@ those of the adaptive controller.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -19,14 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.control.design.pole_placement import discrete_model
-from adaptdrive.control.estimation.methods import LambdaMethod
+from adaptdrive.control.estimation.estimator import EstimatorState
+from adaptdrive.control.estimation.methods import METHODS, LambdaMethod
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.settings import Learning
 from adaptdrive.control.signals import Mode
-from adaptdrive.control.slow_state import SlowState
-from adaptdrive.control.supervision.supervisor import Verdict
-from adaptdrive.control.vectors import Vector, copy_into
+from adaptdrive.control.vectors import Vector
 from adaptdrive_sim.campaign.motors import Stand, draw
 from adaptdrive_sim.campaign.report import judge
 from adaptdrive_sim.campaign.settings import read_campaign
@@ -46,16 +45,11 @@ class KnownLoad(LambdaMethod):
     loads: Sequence[Load]
     slow_s: float
 
-    def model(
-        self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
-    ) -> tuple[Vector, Vector, int]:
-        """Return A and B of the true load of this slow period, always trusted."""
-        k = round(state.estimator.sample.time_s / self.slow_s) - 1
+    def model(self, state: EstimatorState, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+        """Return numerator and denominator in s of the true load of this slow period."""
+        k = round(state.sample.time_s / self.slow_s) - 1
         true = self.loads[min(max(k, 0), len(self.loads) - 1)]
-        numerator, denominator = list(true.numerator), list(true.denominator)
-        copy_into(state.values, load.physical(numerator, denominator))
-        a, b = discrete_model(settings, load, numerator, denominator, period_s)
-        return a, b, Verdict.TRUSTED
+        return list(true.numerator), list(true.denominator)
 
 
 def compare(campaign: Path, seed: int) -> Row:
@@ -67,8 +61,13 @@ def compare(campaign: Path, seed: int) -> Row:
     stand = Stand(draw(read_campaign(campaign), seed))
     fixed, adaptive = stand.run(Mode.FIXED), stand.run(Mode.ADAPTIVE)
     settings = stand.own.settings
-    learning = replace(settings.learning, method=KnownLoad(stand.true_loads(), stand.own.period_s))
-    stand.own = replace(stand.own, settings=replace(settings, learning=learning))
+    METHODS["known"] = KnownLoad(stand.true_loads(), stand.own.period_s)
+    trusting = replace(
+        settings.jacket, ratio_min=-math.inf, ratio_max=math.inf, damping_min=0.0,
+        residual_margin=0.0,
+    )  # fmt: skip
+    learning = replace(settings.learning, method="known")
+    stand.own = replace(stand.own, settings=replace(settings, learning=learning, jacket=trusting))
     known = judge(stand, fixed, stand.run(Mode.ADAPTIVE))
     estimated = judge(stand, fixed, adaptive)
     changed = float(bool(stand.change_times_s))

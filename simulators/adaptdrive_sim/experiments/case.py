@@ -15,7 +15,6 @@ import numpy as np
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.course import Array, Course, Run
@@ -88,7 +87,7 @@ class Case:
     seed: int
 
 
-_METHODS = {"direct_rls": METHODS["rls"], "lm_rls": METHODS["lm-rls"]}
+_METHODS = {"direct_rls": "rls", "lm_rls": "lm-rls"}
 
 
 def case_settings(experiment: Experiment, variant: Variant, design: Design) -> ControllerSettings:

@@ -144,11 +144,11 @@ def _noises(heard: Heard) -> list[Array]:
 def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> SweepPoint:
     learning = dataclasses.replace(
         heard.case.settings.learning,
-        method=METHODS[setting.method],
+        method=setting.method,
         forgetting=setting.forgetting,
         tau_lambda_s=setting.tau_lambda_s,
     )
-    estimate = _estimate_filtered if learning.method.physical else _estimate_directly
+    estimate = _estimate_filtered if METHODS[learning.method].physical else _estimate_directly
     quiet, *noisy = estimate(heard, learning, noises)
     experiment = heard.case.experiment
     spread = _spread(heard, quiet, noisy)
@@ -173,7 +173,7 @@ def _estimate_filtered(heard: Heard, learning: Learning, noises: list[Array]) ->
 def _follow_filtered(
     load: Load, learning: Learning, outputs: list[list[float]], inputs: list[list[float]]
 ) -> Array:
-    state = est.new_estimator(learning, load, load.paper_taps)
+    state = est.new_estimator(METHODS[learning.method], learning, load, load.paper_taps)
     found = []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
         reg.fill_filtered_regressor(state.sample.regressor, learning, load, filtered, applied)
@@ -193,7 +193,7 @@ def _estimate_directly(heard: Heard, learning: Learning, noises: list[Array]) ->
 
 def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> Array:
     load, period_s = heard.case.experiment.nominal(), heard.case.experiment.period_s
-    state = est.new_estimator(learning, load, load.paper_taps)
+    state = est.new_estimator(METHODS[learning.method], learning, load, load.paper_taps)
     past_outputs = [outputs[0]] * load.order
     past_inputs = [float(heard.load_input[0])] * load.paper_taps
     found = []

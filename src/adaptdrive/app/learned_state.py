@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from adaptdrive.config import Configuration
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.devices.description import description_text
@@ -95,7 +96,7 @@ def _contents(path: Path | Sequence[Path]) -> str:
 
 def is_kept(settings: ControllerSettings) -> bool:
     """Return whether this controller's estimates are physical parameters that it can start from."""
-    return settings.exact and settings.learning.method.physical
+    return settings.exact and METHODS[settings.learning.method].physical
 
 
 def checkpoint_record(key: str, names: tuple[str, ...], learnt: Learnt) -> bytes:

@@ -243,12 +243,12 @@ def _learning(configuration: Configuration) -> Learning:
     low_V, high_V = limits.boost_reference_min_V, limits.boost_reference_max_V
     middle_V = 0.5 * (low_V + high_V if low_V >= 0.0 else max(-low_V, abs(high_V)))
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
-    method = METHODS[estimator.method]
-    directional = estimator.alert and method.physical
+    physical = METHODS[estimator.method].physical
+    directional = estimator.alert and physical
     computed = ("method", "forgetting", "initial_covariance", "covariance_max", "bias")
     return Learning(
         **alike(Learning, estimator, but=computed),
-        method=method,
+        method=estimator.method,
         forgetting=estimator.forgetting or FORGETTING,
         initial_covariance=_initial_covariance(configuration),
         settle_periods=_periods(configuration, estimator.settle_s),
@@ -259,7 +259,7 @@ def _learning(configuration: Configuration) -> Learning:
         short_lag_s=short_lag_s(configuration),
         bias=estimator.bias or charges,
         resolution=configuration.load.resolution,
-        charge=charges and method.physical,
+        charge=charges and physical,
         drifts=configuration.load.traits.drifts and directional,
         damping_min=configuration.supervisor.damping_min,
     )
@@ -362,7 +362,7 @@ def paper_learning(configuration: Configuration) -> Learning:
     """
     estimator, load = configuration.estimator, configuration.load
     return Learning(
-        method=METHODS[estimator.method],
+        method=estimator.method,
         forgetting=estimator.forgetting or load.traits.paper_forgetting,
         tau_lambda_s=estimator.tau_lambda_s,
         dead_band=estimator.dead_band,

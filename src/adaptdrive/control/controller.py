@@ -16,6 +16,8 @@ from adaptdrive.control import fast
 from adaptdrive.control.design.preview import AHEAD
 from adaptdrive.control.estimation.estimator import start_from
 from adaptdrive.control.estimation.filters import remembered_grid, step_found
+from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.charging import (
     Charging,
     highest_boost_voltage,
@@ -40,7 +42,7 @@ from adaptdrive.control.signals import (
     heard,
 )
 from adaptdrive.control.slow import slow_step
-from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervision.attainable import estimated_reach, nominal_reach
 from adaptdrive.control.supervision.monitor import Fallback
 from adaptdrive.control.supervision.reasons import reason
@@ -80,7 +82,7 @@ class Controller:
                 trusted. A method whose θ is not physical ignores them.
             resolution: Step of the output that an earlier run has found in its samples, 0 for none.
         """
-        self._prior = prior if settings.learning.method.physical else None
+        self._prior = prior if METHODS[settings.learning.method].physical else None
         self._settings = settings if self._prior is None else _recalling(settings)
         self._trusted: tuple[float, ...] | None = None
         self._proposed: dict[int, tuple[float, ...]] = {}
@@ -195,7 +197,7 @@ class Controller:
         """Begin a run with what the one before had trusted."""
         self._proposed = {}
         settings = self._settings
-        if self._learnt is not None and settings.exact and settings.learning.method.physical:
+        if self._learnt is not None and settings.exact and self._slow.estimator.method.physical:
             self._prior = self._learnt
             self._settings = _recalling(settings)
 
@@ -346,7 +348,7 @@ class Controller:
         state, load, learning = self._slow, self._load, self._settings.learning
         deviations = [math.nan] * len(load.names)
         if math.isfinite(state.values[0]):
-            deviations = learning.method.shown_deviations(
+            deviations = state.estimator.method.shown_deviations(
                 state.estimator, learning, load, state.values
             )
         estimates = {
@@ -354,7 +356,7 @@ class Controller:
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)
         }
         if learning.bias:
-            offset = learning.method.input_offset(state.estimator, learning, load)
+            offset = state.estimator.method.input_offset(state.estimator, learning, load)
             estimates["input_offset"] = Estimate(offset, math.nan)
         return estimates
 

@@ -6,9 +6,6 @@ import math
 import sys
 from dataclasses import dataclass, field
 
-from adaptdrive.control.estimation.method import Method
-from adaptdrive.control.voltage_loop import LAG_TICKS
-
 
 @dataclass(frozen=True, slots=True)
 class PowerStage:
@@ -62,8 +59,8 @@ class Rates:
     latency_ticks: int
     samples: int
     nominal_tick_s: float
+    lag_ticks: float
     clip: float = 0.0
-    lag_ticks: float = LAG_TICKS
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +68,7 @@ class Learning:
     """Settings of the estimation.
 
     Attributes:
-        method: What is learnt, and from which signals (`methods`).
+        method: Name of the estimation method (`methods.METHODS`).
         forgetting: ρ.
         tau_lambda_s: τ_λ.
         dead_band: No update while the output moves less than this between slow samples.
@@ -93,7 +90,7 @@ class Learning:
         damping_min: Smallest damping of a load of second order that an alarm may be explained by.
     """
 
-    method: Method
+    method: str
     forgetting: float
     tau_lambda_s: float
     dead_band: float

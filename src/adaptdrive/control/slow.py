@@ -25,8 +25,7 @@ from adaptdrive.control.design.pole_placement import (
     discrete_model,
     reference_lead,
 )
-from adaptdrive.control.design.preview import look_ahead
-from adaptdrive.control.design.redesign import adapt
+from adaptdrive.control.design.preview import led_references, plan, rest
 from adaptdrive.control.design.reference_model import (
     condition_reference,
     filter_reference,
@@ -34,11 +33,12 @@ from adaptdrive.control.design.reference_model import (
 )
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.rls import predict
 from adaptdrive.control.loads.charging import begin_anew, taper, terminal_voltage
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.control.slow_state import SlowSample, SlowState
+from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.supervision import supervisor as sup
 from adaptdrive.control.supervision.attainable import distance_from_rest
 from adaptdrive.control.supervision.monitor import (
@@ -49,6 +49,7 @@ from adaptdrive.control.supervision.monitor import (
     watch_response,
 )
 from adaptdrive.control.supervision.probing import probe
+from adaptdrive.control.supervision.redesign import adapt
 from adaptdrive.control.thresholds import NOISE_FLOOR
 from adaptdrive.control.vectors import Vector, copy_into, shift_in, total
 
@@ -117,11 +118,53 @@ def slow_step(
     _look_at_loop(settings, load, state, sample, reference)
     lead = reference_lead(settings, load)
     led = lead_reference(reference, state.reference, lead)
-    planned = look_ahead(settings, load, state, sample, reference, lead)
+    planned = _look_ahead(settings, load, state, sample, reference, lead)
     state.reference = reference
     if sample.manual:
         return _follow_hand(state, sample)
     return _act(jacket, state, sample, led, planned, _highest(load, state, sample, reference))
+
+
+def _look_ahead(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    sample: SlowSample,
+    reference: float,
+    lead: float,
+) -> float:
+    """Return m[k] of the preview, NaN for that of the law.
+
+    There is none without knowledge of what comes, without the adaptive law alone in force, with the
+    paper's design, and with a battery, whose set-point is a limit.
+
+    Args:
+        settings: The design, and the limits of the law.
+        load: The load.
+        state: What is known; its preview is overwritten.
+        sample: What is asked for.
+        reference: r[k].
+        lead: d.
+    """
+    alone = state.blend >= 1.0 and sample.adaptive and load.charging is None
+    if len(sample.upcoming) == 0 or not (alone and settings.exact):
+        rest(state.preview, state.reference_filter.course)
+        return math.nan
+    references = led_references(reference, state.reference, sample.upcoming, lead)
+    return plan(
+        state.preview,
+        state.reference_filter.course,
+        state.reference_filter.asked,
+        state.trusted_a,
+        state.trusted_b,
+        references,
+        state.sent,
+        not state.saturated,
+        sample.pole,
+        sample.low,
+        sample.high,
+        settings.jacket.confidence * state.input_noise,
+    )
 
 
 def _note_applied(state: SlowState, sample: SlowSample) -> None:
@@ -163,12 +206,14 @@ def _take_sample(
     charged = sample.output / learning.output_scale * sample.period_s
     estimator.charge += charged / learning.tau_lambda_s
     estimator.sample.rounding = sample.rounding / learning.output_scale
-    learning.method.fill_regressor(state, learning, load, sample)
+    estimator.method.fill_regressor(
+        estimator, learning, load, sample, (state.outputs, state.inputs)
+    )
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
     usable = moved and sample.held_share <= _HELD_SHARE
-    target = learning.method.target(learning, sample)
+    target = estimator.method.target(learning, sample)
     est.learn(estimator, learning, load, target, usable)
-    if learning.method.physical:
+    if estimator.method.physical:
         learnt = estimator.sample
         fixed = learnt.target - predict(state.nominal_theta, learnt.regressor)
         own = in_force.own_residual(estimator, learning)

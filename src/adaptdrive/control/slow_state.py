@@ -1,14 +1,16 @@
-"""State of the slow half between periods, and its input in each period."""
+"""State of the slow half between periods."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from adaptdrive.control.design.noise import unit_circle
 from adaptdrive.control.design.pole_placement import past_inputs
+from adaptdrive.control.design.preview import PreviewState
 from adaptdrive.control.design.reference_model import ReferenceFilter, new_reference_filter
 from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.charging import ChargeState
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings
@@ -34,21 +36,6 @@ class ProbeState:
     pause_periods: int = 0
     reference: float = math.nan
     shift: float = 0.0
-
-
-@dataclass(slots=True)
-class PreviewState:
-    """State of the preview.
-
-    Attributes:
-        course: m*[k] ... m*[k-n].
-        offset: f.
-        moved: m[k] - m*[k].
-    """
-
-    course: Vector
-    offset: float = math.nan
-    moved: float = 0.0
 
 
 @dataclass(slots=True)
@@ -142,58 +129,11 @@ class SlowState:
     cycling: bool = False
 
 
-@dataclass(slots=True)
-class SlowSample:
-    """Input of the slow half in each period.
-
-    Attributes:
-        period_s: T_k.
-        output: y[k].
-        output_filtered: λy ... λ^m y.
-        input_filtered: u, λu ... λ^m u.
-        applied: Input applied over the elapsed period, NaN while unknown.
-        followed: False where a limit kept the drive from following.
-        held_share: Share of the elapsed ticks without a fresh measurement.
-        reference: r[k].
-        adaptive: True when the operator asks for the adaptive controller.
-        pole: Pole asked for.
-        low: Lowest input.
-        high: Highest input.
-        manual: True when the operator sets the input.
-        held: Input in force that the operator has set in the elapsed period, NaN for none.
-        steady: Whether r is a constant set-point.
-        lowest: Lowest output that V_c can hold, NaN while unknown.
-        highest: Highest output that V_c can hold, NaN while unknown.
-        rounding: Standard deviation of the rounding error of the output.
-        upcoming: r[k+1] and the following ones that preview knows, empty for none.
-    """
-
-    period_s: float
-    output: float
-    output_filtered: Vector
-    input_filtered: Vector
-    applied: float
-    followed: bool
-    held_share: float
-    reference: float
-    adaptive: bool
-    pole: float
-    low: float
-    high: float
-    manual: bool = False
-    held: float = math.nan
-    steady: bool = False
-    lowest: float = -math.inf
-    highest: float = math.inf
-    rounding: float = 0.0
-    upcoming: Vector = field(default_factory=list)
-
-
 def new_slow_state(
     settings: ControllerSettings, load: Load, output: float, boost_voltage_V: float
 ) -> SlowState:
     """A slow half at rest: the present output and voltage have been there for ever."""
-    taps = past_inputs(settings, load)
+    taps, method = past_inputs(settings, load), METHODS[settings.learning.method]
     load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
     nominal = load.physical(list(load.numerator), list(load.denominator))
     resting = output
@@ -213,11 +153,11 @@ def new_slow_state(
         handover_step=math.nan,
         accepted=False,
         adaptive=False,
-        estimator=est.new_estimator(settings.learning, load, taps),
+        estimator=est.new_estimator(method, settings.learning, load, taps),
         supervisor=sup.SupervisorState(),
         charge=ChargeState(max(0.0, output)),
         reference=output,
-        nominal_theta=est.nominal_theta(settings.learning, load, taps),
+        nominal_theta=est.nominal_theta(method, settings.learning, load, taps),
         possible=[math.nan] * ((2 * len(nominal) + 1) * (load.order + taps + 2)),
         spread=math.nan,
         watch=WatchState(fast=resting, slow=resting),

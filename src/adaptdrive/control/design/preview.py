@@ -27,10 +27,8 @@ the output on this course as on any other, and the noise of its input stays with
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
-from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.slow_state import PreviewState, SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, copy_into, shift_in, solve_linear, total
 
 # A quadratic function of a few numbers, each between the same limits.
@@ -113,46 +111,19 @@ UNREST = 0.01
 """w: price of a change of the input over that of the same error in one period."""
 
 
-def look_ahead(
-    settings: ControllerSettings,
-    load: Load,
-    state: SlowState,
-    sample: SlowSample,
-    reference: float,
-    lead: float,
-) -> float:
-    """Return m[k] of the preview, NaN for that of the law.
+@dataclass(slots=True)
+class PreviewState:
+    """State of the preview.
 
-    There is none without knowledge of what comes, without the adaptive law alone in force, with the
-    paper's design, and with a battery, whose set-point is a limit.
-
-    Args:
-        settings: The design, and the limits of the law.
-        load: The load.
-        state: What is known; its preview is overwritten.
-        sample: What is asked for.
-        reference: r[k].
-        lead: d (`slow`).
+    Attributes:
+        course: m*[k] ... m*[k-n].
+        offset: f.
+        moved: m[k] - m*[k].
     """
-    alone = state.blend >= 1.0 and sample.adaptive and load.charging is None
-    if len(sample.upcoming) == 0 or not (alone and settings.exact):
-        rest(state.preview, state.reference_filter.course)
-        return math.nan
-    references = led_references(reference, state.reference, sample.upcoming, lead)
-    return plan(
-        state.preview,
-        state.reference_filter.course,
-        state.reference_filter.asked,
-        state.trusted_a,
-        state.trusted_b,
-        references,
-        state.sent,
-        not state.saturated,
-        sample.pole,
-        sample.low,
-        sample.high,
-        settings.jacket.confidence * state.input_noise,
-    )
+
+    course: Vector
+    offset: float = math.nan
+    moved: float = 0.0
 
 
 def led_references(reference: float, last: float, upcoming: Vector, lead: float) -> Vector:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 from adaptdrive.control.estimation import rivals as riv
 from adaptdrive.control.estimation import rls
@@ -15,6 +16,7 @@ from adaptdrive.control.estimation import ud_factors as ud
 from adaptdrive.control.estimation.branch import Branch, Datum, learn_sample, new_branch, predict
 from adaptdrive.control.estimation.change_detector import Surprise, watch_noise
 from adaptdrive.control.estimation.hypotheses import DISTURBANCE_SHARE
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.second_estimates import Challenger, Integrated, restart
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning
@@ -34,11 +36,68 @@ _PRIOR_VARIANCE = 2.0e3
 """Variance of a prior over σ²: a few samples confirm it, some seconds of others correct it."""
 
 
+class Method(Protocol):
+    """One way to learn the load: parameters θ, regressor r, target, update and model.
+
+    A method has no state, so that the same object serves every controller.
+    """
+
+    @property
+    def physical(self) -> bool:
+        """True if θ follows from the physical parameters of the load.
+
+        Only then can an estimate start from these, be compared with the nominal model, and be
+        kept for the next run.
+        """
+
+    def parameter_count(self, learning: Learning, load: Load, taps: int) -> int:
+        """Return the length of θ; `taps` is the number of past inputs of the discrete model."""
+
+    def theta_of(
+        self, learning: Learning, load: Load, numerator: Vector, denominator: Vector
+    ) -> Vector:
+        """Return the first entries of θ for a model in s, scaled; empty if not `physical`."""
+
+    def begin(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+        """Adjust P of a new estimator to what is known of the start."""
+
+    def fill_regressor(
+        self,
+        state: EstimatorState,
+        learning: Learning,
+        load: Load,
+        sample: SlowSample,
+        past: tuple[Vector, Vector],
+    ) -> None:
+        """Overwrite r by that of a slow sample; `past` are y and u of the periods before it."""
+
+    def target(self, learning: Learning, sample: SlowSample) -> float:
+        """Return the value that r predicts, in the unit of the output."""
+
+    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+        """Update θ and P by the last sample, which the estimate has predicted."""
+
+    def model(self, state: EstimatorState, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+        """Return numerator and denominator of the estimate: in s if `physical`, else in q^-1."""
+
+    def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+        """Return L, flat, of the covariance L Lᵀ of the physical parameters; NaN where unknown."""
+
+    def shown_deviations(
+        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
+    ) -> Vector:
+        """Return their standard deviations for operators: the load may have changed since."""
+
+    def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
+        """Return the constant input with the effect of what is no dynamics; NaN without a bias."""
+
+
 @dataclass(slots=True)
 class EstimatorState:
     """State of the estimator.
 
     Attributes:
+        method: What is learnt, and from which signals.
         estimate: θ and P, of a bias that rests.
         opened: The estimate in force, with what the load may have become.
         sample: The last sample.
@@ -60,6 +119,7 @@ class EstimatorState:
         integrated: A second estimate, whose bias walks.
     """
 
+    method: Method
     estimate: Branch
     opened: Branch
     sample: Datum
@@ -81,10 +141,11 @@ class EstimatorState:
     unseen_periods: int = 0
 
 
-def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
+def new_estimator(method: Method, learning: Learning, load: Load, taps: int) -> EstimatorState:
     """Return an estimator without data, which starts from zero or from the nominal model."""
-    count = learning.method.parameter_count(learning, load, taps)
+    count = method.parameter_count(learning, load, taps)
     state = EstimatorState(
+        method,
         new_branch(count),
         new_branch(count),
         Datum([0.0] * count),
@@ -94,17 +155,17 @@ def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
         Integrated(new_branch(count)),
     )
     _open(state.estimate, learning)
-    learning.method.begin(state, learning, load)
+    method.begin(state, learning, load)
     if learning.start_at_nominal:
-        copy_into(state.estimate.theta, nominal_theta(learning, load, taps))
+        copy_into(state.estimate.theta, nominal_theta(method, learning, load, taps))
     return state
 
 
-def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:
+def nominal_theta(method: Method, learning: Learning, load: Load, taps: int) -> Vector:
     """Return θ of the nominal model, scaled; zeros where the method cannot express it."""
-    theta = [0.0] * learning.method.parameter_count(learning, load, taps)
+    theta = [0.0] * method.parameter_count(learning, load, taps)
     numerator, denominator = list(load.numerator), list(load.denominator)
-    copy_into(theta, learning.method.theta_of(learning, load, numerator, denominator))
+    copy_into(theta, method.theta_of(learning, load, numerator, denominator))
     return theta
 
 
@@ -131,7 +192,7 @@ def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
     """
     own, numerator, denominator = state.estimate, list(load.numerator), list(load.denominator)
     _open(own, learning)
-    copy_into(own.theta, learning.method.theta_of(learning, load, numerator, denominator))
+    copy_into(own.theta, state.method.theta_of(learning, load, numerator, denominator))
     own.origin_s = state.sample.time_s
     state.surprise.sum = 0.0
     state.rivals.samples = 0
@@ -153,7 +214,7 @@ def start_from(state: EstimatorState, learning: Learning, load: Load, values: Ve
         values: Its physical parameters.
     """
     numerator, denominator = load.realise(values)
-    theta = learning.method.theta_of(learning, load, numerator, denominator)
+    theta = state.method.theta_of(learning, load, numerator, denominator)
     copy_into(state.estimate.theta, theta)
     copy_into(state.estimate.diagonal, [_PRIOR_VARIANCE] * len(theta))
 
@@ -185,7 +246,7 @@ def learn(
         return
     watch_noise(state.surprise, own.innovation)
     if state.periods > learning.settle_periods:
-        learning.method.take_in(state, learning, load)
+        state.method.take_in(state, learning, load)
 
 
 def take_in(state: EstimatorState, learning: Learning, *, directional: bool) -> None:

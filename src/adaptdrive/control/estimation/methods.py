@@ -15,13 +15,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.design.redesign import judge_physical
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation import rls
 from adaptdrive.control.estimation import ud_factors as ud
 from adaptdrive.control.estimation.branch import predict
 from adaptdrive.control.estimation.change_detector import is_surprising
-from adaptdrive.control.estimation.estimator import EstimatorState, let_emf_wander, take_in
+from adaptdrive.control.estimation.estimator import (
+    EstimatorState,
+    Method,
+    let_emf_wander,
+    take_in,
+)
 from adaptdrive.control.estimation.explanation import learn_and_explain
 from adaptdrive.control.estimation.in_force import (
     doubted_deviations,
@@ -30,14 +34,12 @@ from adaptdrive.control.estimation.in_force import (
     parameter_root,
     show,
 )
-from adaptdrive.control.estimation.method import Method
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.second_estimates import follow_integrated as follow
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import ControllerSettings, Learning
-from adaptdrive.control.slow_state import SlowSample, SlowState
-from adaptdrive.control.supervision import supervisor as sup
+from adaptdrive.control.settings import Learning
 from adaptdrive.control.thresholds import NOISE_FLOOR
-from adaptdrive.control.vectors import Vector, copy_into, total
+from adaptdrive.control.vectors import Vector, total
 
 # The λ-method (LM-RLS): recursive least squares on signals behind λ filters.
 
@@ -70,19 +72,24 @@ class LambdaMethod:
             state.estimate.diagonal[first + i] = NOISE_FLOOR * learning.initial_covariance
 
     def fill_regressor(
-        self, state: SlowState, learning: Learning, load: Load, sample: SlowSample
+        self,
+        state: EstimatorState,
+        learning: Learning,
+        load: Load,
+        sample: SlowSample,
+        past: tuple[Vector, Vector],
     ) -> None:
         """Overwrite r, and r with every power of λ lowered by one for the explanations."""
-        estimator, y, u = state.estimator, sample.output_filtered, sample.input_filtered
-        regressor = estimator.sample.regressor
-        elapsed_s = estimator.sample.time_s - estimator.estimate.origin_s
+        y, u = sample.output_filtered, sample.input_filtered
+        regressor = state.sample.regressor
+        elapsed_s = state.sample.time_s - state.estimate.origin_s
         reg.fill_filtered_regressor(regressor, learning, load, y, u)
         reg.fill_initial_state(regressor, learning, load, elapsed_s)
-        reg.fill_charge(regressor, learning, estimator.charge)
-        let_emf_wander(estimator, learning)
-        lowered, output = estimator.rivals.lowered, sample.output
+        reg.fill_charge(regressor, learning, state.charge)
+        let_emf_wander(state, learning)
+        lowered, output = state.rivals.lowered, sample.output
         reg.fill_lowered_regressor(lowered, learning, load, output, y, u)
-        reg.fill_charge(lowered, learning, estimator.charge + output / learning.output_scale)
+        reg.fill_charge(lowered, learning, state.charge + output / learning.output_scale)
 
     def target(self, learning: Learning, sample: SlowSample) -> float:
         """Return y[k]."""
@@ -100,13 +107,9 @@ class LambdaMethod:
         note_age(state, learning, load)
         show(state, learning)
 
-    def model(
-        self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
-    ) -> tuple[Vector, Vector, int]:
-        """Return A and B of the estimated model in s, and the verdict on its parameters."""
-        learning, theta = settings.learning, in_force(state.estimator).theta
-        numerator, denominator = reg.filtered_model(theta, learning, load)
-        return judge_physical(settings, load, state, numerator, denominator, period_s)
+    def model(self, state: EstimatorState, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+        """Return numerator and denominator of the estimated model in s."""
+        return reg.filtered_model(in_force(state).theta, learning, load)
 
     def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
         """Return L of the covariance of the physical parameters, to first order."""
@@ -190,11 +193,16 @@ class DirectMethod:
         """Leave P as it is."""
 
     def fill_regressor(
-        self, state: SlowState, learning: Learning, load: Load, sample: SlowSample
+        self,
+        state: EstimatorState,
+        learning: Learning,
+        load: Load,
+        sample: SlowSample,
+        past: tuple[Vector, Vector],
     ) -> None:
         """Overwrite r by the past outputs and inputs."""
-        regressor = state.estimator.sample.regressor
-        fill_direct_regressor(regressor, learning, load, state.outputs, state.inputs)
+        outputs, inputs = past
+        fill_direct_regressor(state.sample.regressor, learning, load, outputs, inputs)
 
     def target(self, learning: Learning, sample: SlowSample) -> float:
         """Return y[k]."""
@@ -206,13 +214,10 @@ class DirectMethod:
             _open_up(state, learning)
         take_in(state, learning, directional=False)
 
-    def model(
-        self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
-    ) -> tuple[Vector, Vector, int]:
-        """Return A and B as estimated, and the verdict on A; the gains need no more."""
-        a, b = direct_model(state.estimator.estimate.theta, settings.learning, load)
-        _show(load, state, a, b, period_s)
-        return a, b, sup.judge_load(a)
+    def model(self, state: EstimatorState, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+        """Return B and A as estimated; the gains need no more."""
+        a, b = direct_model(state.estimate.theta, learning, load)
+        return b, a
 
     def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
         """Return NaN: nothing is known of the physical parameters."""
@@ -277,15 +282,6 @@ def _open_up(state: EstimatorState, learning: Learning) -> None:
     predict(own, state.sample)
     state.excitation = own.excitation
     state.residual_power = state.surprise.power * state.residual_weight
-
-
-def _show(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
-    """Make the physical parameters that are published; NaN where the model has none."""
-    numerator, denominator = continuous_model(a, b, period_s)
-    if sup.judge_model(numerator, denominator) == sup.Verdict.TRUSTED:
-        copy_into(state.values, load.physical(numerator, denominator))
-    else:
-        copy_into(state.values, [math.nan] * len(state.values))
 
 
 # The estimation methods, by their names in the configuration (`estimator.method`).

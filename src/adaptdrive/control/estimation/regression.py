@@ -46,12 +46,60 @@ the rise is mistaken for dynamics: a dc admittance of a third of the true one, t
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, multiply, total
 
 # Between a continuous-time model and its λ-transformed parameters, for any order.
+
+
+@dataclass(slots=True)
+class SlowSample:
+    """Input of the slow half in each period.
+
+    Attributes:
+        period_s: T_k.
+        output: y[k].
+        output_filtered: λy ... λ^m y.
+        input_filtered: u, λu ... λ^m u.
+        applied: Input applied over the elapsed period, NaN while unknown.
+        followed: False where a limit kept the drive from following.
+        held_share: Share of the elapsed ticks without a fresh measurement.
+        reference: r[k].
+        adaptive: True when the operator asks for the adaptive controller.
+        pole: Pole asked for.
+        low: Lowest input.
+        high: Highest input.
+        manual: True when the operator sets the input.
+        held: Input in force that the operator has set in the elapsed period, NaN for none.
+        steady: Whether r is a constant set-point.
+        lowest: Lowest output that V_c can hold, NaN while unknown.
+        highest: Highest output that V_c can hold, NaN while unknown.
+        rounding: Standard deviation of the rounding error of the output.
+        upcoming: r[k+1] and the following ones that preview knows, empty for none.
+    """
+
+    period_s: float
+    output: float
+    output_filtered: Vector
+    input_filtered: Vector
+    applied: float
+    followed: bool
+    held_share: float
+    reference: float
+    adaptive: bool
+    pole: float
+    low: float
+    high: float
+    manual: bool = False
+    held: float = math.nan
+    steady: bool = False
+    lowest: float = -math.inf
+    highest: float = math.inf
+    rounding: float = 0.0
+    upcoming: Vector = field(default_factory=list)
 
 
 def to_lambda(coefficients: Vector, tau_lambda_s: float) -> Vector:

@@ -51,9 +51,10 @@ def believed_offset(learning: Learning, load: Load, state: SlowState) -> float:
         load: The nominal model.
         state: The estimate.
     """
-    if not (learning.method.physical and learning.bias):
+    estimator = state.estimator
+    if not (estimator.method.physical and learning.bias):
         return 0.0
-    estimated = learning.method.input_offset(state.estimator, learning, load)
+    estimated = estimator.method.input_offset(estimator, learning, load)
     return estimated if math.isfinite(estimated) else 0.0
 
 

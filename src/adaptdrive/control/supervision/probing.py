@@ -18,9 +18,10 @@ the fixed controller has taken over for good. It never lasts longer than four ex
 from __future__ import annotations
 
 from adaptdrive.control.estimation.in_force import is_contested
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Probing
-from adaptdrive.control.slow_state import ProbeState, SlowSample, SlowState
+from adaptdrive.control.slow_state import ProbeState, SlowState
 from adaptdrive.control.supervision.monitor import Fallback
 from adaptdrive.control.supervision.supervisor import Verdict, is_doubt
 

@@ -16,10 +16,12 @@ from adaptdrive.control.design.pole_placement import (
 )
 from adaptdrive.control.design.robustness import closed_loop, possible_models, response_spread
 from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation.methods import continuous_model
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.second_estimates import restart
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.control.slow_state import SlowSample, SlowState
+from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.supervision import supervisor as sup
 from adaptdrive.control.thresholds import MEMORY, NOISE_FLOOR
 from adaptdrive.control.vectors import Vector, copy_into, total
@@ -65,7 +67,7 @@ def _look_for_a_way_back(
         estimator.lost_periods = 0
         return
     estimator.lost_periods += 1
-    if not settings.learning.method.physical or estimator.lost_periods <= MEMORY:
+    if not state.estimator.method.physical or estimator.lost_periods <= MEMORY:
         return
     estimator.lost_periods = 0
     if estimator.integrated.in_force:
@@ -105,7 +107,7 @@ def _take_fast_law(
     loop = fast_loop(solved, a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
     gains = loop_gains(solved, a, b, loop)
     most = settings.jacket.spread_max
-    if most > 0.0 and not _spread(settings, load, state, gains, loop, sample.pole) <= most:
+    if most > 0.0 and not _spread(load, state, gains, loop, sample.pole) <= most:
         loop, gains = quiet, loop_gains(solved, a, b, quiet)
     copy_into(state.fast_loop, loop)
     copy_into(state.fast_gains, gains)
@@ -123,7 +125,7 @@ def _output_noise(
         state: The estimate.
         least: Least σ_y², in the units of the scaled output.
     """
-    if not settings.learning.method.physical:
+    if not state.estimator.method.physical:
         return 0.0
     estimator = state.estimator
     seen = math.sqrt(max(least, estimator.surprise.noise))
@@ -148,7 +150,7 @@ def _redesign(
     sample: SlowSample,
     gains: Vector,
 ) -> int:
-    a, b, verdict = settings.learning.method.model(settings, load, state, sample.period_s)
+    a, b, verdict = judged_model(settings, load, state, sample.period_s)
     if verdict != sup.Verdict.TRUSTED:
         return verdict
     limit = settings.jacket.noise_max
@@ -167,17 +169,16 @@ def _judge_response(
 ) -> int:
     """Check how far the response may be off within the covariance of the estimate."""
     limit, learning = settings.jacket.spread_max, settings.learning
-    if not (limit > 0.0 and learning.method.physical):
+    if not (limit > 0.0 and state.estimator.method.physical):
         return sup.Verdict.TRUSTED
-    root = learning.method.root(state.estimator, learning, load, state.values)
+    root = state.estimator.method.root(state.estimator, learning, load, state.values)
     models = possible_models(settings, load, state.values, root, sample.period_s)
     copy_into(state.possible, models)
-    state.spread = _spread(settings, load, state, gains, state.new_loop, sample.pole)
+    state.spread = _spread(load, state, gains, state.new_loop, sample.pole)
     return sup.Verdict.TRUSTED if state.spread <= limit else sup.Verdict.UNCERTAIN
 
 
 def _spread(
-    settings: ControllerSettings,
     load: Load,
     state: SlowState,
     gains: Vector,
@@ -185,7 +186,7 @@ def _spread(
     pole: float,
 ) -> float:
     """Return how far the response may be off within the covariance of the estimate; 0 for none."""
-    if not settings.learning.method.physical:
+    if not state.estimator.method.physical:
         return 0.0
     return response_spread(load.order, state.possible, gains, loop, state.model_b, pole)
 
@@ -224,3 +225,25 @@ def judge_physical(
         return denominator, numerator, verdict
     a, b = discrete_model(settings, load, numerator, denominator, period_s)
     return a, b, sup.judge_load(a)
+
+
+def judged_model(
+    settings: ControllerSettings, load: Load, state: SlowState, period_s: float
+) -> tuple[Vector, Vector, int]:
+    """Return A and B of the estimate, and the verdict on its parameters."""
+    estimator = state.estimator
+    numerator, denominator = estimator.method.model(estimator, settings.learning, load)
+    if estimator.method.physical:
+        return judge_physical(settings, load, state, numerator, denominator, period_s)
+    a, b = denominator, numerator
+    _show(load, state, a, b, period_s)
+    return a, b, sup.judge_load(a)
+
+
+def _show(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
+    """Make the physical parameters that are published; NaN where the model has none."""
+    numerator, denominator = continuous_model(a, b, period_s)
+    if sup.judge_model(numerator, denominator) == sup.Verdict.TRUSTED:
+        copy_into(state.values, load.physical(numerator, denominator))
+    else:
+        copy_into(state.values, [math.nan] * len(state.values))
