@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from adaptdrive.control.design.preview import AHEAD
+from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.signals import Decision, Mode, Stage
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import SAFE_COMMAND, Decision, Mode, Stage
-from adaptdrive.control.supervision.attainable import Reach
+from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
 from adaptdrive.runtime.state_machine import Machine

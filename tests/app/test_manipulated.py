@@ -19,7 +19,7 @@ from adaptdrive.app.settings import daemon_settings, operator_profile, trip_limi
 from adaptdrive.cli.display import describe
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
-from adaptdrive.control.supervision.attainable import Reach
+from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.port import Reading
 from adaptdrive.mqtt.client import DriveStatus
 from adaptdrive.mqtt.discovery import discovery

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.discretise import held_model
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables

@@ -17,7 +17,7 @@ from adaptdrive.control.design.pole_placement import (
     loop_delay_ticks,
     window_ticks,
 )
-from adaptdrive.control.discretise import held_model
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.experiments.examples import FOLDER

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation import rls as ud
 from tests.control.systems import Array
 
 COVARIANCE = 100.0

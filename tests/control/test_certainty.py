@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from adaptdrive.control.design.pole_placement import asked_loop, compensator_gains, discrete_model
-from adaptdrive.control.design.robustness import possible_models, response_spread
+from adaptdrive.control.design.pole_placement import (
+    asked_loop,
+    compensator_gains,
+    discrete_model,
+    possible_models,
+    response_spread,
+)
 from adaptdrive.control.estimation.branch import Branch
 from adaptdrive.control.estimation.covariance import deviations_of, is_sure
 from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, remember_residual
-from adaptdrive.control.estimation.in_force import correlation_factor, doubted_deviations
+from adaptdrive.control.estimation.learn import correlation_factor, doubted_deviations
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import filtered_model, theta_of
 from adaptdrive.control.settings import Learning

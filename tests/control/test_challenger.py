@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation.in_force import is_doubtful
+from adaptdrive.control.estimation.learn import is_doubtful
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive_sim.plants.motor import Motor, MotorParameters

@@ -20,7 +20,7 @@ from adaptdrive.control.loads.charging import (
     voltage_limit,
 )
 from adaptdrive.control.slow import slow_step
-from adaptdrive.control.slow_state import SlowState, new_slow_state
+from adaptdrive.control.supervision.state import SlowState, new_slow_state
 from tests.closed_loop.bench import AT_REST, EXACT
 
 LIMITS = Charging(

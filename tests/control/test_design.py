@@ -15,8 +15,8 @@ from adaptdrive.control.design.pole_placement import (
     reference_lead,
     window_ticks,
 )
-from adaptdrive.control.discretise import impulse_invariant_pair
 from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.loads.discretise import impulse_invariant_pair
 from adaptdrive.control.settings import ControllerSettings
 from tests.closed_loop.bench import EXACT, MOTOR, PAPER, RATES, TICK_s
 from tests.control.systems import Array, System, distance, motor_system

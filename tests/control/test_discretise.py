@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, dlsim, lfilter
 
-from adaptdrive.control.discretise import (
+from adaptdrive.control.estimation.methods import continuous_model
+from adaptdrive.control.loads.discretise import (
     held_model,
     impulse_invariant_pair,
     input_taps,
     propagate,
 )
-from adaptdrive.control.estimation.methods import continuous_model
 from adaptdrive.control.vectors import Vector
 from tests.control.systems import (
     Array,

@@ -12,12 +12,12 @@ from scipy.signal import cont2discrete, lfilter
 
 from adaptdrive.control import fast
 from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
-from adaptdrive.control.discretise import impulse_invariant_pair
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation import rls
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.discretise import impulse_invariant_pair
 from adaptdrive.control.loads.load import Load, to_voltage
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.settings import Learning

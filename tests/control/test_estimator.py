@@ -12,10 +12,10 @@ from scipy.signal import lfilter, lsim
 
 from adaptdrive.control import fast
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation import learn
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.estimation.ud_factors import covariance
+from adaptdrive.control.estimation.rls import covariance
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING
 from tests.control.learning import learn_course, learn_sampled
@@ -172,7 +172,7 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
             est.learn(state, learning, MOTOR, float(y), usable=True)
         values = physical(state, learning)
         found.append(values)
-        claimed.append(row_norms(in_force.parameter_root(state, learning, MOTOR, values)))
+        claimed.append(row_norms(learn.parameter_root(state, learning, MOTOR, values)))
     assert np.mean(claimed, axis=0) == pytest.approx(np.std(found, axis=0), rel=0.3)
 
 

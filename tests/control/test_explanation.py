@@ -10,9 +10,9 @@ import pytest
 from scipy.signal import lsim
 
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation import learn
 from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
+from adaptdrive.control.estimation.covariance import BOTH, DISTURBANCE, LOAD, NOTHING
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import theta_of
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
@@ -78,7 +78,7 @@ class Seen:
         return next(n for n in range(begun, len(self.waiting)) if self.waiting[n] == 0)
 
 
-def learn(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
+def learn_course(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
     noisy = outputs + 0.0
     y1, u1 = lagged(outputs, held=False), lagged(voltages, held=True)
     y2, u2 = lagged(y1, held=False), lagged(u1, held=False)
@@ -101,7 +101,7 @@ def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> N
     values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, LEARNING, MOTOR))
     seen.values.append(values)
     seen.shown.append(METHODS[LEARNING.method].shown_deviations(state, LEARNING, MOTOR, values))
-    seen.doubtful.append(in_force.is_doubtful(state))
+    seen.doubtful.append(learn.is_doubtful(state))
     seen.kinds.append(state.rivals.kind)
     seen.waiting.append(state.rivals.samples)
     seen.alarms.append(state.surprise.alarms)
@@ -117,17 +117,17 @@ def error(values: list[float], disks: float) -> float:
 
 @pytest.fixture
 def other_load() -> Seen:
-    return learn(*course((1.0, 2.5), (0.0, 0.0)))
+    return learn_course(*course((1.0, 2.5), (0.0, 0.0)))
 
 
 @pytest.fixture
 def torque() -> Seen:
-    return learn(*course((2.0, 2.0), (0.0, -25.0)))
+    return learn_course(*course((2.0, 2.0), (0.0, -25.0)))
 
 
 @pytest.fixture
 def spike() -> Seen:
-    return learn(*course((2.0, 2.0), (0.0, 0.0)), spike=0.02)
+    return learn_course(*course((2.0, 2.0), (0.0, 0.0)), spike=0.02)
 
 
 def test_another_load_is_noticed_named_and_learnt(other_load: Seen) -> None:
@@ -159,9 +159,9 @@ def test_what_a_disturbance_may_have_moved_is_part_of_what_is_shown(torque: Seen
     """Each value by the disturbance over the scale of the input, beside its own deviation."""
     state, values = torque.state, torque.values[-1]
     share = math.sqrt(state.rivals.moved)
-    shown = np.array(in_force.doubted_deviations(state, LEARNING, MOTOR, values))
+    shown = np.array(learn.doubted_deviations(state, LEARNING, MOTOR, values))
     state.rivals.moved = 0.0
-    own = np.array(in_force.doubted_deviations(state, LEARNING, MOTOR, values))
+    own = np.array(learn.doubted_deviations(state, LEARNING, MOTOR, values))
     assert shown**2 - own**2 == pytest.approx((share * np.array(values)) ** 2, rel=1e-6)
     assert share > 0.03
 

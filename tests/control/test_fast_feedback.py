@@ -32,7 +32,7 @@ from adaptdrive.control.design.pole_placement import (
     loop_gains,
     place_poles,
 )
-from adaptdrive.control.design.reference_model import (
+from adaptdrive.control.design.reference import (
     ReferenceFilter,
     condition_reference,
     filter_reference,

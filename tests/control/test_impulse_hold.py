@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete
 
 from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
-from adaptdrive.control.discretise import impulse_invariant_pair, kick_factors
+from adaptdrive.control.loads.discretise import impulse_invariant_pair, kick_factors
 from adaptdrive.control.loads.motor import motor_load
 
 Array = NDArray[Any]

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control.design.pole_placement import discrete_model, past_inputs, reference_lead
-from adaptdrive.control.discretise import impulse_invariant_pair
 from adaptdrive.control.fast import filter_sample, new_filter_bank
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.bath import paper_model as bath_model
 from adaptdrive.control.loads.bath import physical as bath_values
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.battery import paper_model as battery_model
+from adaptdrive.control.loads.discretise import impulse_invariant_pair
 from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.loads.motor import paper_model as motor_model

@@ -13,16 +13,16 @@ from scipy.signal import cont2discrete
 
 from adaptdrive.control import fast
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation import learn
 from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation import rls as ud
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Learning
 from adaptdrive.control.signals import Mode
-from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervision.redesign import judged_model
+from adaptdrive.control.supervision.state import SlowState, new_slow_state
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive.control.vectors import shift_in
 from tests.closed_loop.bench import (
@@ -133,7 +133,7 @@ def held(disks: int) -> tuple[Array, Array]:
     return held_polynomials(motor_system(disks), 1.0)
 
 
-def learn(
+def learnt(
     settings: ControllerSettings, disks: list[int], noise: float = 0.0
 ) -> tuple[SlowState, Array]:
     """An estimator that has seen a motor with so many disks in each period; its innovations."""
@@ -157,7 +157,7 @@ def learn(
 
 
 def test_the_discrete_model_and_the_offset_of_the_input_are_found() -> None:
-    state, _ = learn(SETTINGS, [2] * 600)
+    state, _ = learnt(SETTINGS, [2] * 600)
     estimator = state.estimator
     a, b, verdict = judged_model(SETTINGS, MOTOR, state, 1.0)
     bottom, top = held(2)
@@ -180,9 +180,9 @@ def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> 
     for alert in (False, True):
         learning = replace(DIRECT, alert=alert, forgetting=0.999)
         settings = replace(SETTINGS, learning=learning)
-        state, innovations = learn(settings, [1] * 200 + [3] * 60, noise=1e-4)
+        state, innovations = learnt(settings, [1] * 200 + [3] * 60, noise=1e-4)
         errors[alert] = math.sqrt(float(np.mean(innovations[-30:] ** 2)))
-        shown[alert] = in_force.residual_noise(state.estimator) * learning.output_scale
+        shown[alert] = learn.residual_noise(state.estimator) * learning.output_scale
         assert state.estimator.surprise.alarms == (1 if alert else 0)
     assert shown[True] == pytest.approx(errors[True], rel=0.5)
     assert errors[True] < 5e-4

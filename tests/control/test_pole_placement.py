@@ -14,7 +14,7 @@ from adaptdrive.control.design.pole_placement import (
     desired_polynomial,
     place_poles,
 )
-from adaptdrive.control.discretise import held_model
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.slow import control_law, lead_reference
 from tests.control.systems import (
     Array,

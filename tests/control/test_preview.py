@@ -15,9 +15,9 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from adaptdrive.control.design.pole_placement import asked_loop, discrete_model
-from adaptdrive.control.design.preview import AHEAD, MOVES, UNREST, PreviewState, minimise, plan
+from adaptdrive.control.design.reference import AHEAD, MOVES, UNREST, PreviewState, minimise, plan
 from adaptdrive.control.slow import slow_step
-from adaptdrive.control.slow_state import SlowState
+from adaptdrive.control.supervision.state import SlowState
 from tests.closed_loop.bench import EXACT, MOTOR
 from tests.control.test_slow_half import SAMPLE, SETTINGS, known
 

@@ -13,8 +13,8 @@ from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.settings import Probing
-from adaptdrive.control.slow_state import SlowState, new_slow_state
-from adaptdrive.control.supervision.probing import EXCURSIONS, half_periods, probe
+from adaptdrive.control.supervision.setpoints import EXCURSIONS, half_periods, probe
+from adaptdrive.control.supervision.state import SlowState, new_slow_state
 from adaptdrive.control.supervision.supervisor import Verdict
 from tests.closed_loop.bench import AT_REST, EXACT, LOW, MOTOR
 

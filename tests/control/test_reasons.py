@@ -9,9 +9,8 @@ import pytest
 
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Mode
-from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervision.monitor import Fallback
-from adaptdrive.control.supervision.reasons import reason
+from adaptdrive.control.supervision.state import SlowState, new_slow_state, reason
 from adaptdrive.control.supervision.supervisor import Verdict
 from tests.closed_loop.bench import EXACT, MOTOR
 

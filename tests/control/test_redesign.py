@@ -17,8 +17,8 @@ from adaptdrive.control.design.pole_placement import (
 )
 from adaptdrive.control.estimation.regression import theta_of
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervision import redesign
+from adaptdrive.control.supervision.state import SlowState, new_slow_state
 from adaptdrive.control.supervision.supervisor import Verdict
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
 from tests.control.systems import distance

@@ -12,13 +12,13 @@ from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.slow_state import SlowState, new_slow_state
-from adaptdrive.control.supervision.attainable import (
+from adaptdrive.control.supervision.setpoints import (
     Reach,
     distance_from_rest,
     estimated_reach,
     nominal_reach,
 )
+from adaptdrive.control.supervision.state import SlowState, new_slow_state
 from tests.closed_loop.bench import EXACT, MOTOR, REST_V, STAGE
 from tests.control.systems import motor_system, polynomials
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation import rls as ud
 from tests.control.systems import Array
 
 

@@ -21,8 +21,8 @@ from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow import slow_step
-from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervision.monitor import Fallback
+from adaptdrive.control.supervision.state import SlowState, new_slow_state
 from adaptdrive.control.vectors import copy_into
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, PAPER, PLAIN_LEARNING, REST_V
 from tests.control.systems import motor_system

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.control.signals import Mode, Shape, Stage, Waveform
-from adaptdrive.control.supervision.attainable import UNKNOWN, Reach
+from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
 from adaptdrive.runtime.limits import MachineLimits, ManualVoltage
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (

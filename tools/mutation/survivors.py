@@ -138,10 +138,10 @@ CONTROL: dict[str, str] = {
     "control.fast:limit_power: if state.ceiling_V < stage.boost_reference_max_V: -> "
     "if state.ceiling_V <= stage.boost_reference_max_V:": "a ceiling above the highest V_c "
     "lowers none",
-    "control.estimation.ud_factors:given: gain, known, weights = ([0.0] * size, "
+    "control.estimation.rls:given: gain, known, weights = ([0.0] * size, "
     "list(upper), list(diagonal)) "
     "-> gain, known, weights = ([1.0] * size, list(upper), list(diagonal))": _OVERWRITTEN,
-    "control.estimation.ud_factors:bound: gain = [0.0] * size -> gain = [1.0] * size": _OVERWRITTEN,
+    "control.estimation.rls:bound: gain = [0.0] * size -> gain = [1.0] * size": _OVERWRITTEN,
     "control.controller:Controller.__init__: self._fast = fast.FastState(tick=0, "
     "boost_reference_V=0.0, error_sum=0.0) -> pass": _SET_BEFORE_USE,
     "control.controller:Controller.__init__: self._bank = self._new_bank("

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptdrive.control.design.pole_placement import desired_polynomial
-from adaptdrive.control.discretise import held_model
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector, total
 from adaptdrive_sim.course import Array

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.analysis.steps import judge_step
 from adaptdrive.control.design.pole_placement import desired_polynomial
-from adaptdrive.control.discretise import held_model
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 from adaptdrive_sim.course import Array, Run

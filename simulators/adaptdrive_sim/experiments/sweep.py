@@ -16,7 +16,6 @@ from typing import Literal
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from adaptdrive.control.discretise import held_model
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation.filters import chain_decay, ramp_gains, step_gains
@@ -26,6 +25,7 @@ from adaptdrive.control.estimation.methods import (
     direct_model,
     fill_direct_regressor,
 )
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, shift_in

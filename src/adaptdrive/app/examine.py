@@ -16,7 +16,7 @@ from adaptdrive.config.load import AnyLoad, BatterySection
 from adaptdrive.config.polled import ModbusBus, ScpiBus
 from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.supervision.attainable import nominal_reach
+from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.devices.description import NO_DEMANDS, demands_of
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import ConfigurationError, Flaw

@@ -15,8 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection, LoadSection, MotorSection
-from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
-from adaptdrive.control.design.robustness import STABLE_RADIUS, closes_stably
+from adaptdrive.control.design.pole_placement import (
+    STABLE_RADIUS,
+    closes_stably,
+    compensator_gains,
+    discrete_model,
+)
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load

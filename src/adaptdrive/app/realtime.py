@@ -17,7 +17,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Snapshot
-from adaptdrive.control.supervision.attainable import Reach
+from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.realtime import Grant, real_time

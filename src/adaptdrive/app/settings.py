@@ -18,8 +18,8 @@ from adaptdrive.config.load import (
     MotorSection,
 )
 from adaptdrive.config.supply import absent_names, moved_inputs
-from adaptdrive.control.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import (
     ControllerSettings,
@@ -30,7 +30,7 @@ from adaptdrive.control.settings import (
     Rates,
 )
 from adaptdrive.control.signals import Mode
-from adaptdrive.control.supervision.attainable import nominal_reach
+from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.control.thresholds import NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.mqtt.contract import Output, Profile

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Final
 
 from adaptdrive.control import fast
-from adaptdrive.control.design.preview import AHEAD
+from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.estimation.estimator import start_from
 from adaptdrive.control.estimation.filters import remembered_grid, step_found
 from adaptdrive.control.estimation.methods import METHODS
@@ -42,10 +42,9 @@ from adaptdrive.control.signals import (
     heard,
 )
 from adaptdrive.control.slow import slow_step
-from adaptdrive.control.slow_state import SlowState, new_slow_state
-from adaptdrive.control.supervision.attainable import estimated_reach, nominal_reach
 from adaptdrive.control.supervision.monitor import Fallback
-from adaptdrive.control.supervision.reasons import reason
+from adaptdrive.control.supervision.setpoints import estimated_reach, nominal_reach
+from adaptdrive.control.supervision.state import SlowState, new_slow_state, reason
 from adaptdrive.control.voltage_loop import initial_sum
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"

@@ -25,22 +25,22 @@ from adaptdrive.control.design.pole_placement import (
     discrete_model,
     reference_lead,
 )
-from adaptdrive.control.design.preview import led_references, plan, rest
-from adaptdrive.control.design.reference_model import (
+from adaptdrive.control.design.reference import (
     condition_reference,
     filter_reference,
+    led_references,
+    plan,
     reference_of,
+    rest,
 )
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import in_force
+from adaptdrive.control.estimation import learn
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.rls import predict
 from adaptdrive.control.loads.charging import begin_anew, taper, terminal_voltage
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.supervision import supervisor as sup
-from adaptdrive.control.supervision.attainable import distance_from_rest
 from adaptdrive.control.supervision.monitor import (
     Fallback,
     latch_fallback,
@@ -48,8 +48,9 @@ from adaptdrive.control.supervision.monitor import (
     watch_loop,
     watch_response,
 )
-from adaptdrive.control.supervision.probing import probe
 from adaptdrive.control.supervision.redesign import adapt
+from adaptdrive.control.supervision.setpoints import distance_from_rest, probe
+from adaptdrive.control.supervision.state import SlowState
 from adaptdrive.control.thresholds import NOISE_FLOOR
 from adaptdrive.control.vectors import Vector, copy_into, shift_in, total
 
@@ -216,7 +217,7 @@ def _take_sample(
     if estimator.method.physical:
         learnt = estimator.sample
         fixed = learnt.target - predict(state.nominal_theta, learnt.regressor)
-        own = in_force.own_residual(estimator, learning)
+        own = learn.own_residual(estimator, learning)
         sup.compare_residuals(state.supervisor, own, fixed)
     shift_in(state.outputs, sample.output)
 

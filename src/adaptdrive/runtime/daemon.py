@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable
 
 from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
-from adaptdrive.control.supervision.attainable import Reach
+from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
 from adaptdrive.runtime.accounts import Announcer, drive_report
 from adaptdrive.runtime.fast_loop import FastLoop

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.supervision.attainable import UNKNOWN, Reach
+from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import BOOST, Given
 

@@ -25,7 +25,7 @@ from adaptdrive.control.signals import (
     Waveform,
     columns_of,
 )
-from adaptdrive.control.supervision.attainable import UNKNOWN, Reach
+from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
 from adaptdrive.util.errors import escaped
 
 # Reports of the runtime: immutable snapshots, never live objects.

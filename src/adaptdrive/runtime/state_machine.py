@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Final
 
 from adaptdrive.control.signals import Mode, Order, Stage, Waveform
-from adaptdrive.control.supervision.attainable import Reach
+from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.limits import MachineLimits
 from adaptdrive.runtime.reports import State

@@ -19,7 +19,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter, lfiltic
 
 from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
-from adaptdrive.control.discretise import held_model
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation import rls as ud
 from adaptdrive.control.estimation.regression import fill_initial_state
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning

@@ -12,11 +12,11 @@ from typing import Protocol
 
 from adaptdrive.control.estimation import rivals as riv
 from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation import rls as ud
 from adaptdrive.control.estimation.branch import Branch, Datum, learn_sample, new_branch, predict
-from adaptdrive.control.estimation.change_detector import Surprise, watch_noise
-from adaptdrive.control.estimation.hypotheses import DISTURBANCE_SHARE
+from adaptdrive.control.estimation.covariance import DISTURBANCE_SHARE
 from adaptdrive.control.estimation.regression import SlowSample
+from adaptdrive.control.estimation.rivals import Surprise, watch_noise
 from adaptdrive.control.estimation.second_estimates import Challenger, Integrated, restart
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning

@@ -17,24 +17,24 @@ from dataclasses import dataclass
 
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import ud_factors as ud
+from adaptdrive.control.estimation import rls as ud
 from adaptdrive.control.estimation.branch import predict
-from adaptdrive.control.estimation.change_detector import is_surprising
 from adaptdrive.control.estimation.estimator import (
     EstimatorState,
     Method,
     let_emf_wander,
     take_in,
 )
-from adaptdrive.control.estimation.explanation import learn_and_explain
-from adaptdrive.control.estimation.in_force import (
+from adaptdrive.control.estimation.learn import (
     doubted_deviations,
     in_force,
+    learn_and_explain,
     note_age,
     parameter_root,
     show,
 )
 from adaptdrive.control.estimation.regression import SlowSample
+from adaptdrive.control.estimation.rivals import is_surprising
 from adaptdrive.control.estimation.second_estimates import follow_integrated as follow
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning

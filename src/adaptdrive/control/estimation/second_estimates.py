@@ -42,9 +42,8 @@ from adaptdrive.control.estimation.branch import (
     squared_error,
     widen_last,
 )
-from adaptdrive.control.estimation.change_detector import DRIFT, THRESHOLD, move_median
-from adaptdrive.control.estimation.hypotheses import ANEW, restart_past, widen
-from adaptdrive.control.estimation.rivals import Rivals, is_possible
+from adaptdrive.control.estimation.covariance import ANEW, restart_past, widen
+from adaptdrive.control.estimation.rivals import DRIFT, THRESHOLD, Rivals, is_possible, move_median
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.thresholds import CLEAR, FEWEST, LIFE, MEMORY, NOISE_FLOOR, RARER, WINDOW

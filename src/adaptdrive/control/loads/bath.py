@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from adaptdrive.control.discretise import exponential
+from adaptdrive.control.loads.discretise import exponential
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.vectors import Vector

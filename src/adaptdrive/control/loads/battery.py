@@ -11,8 +11,8 @@ H is proper but not strictly proper: a step of the voltage is a step of the curr
 
 from __future__ import annotations
 
-from adaptdrive.control.discretise import held_model
 from adaptdrive.control.loads.charging import Charging
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 

@@ -10,7 +10,7 @@ every third time, and that is a legal model.
 
 from __future__ import annotations
 
-from adaptdrive.control.discretise import impulse_invariant_pair
+from adaptdrive.control.loads.discretise import impulse_invariant_pair
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 

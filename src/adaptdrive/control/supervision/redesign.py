@@ -10,19 +10,21 @@ import math
 from adaptdrive.control.design.noise import fast_loop, noise_gain, quiet_loop
 from adaptdrive.control.design.pole_placement import (
     asked_loop,
+    closed_loop,
     discrete_model,
     equation,
     loop_gains,
+    possible_models,
+    response_spread,
 )
-from adaptdrive.control.design.robustness import closed_loop, possible_models, response_spread
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation.methods import continuous_model
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.second_estimates import restart
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.supervision import supervisor as sup
+from adaptdrive.control.supervision.state import SlowState
 from adaptdrive.control.thresholds import MEMORY, NOISE_FLOOR
 from adaptdrive.control.vectors import Vector, copy_into, total
 

@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from adaptdrive.control.design.robustness import MARGIN_RADIUS, STABLE_RADIUS
+from adaptdrive.control.design.pole_placement import MARGIN_RADIUS, STABLE_RADIUS
 from adaptdrive.control.loads.load import is_damped
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.thresholds import NOISE_FLOOR, WINDOW
