@@ -20,9 +20,9 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.bus import BusBackoff
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.can.port import CanPort
-from adaptdrive.devices.counting import BusBackoff
 from adaptdrive.devices.port import Port, Reading
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"

@@ -1,6 +1,6 @@
 """Waits before a lost bus is opened again."""
 
-from adaptdrive.devices.counting import BusBackoff
+from adaptdrive.devices.bus import BusBackoff
 
 
 def test_waits_double_up_to_two_seconds_and_start_anew_once_the_bus_was_of_use() -> None:

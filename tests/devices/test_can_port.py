@@ -17,7 +17,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.can.port import CanPort
-from adaptdrive.devices.obedience import QUIET_S
+from adaptdrive.devices.faults import QUIET_S
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.stopping import Stop, StopWatch

@@ -9,9 +9,9 @@ import pytest
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.polled.capacity import Exchange
 from adaptdrive.devices.polled.commander import Commander
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
+from adaptdrive.devices.polled.registers import Exchange
 from adaptdrive.devices.polled.reports import PollWitness
 from tests.devices.modbus.bench import plan, reported
 

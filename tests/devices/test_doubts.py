@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.devices.obedience import LEAPT, LOST, Obedience, Relink, Rival
+from adaptdrive.devices.faults import LEAPT, LOST, Obedience, Relink, Rival
 
 
 def test_another_master_is_remembered_for_five_seconds() -> None:

@@ -12,8 +12,8 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.polled import RtuLink, TcpLink
 from adaptdrive.devices.modbus.frames import TcpFrames, request
 from adaptdrive.devices.modbus.link import ModbusConnection
-from adaptdrive.devices.polled.capacity import Block, Exchange
 from adaptdrive.devices.polled.link import ExchangeError
+from adaptdrive.devices.polled.registers import Block, Exchange
 from tools.fuzz.target import EXAMPLES, Target
 
 _EXCHANGE = Exchange(read=Block("input", 0, 2))

@@ -18,7 +18,7 @@ from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.canopen.mapping import map_drive
 from adaptdrive.devices.canopen.master import parse_emergency
 from adaptdrive.devices.canopen.sdo import Server
-from adaptdrive.devices.polled.codec import decode_value
+from adaptdrive.devices.polled.registers import decode_value
 from adaptdrive.util.errors import BusError
 from tools.fuzz.random_messages import random_message
 from tools.fuzz.target import EXAMPLES, Target

@@ -88,8 +88,11 @@ DEVICES: dict[str, tuple[str, ...]] = {
         "tests/devices/scpi/test_port.py",
         "tests/contracts/port/test_port.py",
     ),
-    "adaptdrive.devices.faults": ("tests/devices/test_fault_words.py", *_CAN_PORT),
-    "adaptdrive.devices.obedience": (*_CAN_PORT, "tests/devices/canopen/test_port.py"),
+    "adaptdrive.devices.faults": (
+        "tests/devices/test_fault_words.py",
+        *_CAN_PORT,
+        "tests/devices/canopen/test_port.py",
+    ),
 }
 
 MQTT: dict[str, tuple[str, ...]] = {

@@ -30,7 +30,7 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.polled import ModbusRtu, ModbusTcp, RtuLink, TcpLink
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors, SensorRegister
 from adaptdrive.devices.modbus.link import describe_bus
-from adaptdrive.devices.polled.codec import encode_count, encode_value
+from adaptdrive.devices.polled.registers import encode_count, encode_value
 from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import quantities_of

@@ -13,7 +13,12 @@ from adaptdrive.config.bus import COMMANDED, MEASURED, Signals, SignalSource
 from adaptdrive.config.polled import ModbusBus, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.field import Field, Raw
-from adaptdrive.devices.polled.codec import decode_value, encode_count, encode_value, register_field
+from adaptdrive.devices.polled.registers import (
+    decode_value,
+    encode_count,
+    encode_value,
+    register_field,
+)
 from adaptdrive_sim.devices.frames import QUANTITIES
 
 Table = dict[int, int]

@@ -13,7 +13,7 @@ from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import capacitor_limits, daemon_settings, response_limits, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.bus_kind import Row
+from adaptdrive.devices.bus import Row
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.capacitor import CapacitorBalance, CapacitorLimits
 from adaptdrive.runtime.interlocks import WINDOW_S

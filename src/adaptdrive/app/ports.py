@@ -8,7 +8,7 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.supply import in_order, needed_names
-from adaptdrive.devices.bus_kind import BusKind
+from adaptdrive.devices.bus import BusKind
 from adaptdrive.devices.description import NO_DEMANDS, Demands, demands_of
 from adaptdrive.devices.port import Port, SensorPort
 from adaptdrive.devices.sensors import SensorBus, SensoredPort

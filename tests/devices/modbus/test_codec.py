@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pymodbus.client.mixin import ModbusClientMixin
 
 from adaptdrive.config.polled import Register, RegisterRange
-from adaptdrive.devices.polled.codec import decode_value, encode_count, encode_value
+from adaptdrive.devices.polled.registers import decode_value, encode_count, encode_value
 
 TYPES = {
     "uint16": (ModbusClientMixin.DATATYPE.UINT16, st.integers(0, 0xFFFE)),

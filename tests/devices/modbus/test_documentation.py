@@ -13,14 +13,14 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.polled import ModbusBus, ModbusRtu
 from adaptdrive.config.supply import Derived
-from adaptdrive.devices.polled.capacity import (
+from adaptdrive.devices.polled.mapping import map_drive
+from adaptdrive.devices.polled.registers import (
     Exchange,
     cycle_flaws,
     exchange_bytes,
     exchange_s,
     plan_blocks,
 )
-from adaptdrive.devices.polled.mapping import map_drive
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ import pytest
 
 from adaptdrive.config.polled import Register
 from adaptdrive.devices.modbus.frames import explain_exception
-from adaptdrive.devices.polled.capacity import Block, Exchange, Table, plan_blocks
+from adaptdrive.devices.polled.registers import Block, Exchange, Table, plan_blocks
 from adaptdrive.runtime.trips import remedy
 
 

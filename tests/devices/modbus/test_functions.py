@@ -17,8 +17,8 @@ from adaptdrive.config.polled import ModbusTcp
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.modbus.frames import function_of
 from adaptdrive.devices.modbus.link import ModbusConnection
-from adaptdrive.devices.polled.capacity import Exchange, exchange_bytes
 from adaptdrive.devices.polled.mapping import Poll, block_words, map_drive, value_in
+from adaptdrive.devices.polled.registers import Exchange, exchange_bytes
 from adaptdrive.util.errors import ConfigurationError
 from tests.config.modbus_documents import parse
 

@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.polled import ModbusRtu, ModbusTcp, Register
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.polled.capacity import (
+from adaptdrive.devices.polled.mapping import block_words
+from adaptdrive.devices.polled.registers import (
     Block,
     Exchange,
     exchange_bytes,
     exchange_s,
     plan_blocks,
 )
-from adaptdrive.devices.polled.mapping import block_words
 from tests.config.modbus_documents import flaws, parse
 from tests.devices.modbus.bench import plan
 

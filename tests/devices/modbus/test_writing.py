@@ -10,9 +10,9 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.modbus.port import ModbusPort
-from adaptdrive.devices.polled.capacity import Block
 from adaptdrive.devices.polled.mapping import block_words
 from adaptdrive.devices.polled.pace import WritePace
+from adaptdrive.devices.polled.registers import Block
 from tests.config.modbus_documents import flaws
 from tests.described.modbus_node import ILLEGAL_VALUE, ModbusNode, RefusalError
 from tests.devices.bench import Ear, until

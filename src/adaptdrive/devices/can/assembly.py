@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.can.mapping import CanMapping, CanSource, StatusFrame
-from adaptdrive.devices.newest import NewestValues
-from adaptdrive.devices.port import Reading
+from adaptdrive.devices.port import NewestValues, Reading
 
 # Putting the status messages of a drive together: the newest good value of each quantity.
 

@@ -18,10 +18,10 @@ from typing import Any, Generic, NoReturn, Protocol, TypeVar
 import can
 
 from adaptdrive.config.bus import CanLink
+from adaptdrive.devices.bus import BusBackoff
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.integrity import ArrivalClock
-from adaptdrive.devices.counting import BusBackoff
-from adaptdrive.devices.obedience import Uptake
+from adaptdrive.devices.faults import Uptake
 from adaptdrive.devices.port import Listener, SensorListener
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import BusError

@@ -23,7 +23,7 @@ from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.config.timing import Timing
 from adaptdrive.config.units import known_unit
 from adaptdrive.devices.binding import sensor_entries
-from adaptdrive.devices.bus_kind import BusKind, Row, bus_of, timeout_cautions
+from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
 from adaptdrive.devices.can.bus import describe_bus, requests
 from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.devices.can.connection import CanConnection
@@ -37,7 +37,6 @@ from adaptdrive.devices.can.mapping import (
     status_frame,
 )
 from adaptdrive.devices.can.port import CanPort
-from adaptdrive.devices.counting import CountingPort
 from adaptdrive.devices.description import NO_DEMANDS, Candidate, Demands, demands_of
 from adaptdrive.devices.port import Port, SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw

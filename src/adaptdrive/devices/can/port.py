@@ -22,6 +22,7 @@ import can
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.timing import OBEY_S
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.bus import pulse_reset
 from adaptdrive.devices.can.assembly import Refusals, StatusAssembly
 from adaptdrive.devices.can.bus import as_received, describe_bus, requests
 from adaptdrive.devices.can.codec import frame_key
@@ -29,8 +30,7 @@ from adaptdrive.devices.can.connection import CanConnection
 from adaptdrive.devices.can.integrity import PROMPT_S, ArrivalClock, FrameVerdict
 from adaptdrive.devices.can.mapping import CanMapping, StatusFrame
 from adaptdrive.devices.can.orders import CommandFrame, bridge_first
-from adaptdrive.devices.counting import pulse_reset
-from adaptdrive.devices.obedience import LEAPT, Obedience, Relink, Rival
+from adaptdrive.devices.faults import LEAPT, Obedience, Relink, Rival
 from adaptdrive.devices.port import Listener, PortStatistics, Reading
 
 _ASK_AGAIN_S = 1.0

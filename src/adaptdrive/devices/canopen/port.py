@@ -21,7 +21,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.bus_kind import BusKind, Row, bus_of, stale_limits
+from adaptdrive.devices.bus import BusKind, Row, bus_of, stale_limits
 from adaptdrive.devices.can.integrity import PROMPT_S
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
 from adaptdrive.devices.canopen.master import (
@@ -31,13 +31,11 @@ from adaptdrive.devices.canopen.master import (
     parse_emergency,
     problem_of,
 )
-from adaptdrive.devices.canopen.node import CanOpenWatch, NodePort
+from adaptdrive.devices.canopen.node import CanOpenWatch, NodePort, Reports
 from adaptdrive.devices.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
-from adaptdrive.devices.canopen.reports import Reports
-from adaptdrive.devices.canopen.sdo import describe_node
-from adaptdrive.devices.canopen.setup import SYNC_COB_ID, set_up
+from adaptdrive.devices.canopen.sdo import SYNC_COB_ID, describe_node, set_up
 from adaptdrive.devices.description import demands_of
-from adaptdrive.devices.obedience import Obedience, Rival
+from adaptdrive.devices.faults import Obedience, Rival
 from adaptdrive.devices.port import Port
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import Flaw

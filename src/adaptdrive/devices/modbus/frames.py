@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pymodbus.framer import FramerRTU
 
 from adaptdrive.config.polled import RtuLink, TcpLink
-from adaptdrive.devices.polled.capacity import Exchange
+from adaptdrive.devices.polled.registers import Exchange
 
 _HEADER = struct.Struct(">HHHB")
 """Head of a packet on TCP: transaction, protocol, length of all that follows it, device."""

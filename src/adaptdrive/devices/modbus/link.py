@@ -32,8 +32,8 @@ from adaptdrive.devices.modbus.frames import (
     explain_exception,
     request,
 )
-from adaptdrive.devices.polled.capacity import RTU_FRAME, Exchange, silence_s
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Void, never
+from adaptdrive.devices.polled.registers import RTU_FRAME, Exchange, silence_s
 from adaptdrive.util.threads import in_thread
 
 # A serial port whose opening and closing do not hold up the event loop.

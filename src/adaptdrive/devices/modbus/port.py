@@ -24,11 +24,10 @@ from adaptdrive.config.polled import ModbusRtu, ModbusTcp, RtuLink
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.config.timing import LATE_READINGS, Timing
 from adaptdrive.devices.binding import Source, sensor_entries
-from adaptdrive.devices.bus_kind import BusKind, polled_cautions, tcp_locks
+from adaptdrive.devices.bus import BusKind, polled_cautions, tcp_locks
 from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.devices.modbus.frames import are_alike
 from adaptdrive.devices.modbus.link import ModbusConnection, SerialPort, describe_bus, miss_s
-from adaptdrive.devices.polled.capacity import Exchange, cycle_flaws, plan_blocks
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Polling
 from adaptdrive.devices.polled.mapping import (
     Named,
@@ -39,6 +38,7 @@ from adaptdrive.devices.polled.mapping import (
     value_in,
 )
 from adaptdrive.devices.polled.port import PolledPort
+from adaptdrive.devices.polled.registers import Exchange, cycle_flaws, plan_blocks
 from adaptdrive.devices.port import Port, SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
 

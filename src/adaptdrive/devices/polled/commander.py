@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.obedience import Obedience
-from adaptdrive.devices.polled.capacity import Block, Exchange
+from adaptdrive.devices.faults import Obedience
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Poll, block_words
 from adaptdrive.devices.polled.pace import UntakenCommands, WritePace, has_switch
+from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.devices.polled.reports import PollWitness
 
 

@@ -13,8 +13,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from adaptdrive.devices.counting import BusBackoff, CountingPort
-from adaptdrive.devices.polled.capacity import Exchange
+from adaptdrive.devices.bus import BusBackoff, CountingPort
+from adaptdrive.devices.polled.registers import Exchange
 from adaptdrive.devices.port import Listener, SensorListener
 from adaptdrive.util.errors import AdaptdriveError, BusError
 from adaptdrive.util.threads import find

@@ -27,8 +27,17 @@ from adaptdrive.devices.binding import (
 from adaptdrive.devices.description import NO_DEMANDS, Demands, demands_of
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
-from adaptdrive.devices.polled.capacity import Block, Exchange, cycle_flaws, plan_blocks
-from adaptdrive.devices.polled.codec import count, decode, encode_count, refusal, register_field
+from adaptdrive.devices.polled.registers import (
+    Block,
+    Exchange,
+    count,
+    cycle_flaws,
+    decode,
+    encode_count,
+    plan_blocks,
+    refusal,
+    register_field,
+)
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 HEARTBEAT = "bus.heartbeat"

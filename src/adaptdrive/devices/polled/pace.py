@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 
 from adaptdrive.config.references import DAY_S
 from adaptdrive.devices.binding import BRIDGE, Sink
-from adaptdrive.devices.polled.capacity import Block
 from adaptdrive.devices.polled.link import ExchangeError
 from adaptdrive.devices.polled.mapping import Named, Poll
+from adaptdrive.devices.polled.registers import Block
 
 _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing."""

@@ -14,11 +14,11 @@ from collections.abc import Callable
 from adaptdrive.config.polled import ModbusBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.counting import pulse_reset
-from adaptdrive.devices.polled.capacity import Block, Exchange
+from adaptdrive.devices.bus import pulse_reset
 from adaptdrive.devices.polled.commander import Commander
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Polling
 from adaptdrive.devices.polled.mapping import Named, Poll, explain, written
+from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.devices.polled.reports import (
     STANDS_STILL,
     DriveHeartbeat,

@@ -9,11 +9,10 @@ from adaptdrive.config.polled import Heartbeat
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.binding import BRIDGE, Source
-from adaptdrive.devices.newest import NewestValues
-from adaptdrive.devices.obedience import UNANSWERED, UNREAD, Relink
-from adaptdrive.devices.polled.capacity import Block
+from adaptdrive.devices.faults import UNANSWERED, UNREAD, Relink
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in
-from adaptdrive.devices.port import Reading
+from adaptdrive.devices.polled.registers import Block
+from adaptdrive.devices.port import NewestValues, Reading
 
 # Reports of a drive that is polled, and the judgement whether what energises may follow them.
 

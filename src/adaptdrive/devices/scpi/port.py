@@ -15,12 +15,11 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices.binding import Source
-from adaptdrive.devices.bus_kind import BusKind, bus_of, polled_cautions, tcp_locks
-from adaptdrive.devices.polled.capacity import Block, Exchange
-from adaptdrive.devices.polled.codec import count, encode_count
+from adaptdrive.devices.bus import BusKind, bus_of, polled_cautions, tcp_locks
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Void, never
 from adaptdrive.devices.polled.mapping import Named, Poll, planned
 from adaptdrive.devices.polled.port import PolledPort
+from adaptdrive.devices.polled.registers import Block, Exchange, count, encode_count
 from adaptdrive.devices.port import Port
 
 _COMPLETE = "*OPC?"
