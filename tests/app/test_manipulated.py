@@ -24,8 +24,7 @@ from adaptdrive.devices.port import Reading
 from adaptdrive.mqtt.client import DriveStatus
 from adaptdrive.mqtt.discovery import discovery
 from adaptdrive.recording.tables import table_schema
-from adaptdrive.runtime.guard import Guard
-from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.runtime.interlocks import Guard, find_cause
 from adaptdrive.runtime.trips import remedy
 from adaptdrive.tui.record import WatchRecord
 from adaptdrive.tui.view import screen

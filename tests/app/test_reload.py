@@ -14,7 +14,7 @@ from adaptdrive.app import reload
 from adaptdrive.app.reload import ANSWER_S, Given, RunCourse
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.requests import Reload
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.util.errors import RefusedError
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"

@@ -24,7 +24,7 @@ from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, State
 from adaptdrive.runtime.requests import Request
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.util.errors import RefusedError
 from tests.loopback_port import LoopbackPort
 

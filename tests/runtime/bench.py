@@ -26,9 +26,9 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable, Request
+from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.state_machine import Machine
 from tests.loopback_port import LoopbackPort
 

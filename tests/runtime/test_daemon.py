@@ -14,7 +14,6 @@ import pytest
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurement, Mode, Order
 from adaptdrive.devices.port import Listener
 from adaptdrive.runtime.daemon import Daemon
-from adaptdrive.runtime.loop_interface import DaemonSettings
 from adaptdrive.runtime.reports import (
     DriveReport,
     Event,
@@ -35,7 +34,8 @@ from adaptdrive.runtime.requests import (
     SetPole,
     SetSetpoint,
 )
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.settings import DaemonSettings
+from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.util.errors import BusError, RefusedError
 from adaptdrive.util.threads import uncaught_errors_end
 from tests.loopback_port import LoopbackPort

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.runtime.loop_interface import FastLoopSettings
+from adaptdrive.runtime.settings import FastLoopSettings
 from tests.runtime.bench import FAST, TICK_S, fast_bench, running_bench
 
 TIMERLESS = replace(FAST, timer_standin=False)

@@ -11,7 +11,6 @@ import pytest
 
 from adaptdrive.control.signals import Mode, Shape, Stage, Waveform
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
-from adaptdrive.runtime.limits import FLOOR_REACHED, MachineLimits
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -24,6 +23,7 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from adaptdrive.runtime.settings import FLOOR_REACHED, MachineLimits
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
 

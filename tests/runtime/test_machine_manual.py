@@ -11,7 +11,6 @@ import pytest
 
 from adaptdrive.control.signals import Mode, Shape, Stage, Waveform
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
-from adaptdrive.runtime.limits import MachineLimits, ManualVoltage
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -23,6 +22,7 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from adaptdrive.runtime.settings import MachineLimits, ManualVoltage
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import Given
 from tests.runtime.test_machine import LIMITS, REACH, SQUARE, Desk

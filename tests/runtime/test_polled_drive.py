@@ -10,9 +10,9 @@ from itertools import pairwise
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND
-from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable
+from adaptdrive.runtime.settings import FastLoopSettings
 from tests.runtime.bench import FAST, TICK_S, FastBench, decision, fast_bench
 
 STRIDE = 12

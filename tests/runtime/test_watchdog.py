@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.tick_support import ServiceManager
 
 
 class Ear:

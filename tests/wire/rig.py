@@ -30,7 +30,7 @@ from adaptdrive.runtime.reports import (
     TickReport,
 )
 from adaptdrive.runtime.requests import Enable, Request, Reset, SetSetpoint
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.util.errors import RefusedError
 from tests.runtime.bench import LoopTimer
 from tests.virtual_time import VirtualLoop

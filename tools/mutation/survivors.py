@@ -46,9 +46,9 @@ _COUNTER = "runtime.timebase:CounterWatch."
 _BRIDGE = "runtime.interlock_board:BridgeWatch."
 
 RUNTIME: dict[str, str] = {
-    "runtime.limits:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
+    "runtime.settings:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
     "if abs(distance_V) < way_V:": "a way of just the distance ends at the target too",
-    "runtime.limits:ManualVoltage.value: return self.start_V + (way_V if distance_V > 0.0 else "
+    "runtime.settings:ManualVoltage.value: return self.start_V + (way_V if distance_V > 0.0 else "
     "-way_V) -> return self.start_V + (way_V if distance_V >= 0.0 else -way_V)": _RETURNED,
     f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
     "self.manual = self._limits.held(limits.floor_V, 1)": "a V_c that stays has no beginning",

@@ -21,10 +21,10 @@ RUNTIME: dict[str, tuple[str, ...]] = {
         "tests/runtime/test_interlocks.py",
         "tests/runtime/test_response.py",
         *_LOOP,
+        "tests/runtime/test_guard.py",
     ),
-    "adaptdrive.runtime.guard": ("tests/runtime/test_guard.py", *_LOOP),
     "adaptdrive.runtime.state_machine": (*_MACHINE, "tests/runtime/test_fast_loop_decisions.py"),
-    "adaptdrive.runtime.limits": (
+    "adaptdrive.runtime.settings": (
         "tests/runtime/test_machine_manual.py",
         *_MACHINE,
     ),

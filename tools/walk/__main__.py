@@ -92,7 +92,7 @@ async def follow(folder: Path) -> dict[str, Walk]:
             await wire.daemon.execute(SetSetpoint(3.0))
             await wire.daemon.execute(SetMode(Mode.ADAPTIVE))
             await asyncio.sleep(SETTLED_S)
-    sent = [walk for walk in ticks[-100:] if "runtime/guard.py" in walk.files]
+    sent = [walk for walk in ticks[-100:] if "runtime/interlocks.py" in walk.files]
     return {"tick": _median(sent), "slow period": _median(periods[-20:])}
 
 

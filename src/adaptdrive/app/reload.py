@@ -22,7 +22,7 @@ from adaptdrive.mqtt.service import COMMAND_PATIENCE_S
 from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.runtime.reports import Event, Keep, Report, Severity, Subscription
 from adaptdrive.runtime.requests import Reload
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import ConfigurationError, RefusedError
 from adaptdrive.util.files import directory_flaw

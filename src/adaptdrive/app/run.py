@@ -57,7 +57,7 @@ from adaptdrive.recording.records import Kind
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.realtime import helper_thread
 from adaptdrive.runtime.reports import Event, Hub
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import AdaptdriveError, first_error
 from adaptdrive.util.lines import line as line_of

@@ -36,16 +36,14 @@ from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.mqtt.contract import Output, Profile
 from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.runtime.frame_rate import verdict_ticks
-from adaptdrive.runtime.guard import CommandLimits
-from adaptdrive.runtime.interlocks import Limits, Watch
-from adaptdrive.runtime.limits import MachineLimits
-from adaptdrive.runtime.loop_interface import DaemonSettings, FastLoopSettings
+from adaptdrive.runtime.interlocks import CommandLimits, Limits, Watch
 from adaptdrive.runtime.plausibility import (
     Response,
     ResponseLimits,
     StillnessLimits,
     StillnessWatch,
 )
+from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, MachineLimits
 
 # The interlocks that a configuration asks for: trip levels, and watches over the output.
 

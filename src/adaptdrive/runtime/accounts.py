@@ -22,7 +22,7 @@ from adaptdrive.runtime.reports import (
     StopWord,
 )
 from adaptdrive.runtime.state_machine import Machine
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.tick_support import ServiceManager
 
 _WARNING_S = 1.0
 """Shortest time between two events of warnings: a bit may change in every half cycle."""

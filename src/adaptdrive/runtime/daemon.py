@@ -15,7 +15,6 @@ from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
 from adaptdrive.runtime.accounts import Announcer, drive_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.interlocks import RefusedShares
-from adaptdrive.runtime.loop_interface import DaemonSettings
 from adaptdrive.runtime.reports import (
     DriveReport,
     Hub,
@@ -26,9 +25,9 @@ from adaptdrive.runtime.reports import (
     TickReport,
 )
 from adaptdrive.runtime.requests import Reload, Request, Reset
+from adaptdrive.runtime.settings import DaemonSettings
 from adaptdrive.runtime.state_machine import Machine
-from adaptdrive.runtime.tick_support import TickSupport
-from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive.runtime.tick_support import ServiceManager, TickSupport
 from adaptdrive.util.clock import TickTimer
 from adaptdrive.util.errors import RefusedError
 

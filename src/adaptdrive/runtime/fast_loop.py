@@ -25,10 +25,10 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive.devices.port import Port, Reading, assuming
 from adaptdrive.runtime.capacitor import CapacitorBalance
-from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.interlock_board import InterlockBoard
-from adaptdrive.runtime.loop_interface import FastLoopSettings, LoopSurroundings, TickCounts
+from adaptdrive.runtime.interlocks import Guard
 from adaptdrive.runtime.reports import StopWord, TickReport
+from adaptdrive.runtime.settings import FastLoopSettings, LoopSurroundings, TickCounts
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stopping import Stopping

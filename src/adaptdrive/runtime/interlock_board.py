@@ -8,7 +8,7 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.devices.port import Port, Reading
 from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.interlocks import find_cause
-from adaptdrive.runtime.loop_interface import FastLoopSettings
+from adaptdrive.runtime.settings import FastLoopSettings
 from adaptdrive.runtime.timebase import HalfCycles
 
 # Notices a drive that has stopped by itself: it must not be driven on as if it had not.

@@ -1,4 +1,4 @@
-"""Interlocks: what must hold while the drive is energised.
+"""Interlocks: what must hold while the drive is energised, and the last look at a command.
 
 Each check gives the cause of a trip in words, or None. A trip is latched by the state machine;
 `reset` is refused while a cause is still there.
@@ -18,10 +18,13 @@ from typing import Protocol
 
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.loads.load import to_input
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.faults import describe_fault
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import DriveReport
 from adaptdrive.util.quantity import BOOST, Given
+
+# Interlocks: what must hold while the drive is energised.
 
 # Interlocks: what must hold while the drive is energised.
 
@@ -317,3 +320,68 @@ def _refused(grown: Mapping[str, int]) -> dict[str, int]:
     disturbed = refused["wrong_checksum"] + refused["wrong_length"]
     refused["timeouts"] = max(0, refused["timeouts"] - disturbed)
     return refused
+
+
+# The last look at a command before the wire: finite, in range, not jumping.
+
+
+@dataclass(frozen=True, slots=True)
+class CommandLimits:
+    """Limits of commands.
+
+    Attributes:
+        current_scale_min_S: Lowest k.
+        current_scale_max_S: Highest k.
+        current_scale_slew_S: Largest change of k from one tick to the next.
+        boost_reference_max_V: Highest V_c.
+        boost_reference_min_V: Lowest V_c where that is negative; else 0, the safe command's.
+        given: Name and unit of V_c, for texts.
+    """
+
+    current_scale_min_S: float
+    current_scale_max_S: float
+    current_scale_slew_S: float
+    boost_reference_max_V: float
+    boost_reference_min_V: float = 0.0
+    given: Given = BOOST
+
+
+class Guard:
+    """Holds every command to its limits and counts what it had to change.
+
+    Attributes:
+        limited: Commands that were held to a limit.
+    """
+
+    def __init__(self, limits: CommandLimits) -> None:
+        self._limits = limits
+        self._last_scale_S = 0.0
+        self.limited = 0
+
+    def check(self, command: Command) -> Command:
+        """Return the command to send: the given one wherever it is within limits.
+
+        Raises:
+            ValueError: A value is not finite.
+        """
+        scale_S, reference_V = command.current_scale_S, command.boost_reference_V
+        if not (math.isfinite(scale_S) and math.isfinite(reference_V)):
+            given = self._limits.given
+            raise ValueError(
+                f"the controller gave k = {scale_S:g} S, {given.symbol} = "
+                f"{given.text(reference_V, 'g')}, which is not finite; keep the session "
+                "for a report, then reset"
+            )
+        if not (command.bridge or scale_S or reference_V):
+            self._last_scale_S = 0.0
+            return SAFE_COMMAND
+        limits, last_S = self._limits, self._last_scale_S
+        low_S = max(limits.current_scale_min_S, last_S - limits.current_scale_slew_S)
+        high_S = min(limits.current_scale_max_S, last_S + limits.current_scale_slew_S)
+        self._last_scale_S = min(max(scale_S, low_S), high_S)
+        lowest_V = min(limits.boost_reference_min_V, 0.0)
+        limited_V = min(max(reference_V, lowest_V), limits.boost_reference_max_V)
+        if self._last_scale_S == scale_S and limited_V == reference_V:
+            return command
+        self.limited += 1
+        return Command(self._last_scale_S, limited_V, command.bridge)

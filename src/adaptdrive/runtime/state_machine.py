@@ -17,8 +17,8 @@ from typing import Final
 from adaptdrive.control.signals import Mode, Order, Stage, Waveform
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.runtime import requests
-from adaptdrive.runtime.limits import MachineLimits
 from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.settings import MachineLimits
 from adaptdrive.util.errors import RefusedError
 
 # compiled code finds a constant of its module at once, and a member of an enumeration in 0.1 us
