@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from adaptdrive.app.lock import NAMESPACE
+from adaptdrive.app.process import NAMESPACE
 from tests.devices.memory import in_memory
 from tests.support import (
     Broker,

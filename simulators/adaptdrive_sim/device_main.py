@@ -14,8 +14,7 @@ from typing import Any
 
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config.file import load_configuration
-from adaptdrive.config.root import Configuration
-from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.config.root import AnySensorBus, Configuration
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
 from adaptdrive.util.lines import log
 from adaptdrive_sim.device_settings import DeviceSettings, parse_address

@@ -162,7 +162,7 @@ def commission(
             the message.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.commissioning.virtual import commission_plant  # noqa: PLC0415 - see above
+    from adaptdrive.commissioning.report import commission_plant  # noqa: PLC0415 - see above
 
     return commission_plant(Path(config), plant, move, patience_s)
 

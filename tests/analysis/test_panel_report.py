@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.cli.panel import panel_server
+from adaptdrive.cli.desk import panel_server
 from tests.recording.material import INFO
 
 

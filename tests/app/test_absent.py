@@ -9,8 +9,7 @@ import pytest
 from adaptdrive.app.advice import advice
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, trip_limits
-from adaptdrive.config.drive import DriveLimits
-from adaptdrive.config.root import consistency_flaws
+from adaptdrive.config.root import DriveLimits, consistency_flaws
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Measurement, Mode, Order, Stage
 from adaptdrive.devices.port import Reading

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app import learned_state as cp
+from adaptdrive.app import recording as cp
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, parse_configuration

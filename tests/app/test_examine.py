@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.app.examine import load_examined
 from adaptdrive.cli import main
-from adaptdrive.config.drive import BROKER_USERS
+from adaptdrive.config.root import BROKER_USERS
 from adaptdrive.util.errors import ConfigurationError
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"

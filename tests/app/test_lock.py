@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from adaptdrive.app.lock import NAMESPACE, LockedError, lock_names, locked
+from adaptdrive.app.process import NAMESPACE, LockedError, lock_names, locked
 from tests.config.documents import parse
 from tests.config.modbus_documents import parse as parse_modbus
 

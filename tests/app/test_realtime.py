@@ -1,6 +1,6 @@
 """What is told at start about the time before each frame of the drive."""
 
-from adaptdrive.app.realtime import before_frames
+from adaptdrive.app.process import before_frames
 from tests.config import documents, modbus_documents
 
 WANTED = {"realtime__rehearse_us": "650.0", "realtime__spin_us": "300.0"}

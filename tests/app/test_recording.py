@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.learned_state import Learnt
-from adaptdrive.app.recording import build_recorder
+from adaptdrive.app.recording import Learnt, build_recorder
 from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.runtime.reports import Hub
 from adaptdrive.util.errors import RecordingError

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from adaptdrive.cli.panel import FOLDER, PanelError, panel_address, panel_server
+from adaptdrive.cli.desk import FOLDER, PanelError, panel_address, panel_server
 
 
 @pytest.fixture

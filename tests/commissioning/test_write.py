@@ -15,13 +15,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from adaptdrive.analysis.steps import Quality
+from adaptdrive.analysis.excerpts import Quality
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
 from adaptdrive.commissioning.evaluation import Prediction
-from adaptdrive.commissioning.file import refuse_unwritable, with_values, write_values
 from adaptdrive.commissioning.report import Commissioned
-from adaptdrive.commissioning.run import alone, write
+from adaptdrive.commissioning.run import alone, refuse_unwritable, with_values, write, write_values
 from adaptdrive.config.services import Mqtt
 from adaptdrive.util.errors import CommissionError, ConfigurationError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from adaptdrive.config.bus import SignalSource
-from adaptdrive.config.units import known_unit, unit_caution, unit_problem
+from adaptdrive.config.section import known_unit, unit_caution, unit_problem
 
 
 @pytest.mark.parametrize(

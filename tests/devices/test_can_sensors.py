@@ -11,7 +11,7 @@ from pathlib import Path
 import can
 import pytest
 
-from adaptdrive.config.sensors import CanSensorSection as Config
+from adaptdrive.config.root import CanSensorSection as Config
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.kind import CanSensorPort, build_can_sensors
 from adaptdrive.util.errors import ConfigurationError

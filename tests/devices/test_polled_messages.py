@@ -12,7 +12,7 @@ import can
 import pytest
 
 from adaptdrive.config.bus import CanBus
-from adaptdrive.config.sensors import CanSensorSection
+from adaptdrive.config.root import CanSensorSection
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.kind import build_can_sensors
 from adaptdrive.devices.can.mapping import map_drive

@@ -9,8 +9,7 @@ import pytest
 
 from adaptdrive.config import load_configuration
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.identify import identify
-from adaptdrive.identification.proposal import proposed_model
+from adaptdrive.identification.identify import identify, proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
 from tests.devices.bench import EXAMPLES
 from tests.identification.plants import KINDS

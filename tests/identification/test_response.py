@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lsim
 from scipy.stats import kstest
 
-from adaptdrive.identification.response import responses
+from adaptdrive.identification.excerpt import responses
 from adaptdrive.identification.result import ljung_box
 from tests.control.systems import System
 

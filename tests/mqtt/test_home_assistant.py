@@ -15,7 +15,7 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import Payload
 from adaptdrive.mqtt.contract import Output, encode
-from adaptdrive.mqtt.discovery import discovery
+from adaptdrive.mqtt.service import discovery
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from adaptdrive.util.quantity import Given
 from tests.mqtt.contract import validators

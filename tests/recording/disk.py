@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.recording import archive_run
+from adaptdrive.recording import recorder
 from adaptdrive.recording import writer as writing
 from adaptdrive.recording.archive import ERRORS, archive
 from adaptdrive.recording.writer import LogWriter, sync_for_ever
@@ -99,5 +99,5 @@ def archive_in_process(patch: pytest.MonkeyPatch) -> None:
         done.set_result(call())
         return done
 
-    patch.setattr(archive_run, "_run", run)
-    patch.setattr(archive_run, "in_thread", at_once)
+    patch.setattr(recorder, "_run", run)
+    patch.setattr(recorder, "in_thread", at_once)

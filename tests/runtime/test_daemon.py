@@ -36,8 +36,8 @@ from adaptdrive.runtime.requests import (
 )
 from adaptdrive.runtime.settings import DaemonSettings
 from adaptdrive.runtime.tick_support import ServiceManager
+from adaptdrive.util.clock import uncaught_errors_end
 from adaptdrive.util.errors import BusError, RefusedError
-from adaptdrive.util.threads import uncaught_errors_end
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, SETTINGS, LoopTimer, MotorController, Q, until
 

@@ -13,7 +13,7 @@ from itertools import count
 import pytest
 
 from adaptdrive.app.ports import build_port
-from adaptdrive.app.realtime import Rehearsal
+from adaptdrive.app.process import Rehearsal
 from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Realtime
 from adaptdrive.devices.port import Reading

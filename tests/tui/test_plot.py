@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from adaptdrive.tui.plot import Mark, PlotPoint, plot
+from adaptdrive.tui.record import Mark, PlotPoint, plot
 
 WIDTH, HEIGHT = 66, 14
 LABEL = 6

@@ -19,9 +19,8 @@ from adaptdrive.mqtt.client import LIVE_S
 from adaptdrive.mqtt.contract import Output, drive_message, encode, load_message
 from adaptdrive.mqtt.publisher import KEYS
 from adaptdrive.tui import view
-from adaptdrive.tui.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
-from adaptdrive.tui.plot import PlotPoint, plot
-from adaptdrive.tui.record import WatchRecord
+from adaptdrive.tui.record import PlotPoint, WatchRecord, plot
+from adaptdrive.tui.terminal import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.tui.view import screen
 from tests.mqtt.peers import drive_report, load_report
 

@@ -16,7 +16,7 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from adaptdrive.app.lock import NAMESPACE
+from adaptdrive.app.process import NAMESPACE
 from adaptdrive.pure import build_name
 from tools.benchmarks.rows import Extent, Row, table, write_json
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import msgpack
 from can.interfaces.udp_multicast.utils import pack_message
 
-from adaptdrive.app.lock import NAMESPACE
+from adaptdrive.app.process import NAMESPACE
 from tools.benchmarks.compute import status_frames
 
 ROOT = Path(__file__).parents[2]

@@ -10,9 +10,9 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.app.learned_state import Learnt, checkpoint_record, configuration_key
-from adaptdrive.app.learned_state import recall as recall_checkpoint
 from adaptdrive.app.loads import build_load
+from adaptdrive.app.recording import Learnt, checkpoint_record, configuration_key
+from adaptdrive.app.recording import recall as recall_checkpoint
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.loads.load import Load

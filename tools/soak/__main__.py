@@ -10,7 +10,7 @@ import os
 import sys
 import tracemalloc
 
-from adaptdrive.app.lock import NAMESPACE
+from adaptdrive.app.process import NAMESPACE
 from tools.soak.real import soak as soak_real
 from tools.soak.virtual import soak as soak_virtual
 

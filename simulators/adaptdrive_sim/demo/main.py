@@ -22,7 +22,7 @@ from adaptdrive.processes.owned import ProcessDiedError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import SessionMark, write_marks
 from adaptdrive.tui.main import run_view
-from adaptdrive.tui.plot import CONTROLLERS, plot
+from adaptdrive.tui.record import CONTROLLERS, plot
 from adaptdrive.tui.terminal import refuse_dumb_terminal
 from adaptdrive.util.errors import AdaptdriveError, first_error
 from adaptdrive_sim.demo.player import Player

@@ -10,7 +10,7 @@ import msgspec
 from adaptdrive.mqtt.client import NoAnswerError
 from adaptdrive.mqtt.commands import number
 from adaptdrive.mqtt.contract import DeviceReply, Reply
-from adaptdrive.tui.keys import KeyCommand
+from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError
 from adaptdrive_sim.demo.story import Scene, Story, Wave

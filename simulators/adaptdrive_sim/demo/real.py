@@ -17,15 +17,15 @@ from typing import Any, Self
 
 import tomlkit
 
-from adaptdrive.app.lock import NAMESPACE
-from adaptdrive.cli.panel import panel_address
+from adaptdrive.app.process import NAMESPACE
+from adaptdrive.cli.desk import panel_address
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import NoAnswerError
 from adaptdrive.mqtt.contract import DeviceReply, Reply
 from adaptdrive.processes.owned import BROKER, Child, Household, Ports
 from adaptdrive.recording.session import Ending, read_info
-from adaptdrive.tui.keys import KeyCommand
 from adaptdrive.tui.main import follow_drive, over_mqtt
+from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RecordingError
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings

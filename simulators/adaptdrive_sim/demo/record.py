@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adaptdrive.analysis.steps import judge_step
+from adaptdrive.analysis.excerpts import judge_step
 from adaptdrive.mqtt.commands import number
-from adaptdrive.tui.plot import Mark
-from adaptdrive.tui.record import Payload, WatchRecord
+from adaptdrive.tui.record import Mark, Payload, WatchRecord
 from adaptdrive_sim.demo.story import Story
 
 _SETTLED_PERIODS = 12

@@ -10,12 +10,12 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.tui.keys import KeyCommand
-from adaptdrive.tui.plot import CONTROLLERS
+from adaptdrive.tui.record import CONTROLLERS
+from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.tui.view import DIM, Surroundings, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
+from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError
-from adaptdrive.util.threads import in_thread
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.record import DemoRecord

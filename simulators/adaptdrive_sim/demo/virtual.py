@@ -20,7 +20,7 @@ from adaptdrive.mqtt.commands import Payload
 from adaptdrive.mqtt.contract import DeviceReply
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
-from adaptdrive.tui.keys import KeyCommand
+from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 import can
 
 from adaptdrive.config.bus import CanBus
-from adaptdrive.config.sensors import CanSensorSection as Config
+from adaptdrive.config.root import CanSensorSection as Config
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.connection import FrameReader

@@ -28,7 +28,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.polled import ModbusRtu, ModbusTcp, RtuLink, TcpLink
-from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors, SensorRegister
+from adaptdrive.config.root import ModbusRtuSensors, ModbusTcpSensors, SensorRegister
 from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive.devices.polled.registers import encode_count, encode_value
 from adaptdrive.util.errors import BusError

@@ -19,7 +19,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.analysis.steps import judge_step
+from adaptdrive.analysis.excerpts import judge_step
 from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.config.units import Converted, known_unit, si_unit
+from adaptdrive.config.section import Converted, known_unit, si_unit
 from adaptdrive.util.errors import IdentificationError, reason_of
 
 # Units in the headers of columns: `time_ms`, `Zeit [min]`, `speed (rpm)`, `t/s`.

@@ -19,8 +19,7 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.excerpt import Excerpt
-from adaptdrive.identification.identify import identify_any
-from adaptdrive.identification.proposal import proposed_model, time_constants
+from adaptdrive.identification.identify import identify_any, proposed_model, time_constants
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.replay import reconfigured

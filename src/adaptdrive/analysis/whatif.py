@@ -16,10 +16,16 @@ from numpy.typing import NDArray
 from adaptdrive.analysis import style
 from adaptdrive.analysis.closed_loop import LoopStart, run_loop
 from adaptdrive.analysis.curves import find_window, read_curves
-from adaptdrive.analysis.excerpts import Stretch, disturbed_plant, read_stretches
+from adaptdrive.analysis.excerpts import (
+    Quality,
+    Stretch,
+    disturbed_plant,
+    period_means,
+    quality_of,
+    read_stretches,
+)
 from adaptdrive.analysis.figure import as_png
 from adaptdrive.analysis.record_load import SessionLoad, identify_session
-from adaptdrive.analysis.steps import Quality, period_means, quality_of
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration

@@ -1,26 +1,243 @@
-"""The recorder of a drive, as its configuration asks for."""
+"""The recorder of a drive, and the checkpoint of what the drive's load has taught.
+
+It is a record of the log. It counts only for the configuration that it was made with, of which it
+carries a hash; another one is not used, with a warning.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from adaptdrive import __version__
-from adaptdrive.app.learned_state import Learnt
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
-from adaptdrive.config.units import si_unit
+from adaptdrive.config.section import si_unit
+from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import ControllerSettings, Jacket
+from adaptdrive.devices.description import description_text
 from adaptdrive.recording.journal import Place, RecordingPace
 from adaptdrive.recording.journal_files import Recalled, log_folder
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.session import SensorColumn, SessionInfo, sessions_directory
-from adaptdrive.runtime.reports import Hub
+from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
 from adaptdrive.util.clock import now_s
-from adaptdrive.util.errors import RecordingError, escaped
+from adaptdrive.util.errors import NOT_JSON, RecordingError, escaped
+
+# The checkpoint: trusted estimates, and the resolution of the sensor, that survive a restart.
+
+_EVERY_S = 60.0
+"""Shortest time between two records."""
+
+_REPORTS_HELD = 8
+_MEASURED = ("drive", "bus", "signals", "sensor_bus", "derived", "voltage_loop")
+_INPUT = {"turns_ratio", "droop_Ohm", "heater_Ohm"}
+_MEANING: dict[str, Any] = {
+    **dict.fromkeys(_MEASURED, True),
+    "load": {"type": True, "model": _INPUT},
+}
+"""Keys of measurement, drive and input; `adaptdrive commission` changes none of them."""
+
+_DESCRIPTIONS = ("database", "databases", "eds")
+"""Keys of a bus that name a file in which scales and offsets of its signals are."""
+
+_PLACES: Any = {"bus": set(_DESCRIPTIONS), "sensor_bus": {"__all__": set(_DESCRIPTIONS)}}
+"""The same file means the same in another folder: its contents count."""
+
+Values = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Learnt:
+    """Estimates and resolution that a run hands on to the next.
+
+    Attributes:
+        values: Physical parameters in the order of `Load.names`; None where nothing is trusted yet.
+        resolution: Step of the output, in its unit; 0 where none was found.
+    """
+
+    values: Values | None = None
+    resolution: float = 0.0
+
+
+class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Contents of a checkpoint.
+
+    Attributes:
+        key: Hash of the configuration that the estimates were made with.
+        estimates: Physical parameters by name.
+        resolution: Step of the output; left out where none was found.
+    """
+
+    key: str
+    estimates: dict[str, float]
+    resolution: float = 0.0
+
+
+def configuration_key(configuration: Configuration) -> str:
+    """Hash of everything in a configuration that gives estimates their meaning."""
+    sections = configuration.model_dump(mode="json", include=_MEANING, exclude=_PLACES)
+    text = json.dumps([sections, descriptions(configuration)], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def descriptions(configuration: Configuration) -> list[str]:
+    """Return hashes of the files that describe the signals of the buses of a configuration."""
+    buses = configuration.bus, *configuration.sensor_bus
+    files = [getattr(bus, name, None) for bus in buses for name in _DESCRIPTIONS]
+    return [_contents(one) for one in files if one is not None]
+
+
+def _contents(path: Path | Sequence[Path]) -> str:
+    """Return a hash of a description, which means the same in another folder; empty without one."""
+    try:
+        text = description_text(path) if isinstance(path, Path) else "".join(map(_contents, path))
+    except (OSError, ValueError):
+        return ""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def is_kept(settings: ControllerSettings) -> bool:
+    """Return whether this controller's estimates are physical parameters that it can start from."""
+    return settings.exact and METHODS[settings.learning.method].physical
+
+
+def checkpoint_record(key: str, names: tuple[str, ...], learnt: Learnt) -> bytes:
+    """Return a checkpoint as it is in the log.
+
+    Args:
+        key: Hash of the configuration.
+        names: Names of the parameters.
+        learnt: What was learnt.
+    """
+    estimates = dict(zip(names, learnt.values or (), strict=True))
+    return msgspec.json.encode(Checkpoint(key, estimates, learnt.resolution))
+
+
+def recall(
+    record: bytes,
+    configuration: Configuration,
+    settings: ControllerSettings,
+    load: Load,
+    *,
+    measured: bool = False,
+) -> tuple[Learnt, Event | None]:
+    """Return what to start from, and the event that reports it.
+
+    Args:
+        record: The checkpoint, as it is in the log; empty for none.
+        configuration: Of the drive.
+        settings: Of its controller.
+        load: Its load.
+        measured: Whether the nominal model of the load was measured: then of what an earlier run
+            has learnt only the resolution stays.
+    """
+    if not is_kept(settings):
+        return Learnt(), None
+    learnt, event = Learnt(), None
+    if record:
+        learnt, event = _recalled(record, configuration, settings.jacket, load)
+    if measured:
+        learnt = Learnt(_nominal(load), learnt.resolution)
+        event = _start(load, learnt, "the measured model")
+    return learnt, event
+
+
+def _recalled(
+    record: bytes, configuration: Configuration, jacket: Jacket, load: Load
+) -> tuple[Learnt, Event]:
+    try:
+        checkpoint = msgspec.json.decode(record, type=Checkpoint)
+    except NOT_JSON as problem:
+        flaw = f"damaged: {problem}"
+    else:
+        flaw = _flaw(checkpoint, configuration, jacket, load)
+    if flaw:
+        return Learnt(), _event(Severity.WARNING, f"checkpoint not used: {flaw}")
+    values = tuple(checkpoint.estimates[name] for name in load.names)
+    learnt = Learnt(values, checkpoint.resolution)
+    return learnt, _start(load, learnt, "trusted estimates")
+
+
+def _flaw(checkpoint: Checkpoint, configuration: Configuration, jacket: Jacket, load: Load) -> str:
+    """Return why a checkpoint must not be used, empty for a sound one."""
+    if checkpoint.key != configuration_key(configuration):
+        return "it was made with another configuration"
+    if set(checkpoint.estimates) != set(load.names):
+        return f"it holds {', '.join(checkpoint.estimates) or 'nothing'}"
+    for name, usual in zip(load.names, _nominal(load), strict=True):
+        value = checkpoint.estimates[name]
+        if not jacket.ratio_min <= value / usual <= jacket.ratio_max:
+            return f"{name} = {value:.4g} is out of bounds"
+    orders = configuration.load
+    if not 0.0 <= checkpoint.resolution < orders.reference_max - orders.reference_min:
+        return f"resolution = {checkpoint.resolution:.4g} is out of bounds"
+    return ""
+
+
+def _nominal(load: Load) -> Values:
+    return tuple(load.physical(list(load.numerator), list(load.denominator)))
+
+
+def _start(load: Load, learnt: Learnt, source: str) -> Event:
+    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, learnt.values or (), strict=True))
+    detail = f"start from {source}, whose gains act at once: {known}"
+    return _event(Severity.INFO, detail)
+
+
+def _event(severity: Severity, detail: str) -> Event:
+    return Event("checkpoint", severity, detail, 0)
+
+
+@dataclass
+class Keeper:
+    """Has the log keep trusted estimates: when they are accepted, at most once a minute.
+
+    Attributes:
+        note: Hands a checkpoint over to the log, at once.
+        learnt: Gives what the controller has learnt.
+        hub: Where slow periods are reported.
+        clock: Monotonic clock in seconds.
+    """
+
+    note: Callable[[Learnt], None]
+    learnt: Callable[[], Learnt]
+    hub: Hub
+    clock: Callable[[], float]
+
+    def __post_init__(self) -> None:
+        self._reports = self.hub.subscribe(LoadReport, size=_REPORTS_HELD)
+        self._noted = Learnt()
+        self._next_s = self.clock()
+
+    async def run(self) -> None:
+        """Keep what is accepted until cancelled."""
+        while True:
+            await self._reports.take()
+            if self.clock() >= self._next_s:
+                self.save()
+
+    def save(self) -> None:
+        """Note the trusted estimates and the resolution now, if they are new."""
+        learnt = self.learnt()
+        if learnt.values is not None and learnt != self._noted:
+            self._next_s = self.clock() + _EVERY_S
+            self.note(learnt)
+            self._noted = learnt
+
+
+# The recorder of a drive, as its configuration asks for.
 
 
 def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from adaptdrive.app.examine import examine_text
-from adaptdrive.app.learned_state import descriptions
-from adaptdrive.app.recording import state_directory
+from adaptdrive.app.recording import descriptions, state_directory
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import digest_of, read_text
 from adaptdrive.mqtt.service import COMMAND_PATIENCE_S
@@ -23,11 +22,10 @@ from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.runtime.reports import Event, Keep, Report, Severity, Subscription
 from adaptdrive.runtime.requests import Reload
 from adaptdrive.runtime.tick_support import ServiceManager
-from adaptdrive.util.clock import now_s
+from adaptdrive.util.clock import in_thread, now_s
 from adaptdrive.util.errors import ConfigurationError, RefusedError
 from adaptdrive.util.files import directory_flaw
 from adaptdrive.util.lines import Level, log
-from adaptdrive.util.threads import in_thread
 
 # The configuration of the next run of a daemon, taken from the file between two runs.
 

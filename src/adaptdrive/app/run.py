@@ -30,19 +30,26 @@ import msgspec
 
 from adaptdrive import __version__
 from adaptdrive.app.examine import examine_text
-from adaptdrive.app.learned_state import (
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.ports import build_port, build_whole_port, publish_samples, sensor_reports
+from adaptdrive.app.process import (
+    VISITS_S,
+    Rehearsal,
+    lock_names,
+    locked,
+    prepared,
+    send_visitors_away,
+)
+from adaptdrive.app.recording import (
     Keeper,
     Learnt,
+    build_recorder,
     checkpoint_record,
     configuration_key,
     is_kept,
+    place_of,
     recall,
 )
-from adaptdrive.app.loads import build_load
-from adaptdrive.app.lock import VISITS_S, lock_names, locked, send_visitors_away
-from adaptdrive.app.ports import build_port, build_whole_port, publish_samples, sensor_reports
-from adaptdrive.app.realtime import Rehearsal, prepared
-from adaptdrive.app.recording import build_recorder, place_of
 from adaptdrive.app.reload import FEED_S, Given, RunCourse, log_events, news_of
 from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
 from adaptdrive.config import Configuration
@@ -58,11 +65,10 @@ from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.realtime import helper_thread
 from adaptdrive.runtime.reports import Event, Hub
 from adaptdrive.runtime.tick_support import ServiceManager
-from adaptdrive.util.clock import now_s
+from adaptdrive.util.clock import now_s, repeat, uncaught_errors_end
 from adaptdrive.util.errors import AdaptdriveError, first_error
 from adaptdrive.util.lines import line as line_of
 from adaptdrive.util.lines import log
-from adaptdrive.util.threads import repeat, uncaught_errors_end
 
 # Output that never waits for its reader: lines go through a bounded queue to a thread.
 

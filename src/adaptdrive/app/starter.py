@@ -16,8 +16,8 @@ from typing import Literal
 
 from adaptdrive.app.described import quoted
 from adaptdrive.config.load import LoadName
+from adaptdrive.config.section import si_unit
 from adaptdrive.config.services import LONGEST_STALE_S
-from adaptdrive.config.units import si_unit
 from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen", "scpi"]

@@ -17,8 +17,8 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.app.examine import load_examined
-from adaptdrive.app.lock import lock_names, locked
 from adaptdrive.app.ports import build_whole_port, sensor_reports
+from adaptdrive.app.process import lock_names, locked
 from adaptdrive.cli.options import Json
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import SAFE_COMMAND

@@ -25,8 +25,8 @@ from adaptdrive.app.starter import (
     of_device,
 )
 from adaptdrive.cli.options import Flag
-from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
+from adaptdrive.config.root import DriveSection
 from adaptdrive.devices.description import (
     NO_PROPOSAL,
     OUTPUTS,

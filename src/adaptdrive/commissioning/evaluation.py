@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.closed_loop import LoopStart, run_loop
-from adaptdrive.analysis.excerpts import IdentifiedPlant
-from adaptdrive.analysis.steps import Quality, period_means, quality_of
+from adaptdrive.analysis.excerpts import IdentifiedPlant, Quality, period_means, quality_of
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import tick_s
 from adaptdrive.commissioning.course import Outcome, Samples

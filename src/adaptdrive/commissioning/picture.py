@@ -19,9 +19,8 @@ from adaptdrive.commissioning.client import FastReading, Guide
 from adaptdrive.commissioning.course import Phase
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.target import Target
-from adaptdrive.tui.keys import QUIT, pressed_keys
-from adaptdrive.tui.plot import Mark, PlotPoint, plot
-from adaptdrive.tui.terminal import draw, ended_once, tell
+from adaptdrive.tui.record import Mark, PlotPoint, plot
+from adaptdrive.tui.terminal import QUIT, draw, ended_once, pressed_keys, tell
 from adaptdrive.tui.view import DIM, cut, figure, titled
 from adaptdrive.util.errors import CommissionError
 

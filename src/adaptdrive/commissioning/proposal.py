@@ -21,7 +21,7 @@ from adaptdrive.control.design.pole_placement import (
 )
 from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.proposal import proposed_model
+from adaptdrive.identification.identify import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import CommissionError

@@ -8,9 +8,16 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
-from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section, key
+from adaptdrive.config.section import (
+    Converted,
+    FilePath,
+    FiniteFloat,
+    PositiveFloat,
+    Range,
+    Section,
+    key,
+)
 from adaptdrive.config.services import check_host
-from adaptdrive.config.units import Converted
 from adaptdrive.util.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")

@@ -1,16 +1,15 @@
-"""The whole configuration of one drive."""
+"""The whole configuration, the drive and its sensors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator
 from operator import attrgetter
-from typing import Annotated
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from adaptdrive.config.bus import CanBus, CanOpenBus, Signals
-from adaptdrive.config.drive import DriveSection, VoltageLoop
+from adaptdrive.config.bus import CanBus, CanDescription, CanOpenBus, Quantity, Signals
 from adaptdrive.config.load import (
     AnyLoad,
     Estimator,
@@ -18,14 +17,201 @@ from adaptdrive.config.load import (
     SimulatorSection,
     Supervisor,
 )
-from adaptdrive.config.polled import ModbusRtu, ModbusTcp, ScpiBus
-from adaptdrive.config.references import pace_flaws, reference_flaws
-from adaptdrive.config.section import Section, misfit
-from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.config.polled import (
+    ModbusLink,
+    ModbusRtu,
+    ModbusTcp,
+    Register,
+    RtuLink,
+    ScpiBus,
+    TcpLink,
+)
+from adaptdrive.config.references import map_flaws, pace_flaws, reference_flaws, unknown_flaws
+from adaptdrive.config.section import (
+    FiniteFloat,
+    NonNegativeFloat,
+    PositiveFloat,
+    Section,
+    key,
+    misfit,
+)
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import Derived, link_flaws, needed_names, supply_flaws, voltage_flaws
 from adaptdrive.config.timing import Timing
 from adaptdrive.util.errors import Flaw
+from adaptdrive.util.quantity import BOOST_VOLTAGE, Given
+
+# `[drive]` and `[voltage_loop]`: the power stage and the control of its boost voltage.
+
+BROKER_USERS = frozenset({"operator", "viewer"})
+"""Users of `deploy/mosquitto/adaptdrive.acl` that are operators, not drives."""
+
+
+class DriveLimits(Section):
+    """`[drive.limits]`: what the drive may be asked for."""
+
+    rising: ClassVar = ("boost_reference_min_V", "boost_reference_max_V")
+
+    boost_reference_min_V: FiniteFloat = 200.0
+    boost_reference_max_V: PositiveFloat = 400.0
+    current_scale_max_S: PositiveFloat = 0.15
+    regeneration_scale_max_S: PositiveFloat | None = None
+    current_scale_slew_S: PositiveFloat = 0.15
+
+    manual_slew_V_per_s: PositiveFloat = 100.0
+    load_power_max_W: PositiveFloat = 1500.0
+
+
+class Manipulated(Section):
+    """`[drive.manipulated]`: what a drive is commanded, and gives, where that is no voltage.
+
+    All keys and topics that end in `_V` are then in its unit.
+    """
+
+    name: str = key(BOOST_VOLTAGE, pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$")
+    unit: str = key("V", max_length=16)
+
+    @property
+    def given(self) -> Given:
+        """The words for it."""
+        return Given(self.name, self.unit)
+
+
+class DriveSection(Section):
+    """`[drive]`: the power-electronic drive."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$")
+    kind: Literal["unidirectional", "bidirectional"] = "unidirectional"
+    line_frequency_Hz: Literal[50, 60] = 60
+    line_voltage_V: PositiveFloat = 120.0
+    boost_capacitance_F: PositiveFloat = 1.0e-3
+    enable_bit: Literal["bridge", "bridge-and-boost"] = "bridge"
+    limits: DriveLimits = Field(default_factory=DriveLimits)
+    manipulated: Manipulated = Field(default_factory=Manipulated)
+
+    @property
+    def given(self) -> Given:
+        """The words for what it is commanded, and gives."""
+        return self.manipulated.given
+
+    @property
+    def half_cycle_s(self) -> float:
+        """Half a line cycle at nominal frequency: one fast tick."""
+        return 0.5 / self.line_frequency_Hz
+
+    @property
+    def current_scale_min_S(self) -> float:
+        """Lowest line-current scale: 0, or negative for a bidirectional drive."""
+        if self.kind == "unidirectional":
+            return 0.0
+        limits = self.limits
+        return -(limits.regeneration_scale_max_S or limits.current_scale_max_S)
+
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield a name with too many rights, and a limit of another kind of drive."""
+        if self.name.lower() in BROKER_USERS:
+            problem = f"{self.name!r} is a user of the broker: a drive of that name could command"
+            yield Flaw("name", f"{problem} all others; choose another name")
+        if self.kind == "unidirectional" and self.limits.regeneration_scale_max_S is not None:
+            yield Flaw("", "limits.regeneration_scale_max_S needs kind = 'bidirectional'")
+
+
+class VoltageLoop(Section):
+    """`[voltage_loop]`: the fast loop that makes v_bst follow V_c."""
+
+    where: Literal["daemon", "drive"] = "daemon"
+    feed_forward: bool = True
+    lag_s: NonNegativeFloat | None = None
+
+
+# `[[sensor_bus]]`: sensors on other buses than the drive, each with its cycle time.
+
+STALE_CYCLES = 1.5
+"""Cycles that a value must be allowed to age: it is one old when the next one comes."""
+
+DEFAULT_STALE_CYCLES = 3.0
+"""Cycles that a value may age by default: two replies in a row may be lost."""
+
+
+MOST_STALE_CYCLES = 10.0
+"""Cycles after which a value is old: ten replies in a row are not lost by chance."""
+
+LONGEST_STALE_S = 10.0
+"""Age at which a value is old however seldom it comes, but for the two cycles that may be lost."""
+
+
+class SensorRegister(Register):
+    """`[sensor_bus.registers.NAME]`: one value of a module's register map."""
+
+    device_id: int | None = key(None, span=(1, 255))
+
+
+class SensorBusSection(Section):
+    """Keys of `[[sensor_bus]]` for every kind of bus."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$")
+    cycle_s: PositiveFloat = Field(ge=1e-3)
+    stale_s: PositiveFloat | None = None
+    signals: dict[str, Quantity]
+
+    @property
+    def oldest_s(self) -> float:
+        """The oldest usable value."""
+        return DEFAULT_STALE_CYCLES * self.cycle_s if self.stale_s is None else self.stale_s
+
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield an age that is too low, or too high."""
+        yield from super().flaws()
+        cycle_s, oldest_s = self.cycle_s, self.oldest_s
+        lowest = f"{STALE_CYCLES * cycle_s:.4g} s, {STALE_CYCLES} times cycle_s"
+        yield from misfit("stale_s", oldest_s, "at least", STALE_CYCLES * cycle_s, lowest)
+        rare_s = max(LONGEST_STALE_S, DEFAULT_STALE_CYCLES * cycle_s)
+        highest_s = min(MOST_STALE_CYCLES * cycle_s, rare_s)
+        if oldest_s > highest_s:
+            limits = f"{MOST_STALE_CYCLES:g} times cycle_s, and {LONGEST_STALE_S:g} s or"
+            problem = f"{self.stale_s} must not exceed {highest_s:.4g} s: {limits}"
+            yield Flaw("stale_s", f"{problem} {DEFAULT_STALE_CYCLES:g} times cycle_s")
+
+
+class ModbusSensorSection(SensorBusSection, ModbusLink):
+    """Keys of `[[sensor_bus]]` for every kind of Modbus."""
+
+    registers: dict[str, SensorRegister] = key({})
+
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield what is wrong in the register maps, and with names in them."""
+        yield from super().flaws()
+        for device in {register.device_id for register in self.registers.values()}:
+            registers = {
+                name: one for name, one in self.registers.items() if one.device_id == device
+            }
+            yield from map_flaws("registers", registers, zero_based=self.zero_based)
+        named = [(f"signals.{name}.signal", one.signal) for name, one in self.signals.items()]
+        yield from unknown_flaws(named, self.registers, "[sensor_bus.registers] has no register")
+
+
+class ModbusTcpSensors(ModbusSensorSection, TcpLink):
+    """`[[sensor_bus]]` with `type = "modbus-tcp"`."""
+
+    type: Literal["modbus-tcp"]
+
+
+class ModbusRtuSensors(ModbusSensorSection, RtuLink):
+    """`[[sensor_bus]]` with `type = "modbus-rtu"`."""
+
+    type: Literal["modbus-rtu"]
+
+
+class CanSensorSection(SensorBusSection, CanDescription):
+    """`[[sensor_bus]]` with `type = "can"`: sensors that send by themselves."""
+
+    type: Literal["can"]
+
+
+AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors
+
+
+# The whole configuration of one drive.
 
 AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu | ScpiBus
 

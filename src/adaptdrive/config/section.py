@@ -1,16 +1,18 @@
-"""Base class of all sections of the configuration."""
+"""What all sections share: keys, their limits, and units."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import operator
+import re
 import tomllib
+import unicodedata
 from collections import ChainMap
 from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -25,6 +27,8 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from adaptdrive.util.errors import Flaw
+
+# Base class of all sections of the configuration.
 
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
@@ -162,3 +166,143 @@ class Range(Section):
 
     low: FiniteFloat
     high: FiniteFloat
+
+
+# Units that a signal may be in, and what they are in SI.
+
+Unit = Literal[
+    "V", "A", "W", "K", "rad/s", "mV", "kV", "mA", "kA", "kW", "degC", "degF", "rpm", "Hz"
+]
+
+_SI: dict[str, dict[str, tuple[float, float]]] = {
+    "V": {"V": (1.0, 0.0), "mV": (1e-3, 0.0), "kV": (1e3, 0.0)},
+    "A": {"A": (1.0, 0.0), "mA": (1e-3, 0.0), "kA": (1e3, 0.0)},
+    "W": {"W": (1.0, 0.0), "kW": (1e3, 0.0)},
+    "K": {"K": (1.0, 0.0), "degC": (1.0, 273.15), "degF": (5.0 / 9.0, 459.67 * 5.0 / 9.0)},
+    "rad/s": {"rad/s": (1.0, 0.0), "rpm": (math.pi / 30.0, 0.0), "Hz": (2.0 * math.pi, 0.0)},
+}
+"""Factor and zero of each unit, by the SI unit that they lead to."""
+
+_IN_SI = {unit: pair for units in _SI.values() for unit, pair in units.items()}
+_DIMENSIONS = {"mW": "W", **{unit: si for si, units in _SI.items() for unit in units}}
+
+WANTED = {
+    "boost_voltage_V": "V",
+    "line_voltage_V": "V",
+    "load_power_W": "W",
+    "boost_reference_V": "V",
+    "current_scale_S": "S",
+}
+"""Units of the quantities that have the same one for every load."""
+
+_SPELLINGS: dict[str, list[str]] = read_table("units.toml")
+
+_MULTIPLE = re.compile(r"(\d*\.?\d+)\s*(?:\*\s*)?(?=[^\d\s/.*])")
+"""Factor before a unit, such as 0.1 in 0.1 V."""
+
+
+def _folded(written: str) -> str:
+    return re.sub(r"[\s_]", "", unicodedata.normalize("NFKC", written)).casefold()
+
+
+_EXACT = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
+_FOLDED = {_folded(spelling): unit for spelling, unit in reversed(_EXACT.items())}
+_AMBIGUOUS = frozenset({"s", "mw"})
+"""Units of which case decides: second and siemens, milliwatt and megawatt."""
+
+
+def known_unit(written: str) -> str | None:
+    """Return the unit that a description names, None for an unknown one.
+
+    Args:
+        written: The unit in any common spelling.
+    """
+    exact = _EXACT.get(written.strip())
+    folded = _folded(written)
+    return exact or (None if folded in _AMBIGUOUS else _FOLDED.get(folded))
+
+
+def multiple_of(written: str) -> tuple[float, str]:
+    """Return the factor that stands before a unit, 1 for none, and the unit."""
+    found = _MULTIPLE.match(written.strip())
+    if found is None or not float(found[1]):
+        return 1.0, written.strip()
+    return float(found[1]), written.strip()[found.end() :]
+
+
+class Converted(Section):
+    """Conversion of a value to a quantity; scale and offset lead to `unit`, which leads to SI."""
+
+    scale: Scale = 1.0
+    offset: FiniteFloat = 0.0
+    unit: Unit | None = None
+
+    @model_validator(mode="after")
+    def _in_si(self) -> Self:
+        """Let scale and offset lead to SI; those of the file lead to its `unit`."""
+        factor, zero = _IN_SI.get(self.unit or "", (1.0, 0.0))
+        self.__dict__.update(scale=factor * self.scale, offset=factor * self.offset + zero)
+        return self
+
+
+def si_unit(unit: str) -> str | None:
+    """Return the SI unit of a quantity in a given unit, None for an unknown unit."""
+    return _DIMENSIONS.get(unit)
+
+
+def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
+    """Return why a signal is not in the unit of its quantity, None where it may be.
+
+    Args:
+        source: Its conversion; nothing is checked where the file gives a scale or an offset.
+        found: Unit that the DBC or the register map names.
+        wanted: Unit of the quantity.
+    """
+    factor, alone = multiple_of(found)
+    is_in, to_be = known_unit(alone), known_unit(wanted)
+    if source.unit is not None:
+        plain = (source.scale, source.offset) == _IN_SI[source.unit]
+        denied = plain and is_in not in (None, source.unit)
+        problem = f"the signal is in {is_in}, and unit = {source.unit!r} says otherwise"
+        return stated_problem(source, wanted) or (problem if denied else None)
+    scaled = not source.model_fields_set.isdisjoint({"scale", "offset"})
+    if scaled or is_in is None or to_be is None or (is_in == to_be and factor == 1.0):
+        return None
+    if is_in == to_be:
+        return f"the signal is in {found.strip()}: scale = {factor:g} leads to {wanted}"
+    problem = f"the signal is in {found.strip()}, the quantity in {wanted}"
+    if _DIMENSIONS.get(is_in) != _DIMENSIONS.get(to_be, ""):
+        return f"{problem}: name another signal, or the scale that leads from one to the other"
+    if is_in in _IN_SI and _DIMENSIONS[is_in] == to_be:
+        return f"{problem}: unit = {is_in!r} converts it, scale = 1.0 takes it as it stands"
+    return f"{problem}: give its scale"
+
+
+def unit_caution(source: Converted, found: str) -> str | None:
+    """Return that nobody knows the unit of a signal, None where it is known or converted.
+
+    Args:
+        source: Its conversion.
+        found: Unit that the description names, empty for none.
+    """
+    stated = source.unit or not source.model_fields_set.isdisjoint({"scale", "offset"})
+    if stated or not found.strip() or known_unit(multiple_of(found)[1]):
+        return None
+    return f"the unit {found.strip()!r} is not known: the value is taken as it stands"
+
+
+def stated_problem(source: Converted, wanted: str) -> str | None:
+    """Return why the `unit` of a source does not lead to its quantity, None where it may.
+
+    Args:
+        source: Its conversion, which leads to SI where it has a unit.
+        wanted: Unit of the quantity; nothing is checked where it is unknown.
+    """
+    to_be = known_unit(wanted)
+    if source.unit is None or to_be is None or to_be == _DIMENSIONS[source.unit]:
+        return None
+    leads_to = _DIMENSIONS[source.unit]
+    problem = f"unit = {source.unit!r} leads to {leads_to}, the quantity is in {to_be}"
+    if _DIMENSIONS.get(to_be) != leads_to:
+        return problem
+    return f"{problem}: load.output_unit = {leads_to!r}, with set-points and limits in {leads_to}"

@@ -14,8 +14,7 @@ from pydantic import Field
 
 from adaptdrive.config.bus import MEASURED, WORDS
 from adaptdrive.config.polled import ModbusLink, RtuLink
-from adaptdrive.config.section import misfit
-from adaptdrive.config.units import WANTED, Converted, stated_problem
+from adaptdrive.config.section import WANTED, Converted, misfit, stated_problem
 from adaptdrive.util.errors import Flaw
 
 if TYPE_CHECKING:

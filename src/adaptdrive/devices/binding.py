@@ -25,8 +25,8 @@ from adaptdrive.config.bus import (
     SignalSource,
     SwitchSource,
 )
-from adaptdrive.config.sensors import SensorBusSection
-from adaptdrive.config.units import unit_caution, unit_problem
+from adaptdrive.config.root import SensorBusSection
+from adaptdrive.config.section import unit_caution, unit_problem
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.devices.faults import FaultWord

@@ -20,8 +20,8 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.devices.binding import Sink
 from adaptdrive.devices.description import Demands
 from adaptdrive.devices.port import Port, PortStatistics, SensorPort
+from adaptdrive.util.clock import look_up
 from adaptdrive.util.errors import Flaw
-from adaptdrive.util.threads import look_up
 
 # The parts by which one kind of bus takes its place in the daemon.
 

@@ -14,7 +14,7 @@ from textwrap import shorten
 from typing import TypeVar
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.units import WANTED
+from adaptdrive.config.section import WANTED
 from adaptdrive.control.signals import Command
 from adaptdrive.util.errors import ConfigurationError, Flaw
 

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from adaptdrive.identification.excerpt import Blocks
-from adaptdrive.identification.response import moment_responses, responses
+from adaptdrive.identification.excerpt import Blocks, moment_responses, responses
 from adaptdrive.util.errors import IdentificationError
 
 # Fit of a load to blocks of a record by prediction errors.

@@ -26,10 +26,10 @@ from paho.mqtt.reasoncodes import ReasonCode
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.clock import BrokerBackoff, Monotonic
 from adaptdrive.mqtt.steady import SteadyClient
+from adaptdrive.util.clock import find
 from adaptdrive.util.errors import first_error
 from adaptdrive.util.files import read_regular
 from adaptdrive.util.lines import log
-from adaptdrive.util.threads import find
 
 # The name of the daemon at the broker, and what happens when another client uses it too.
 

@@ -25,8 +25,8 @@ from adaptdrive.mqtt.desk import Desk, OperatorCommand
 from adaptdrive.mqtt.publisher import Intake, Mailbox
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.runtime.reports import Severity, State
+from adaptdrive.util.clock import Step, repeat
 from adaptdrive.util.lines import log
-from adaptdrive.util.threads import Step, repeat
 
 # Notices that the broker delivers no commands: a message of the daemon's own must come back.
 

@@ -18,9 +18,17 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import NoAnswerError, disturb, follow, send_command
 from adaptdrive.mqtt.commands import printable
 from adaptdrive.mqtt.contract import DeviceReply, Reply
-from adaptdrive.tui.keys import QUIT, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.tui.record import WatchRecord
-from adaptdrive.tui.terminal import draw, ended_once, tell_last, whole
+from adaptdrive.tui.terminal import (
+    QUIT,
+    KeyCommand,
+    KeyReader,
+    draw,
+    ended_once,
+    pressed_keys,
+    tell_last,
+    whole,
+)
 from adaptdrive.tui.view import WATCH, Surroundings, Takes, screen
 
 _RETRY_S = 2.0

@@ -21,9 +21,8 @@ from adaptdrive.mqtt.commands import (
     quantity_and_unit,
     unconfirmed_stop,
 )
-from adaptdrive.tui.keys import KeyCommand
-from adaptdrive.tui.plot import FORMS, OFF, REFERENCE, plot
-from adaptdrive.tui.record import Payload, WatchRecord
+from adaptdrive.tui.record import FORMS, OFF, REFERENCE, Payload, WatchRecord, plot
+from adaptdrive.tui.terminal import KeyCommand
 
 # Elements of the tables of the live view.
 

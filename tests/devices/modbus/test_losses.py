@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 
 import pytest
 
-from adaptdrive.config.sensors import ModbusRtuSensors
+from adaptdrive.config.root import ModbusRtuSensors
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.modbus.port import build_modbus_sensors
 from adaptdrive.devices.port import Reading

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.lock import lock_names
+from adaptdrive.app.process import lock_names
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import parse_configuration
 from adaptdrive.config.polled import ModbusTcp

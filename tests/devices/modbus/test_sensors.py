@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
+from adaptdrive.config.root import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.devices.modbus.port import SELDOM_CYCLES, ModbusSensorPort, build_modbus_sensors
 from adaptdrive.util.errors import ConfigurationError

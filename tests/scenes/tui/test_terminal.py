@@ -16,10 +16,9 @@ import pytest
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetMode
-from adaptdrive.tui.keys import DELIBERATE_S, KeyCommand
 from adaptdrive.tui.main import CommandsUnderWay, over_mqtt
 from adaptdrive.tui.record import WatchRecord
-from adaptdrive.tui.terminal import REFRESH_S
+from adaptdrive.tui.terminal import DELIBERATE_S, REFRESH_S, KeyCommand
 from tests.commissioning.answering_drive import answering_drive
 from tests.mqtt.peers import PATIENCE_S, Bench, commands, drive_report, serving
 from tests.support import Broker, acting

@@ -19,9 +19,9 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
-from adaptdrive.config.sensors import CanSensorSection as Config
+from adaptdrive.config.root import CanSensorSection as Config
+from adaptdrive.config.section import known_unit
 from adaptdrive.config.timing import Timing
-from adaptdrive.config.units import known_unit
 from adaptdrive.devices.binding import sensor_entries
 from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
 from adaptdrive.devices.can.bus import describe_bus, requests

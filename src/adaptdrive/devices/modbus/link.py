@@ -34,7 +34,7 @@ from adaptdrive.devices.modbus.frames import (
 )
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Void, never
 from adaptdrive.devices.polled.registers import RTU_FRAME, Exchange, silence_s
-from adaptdrive.util.threads import in_thread
+from adaptdrive.util.clock import in_thread
 
 # A serial port whose opening and closing do not hold up the event loop.
 

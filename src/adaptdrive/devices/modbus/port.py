@@ -21,7 +21,7 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.polled import ModbusRtu, ModbusTcp, RtuLink
-from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
+from adaptdrive.config.root import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.config.timing import LATE_READINGS, Timing
 from adaptdrive.devices.binding import Source, sensor_entries
 from adaptdrive.devices.bus import BusKind, polled_cautions, tcp_locks

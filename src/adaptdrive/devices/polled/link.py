@@ -16,8 +16,8 @@ from typing import Generic, TypeVar
 from adaptdrive.devices.bus import BusBackoff, CountingPort
 from adaptdrive.devices.polled.registers import Exchange
 from adaptdrive.devices.port import Listener, SensorListener
+from adaptdrive.util.clock import find
 from adaptdrive.util.errors import AdaptdriveError, BusError
-from adaptdrive.util.threads import find
 
 # One exchange at a time with a device that answers, and what can go wrong with it.
 
