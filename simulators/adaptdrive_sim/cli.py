@@ -13,8 +13,8 @@ from adaptdrive.cli import carry_out
 from adaptdrive.cli.commands import understood
 from adaptdrive.cli.options import DriveName, Integer
 from adaptdrive.cli.standard_files import FAILED, complain
-from adaptdrive_sim.demo.settings import DemoSettings
-from adaptdrive_sim.device_settings import DeviceSettings, parse_address
+from adaptdrive_sim.demo.story import DemoSettings
+from adaptdrive_sim.device import DeviceSettings, parse_address
 
 app = App(
     name="adaptdrive-sim",
@@ -48,7 +48,7 @@ def device(config: Path, *, settings: DeviceSettings | None = None) -> None:
         config: The drive's configuration, the same file that the daemon reads.
         settings: What is added to it.
     """
-    from adaptdrive_sim.device_main import run_device  # noqa: PLC0415  # keeps --help fast
+    from adaptdrive_sim.device import run_device  # noqa: PLC0415  # keeps --help fast
 
     run_device(config, settings or DeviceSettings())
 
@@ -123,8 +123,8 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
         keep_speed: The motor's disks turn with the shaft when they are added, so that its speed
             stays. Without it they land at rest and share its momentum, as in the paper.
     """
-    from adaptdrive_sim.claims import print_claims  # noqa: PLC0415  # keeps --help fast
     from adaptdrive_sim.experiments.case import ReproduceRequest, disturbance_of  # noqa: PLC0415
+    from adaptdrive_sim.experiments.outcome import print_claims  # noqa: PLC0415  # keeps --help fast
     from adaptdrive_sim.experiments.reproduce import find_experiment, run_request  # noqa: PLC0415
 
     chosen = find_experiment(experiment, keep_speed=keep_speed)

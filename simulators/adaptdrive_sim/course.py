@@ -1,19 +1,27 @@
-"""A course of references and loads, and the table of what a run over it has shown."""
+"""A course of references and loads, the table of a run over it, and runs in processes."""
 
 from __future__ import annotations
 
 import math
+import multiprocessing
+import signal
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress
 
 from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.signals import Decision, Mode, Stage
+
+# A course of references and loads, and the table of what a run over it has shown.
 
 Array = NDArray[np.float64]
 
@@ -175,3 +183,32 @@ class Run:
         """Return the run with more columns."""
         trace = np.column_stack((self.trace, *columns.values()))
         return replace(self, trace=trace, names=(*self.names, *columns))
+
+
+# Runs in processes of their own, and the bar that shows how many are done.
+
+
+def processes(count: int) -> ProcessPoolExecutor:
+    """Return processes that inherit nothing and end quietly on Ctrl-C."""
+    return ProcessPoolExecutor(
+        max_workers=count,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+@contextmanager
+def progress(total: int) -> Iterator[Callable[[int, str], None]]:
+    """Show a bar on a terminal, nothing in a pipe.
+
+    Yields:
+        Takes how many more of the total are done, and what is to be said about it.
+    """
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
+    console = Console(stderr=True)
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("", total=total)
+        yield lambda count, what: bar.update(task, advance=count, description=what)

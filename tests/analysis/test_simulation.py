@@ -13,8 +13,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Command
 from adaptdrive.lab import commission, simulate
 from adaptdrive.util.errors import CommissionError, IdentificationError
-from adaptdrive_sim.device_main import build_drive
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device import DeviceSettings, build_drive
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.described.described import DEVICES, NAMES
 from tests.devices.bench import EXAMPLES

@@ -11,7 +11,7 @@ from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.site import OperatedDrive
 from tests.closed_loop.life import load_world, settling_s, started, wait
 from tests.support import sample
 

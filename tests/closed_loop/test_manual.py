@@ -8,12 +8,12 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.requests import SetMode, SetSetpoint, SetVoltage
-from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.site import OperatedDrive
+from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.bench import TICK_s
 from tests.closed_loop.life import started, wait

@@ -19,8 +19,8 @@ from adaptdrive.control.signals import Shape, Waveform, heard
 from adaptdrive.recording.replay import replay
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.life import wait
 from tests.closed_loop.test_probing import RecordedDrive

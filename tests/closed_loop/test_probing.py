@@ -31,9 +31,9 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.site import OperatedDrive
+from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.life import CYCLE_S, HIGH, LOW, STEP, periods, started, wait
 from tests.recording.material import INFO, make_batch, record_messages

@@ -11,8 +11,8 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.requests import SetSetpoint
-from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
+from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.life import periods, started
 

@@ -22,10 +22,9 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint
-from adaptdrive_sim.device_main import build_world
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device import DeviceSettings, build_world
 from adaptdrive_sim.plants.bath import Bath
-from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.world import World
 from tests.closed_loop.life import SMALL_BATH, change
 from tests.closed_loop.wire import WAIT_s, wired

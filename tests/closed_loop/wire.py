@@ -24,8 +24,7 @@ from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.reports import Hub, LoadReport, Report, State, Subscription
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.tick_support import ServiceManager
-from adaptdrive_sim.device_main import build_drive, build_node, build_sensors
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device import DeviceSettings, build_drive, build_node, build_sensors
 from adaptdrive_sim.devices.can import CanDrive
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.modbus import ModbusDrive, serving

@@ -13,7 +13,7 @@ from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Measurement, Mode, Order, Snapshot, Stage
 from adaptdrive.control.voltage_loop import LAG_TICKS
-from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.wire import NoiseParameters
 from tests.closed_loop.bench import (
     EXACT,
     MOTOR,

@@ -11,8 +11,7 @@ import pytest
 from adaptdrive.runtime.requests import Disable
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import DemoRecord
-from adaptdrive_sim.demo.settings import DemoError, DemoSettings
-from adaptdrive_sim.demo.story import read_story
+from adaptdrive_sim.demo.story import DemoError, DemoSettings, read_story
 from adaptdrive_sim.demo.virtual import VirtualStage
 from tests.support import sample
 

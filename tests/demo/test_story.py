@@ -10,12 +10,10 @@ import pytest
 from rich.console import Console
 
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.demo.main import summarise
+from adaptdrive_sim.demo.main import KEYS, DemoView, summarise
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import DemoRecord
-from adaptdrive_sim.demo.settings import DemoSettings
-from adaptdrive_sim.demo.story import Story, read_story, story_names
-from adaptdrive_sim.demo.view import KEYS, DemoView
+from adaptdrive_sim.demo.story import DemoSettings, Story, read_story, story_names
 from adaptdrive_sim.demo.virtual import VirtualStage
 
 STORIES = [read_story(name) for name in story_names()]

@@ -2,9 +2,8 @@
 
 import pytest
 
-from adaptdrive_sim.experiments.case import Disturbance, run_case
+from adaptdrive_sim.experiments.case import Disturbance, convergence_cycles, cycles, run_case
 from adaptdrive_sim.experiments.experiment import BATH
-from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
 from tests.experiments.cases import SEEDS, make_case, outcome
 
 AFTER = slice(2, None)

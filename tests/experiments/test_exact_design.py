@@ -7,9 +7,8 @@ import statistics
 import pytest
 
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.case import Disturbance, run_case
+from adaptdrive_sim.experiments.case import Disturbance, convergence_cycles, cycles, run_case
 from adaptdrive_sim.experiments.experiment import MOTOR
-from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
 from tests.experiments.cases import SHORT_LAST_CYCLES, SHORT_MOTOR, make_case
 
 ORACLE = 0.030

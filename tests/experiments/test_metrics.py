@@ -5,14 +5,14 @@ import pytest
 from scipy.signal import lfilter
 
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.experiment import BATH, MOTOR, Experiment
-from adaptdrive_sim.experiments.metrics import (
+from adaptdrive_sim.experiments.case import (
     convergence_cycles,
     cycles,
     ideal_output,
     model_errors,
     rms_between,
 )
+from adaptdrive_sim.experiments.experiment import BATH, MOTOR, Experiment
 
 TIMES = [float(k) for k in range(1320)]
 

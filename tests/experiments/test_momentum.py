@@ -8,9 +8,8 @@ from functools import cache
 import pytest
 
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.case import run_case
+from adaptdrive_sim.experiments.case import convergence_cycles, estimate_moves, run_case
 from adaptdrive_sim.experiments.experiment import DROPPED, MOTOR, Experiment, LoadChange
-from adaptdrive_sim.experiments.metrics import convergence_cycles, estimate_moves
 from adaptdrive_sim.experiments.reproduce import find_experiment
 from tests.experiments.cases import make_case
 

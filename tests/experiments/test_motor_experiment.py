@@ -4,9 +4,15 @@ import statistics
 
 import pytest
 
-from adaptdrive_sim.experiments.case import Disturbance, Variant, run_case
+from adaptdrive_sim.experiments.case import (
+    Disturbance,
+    Variant,
+    cycles,
+    model_errors,
+    rms_between,
+    run_case,
+)
 from adaptdrive_sim.experiments.experiment import MOTOR
-from adaptdrive_sim.experiments.metrics import cycles, model_errors, rms_between
 from adaptdrive_sim.experiments.outcome import NOISY, ExperimentOutcome
 from tests.experiments.cases import SEEDS, SHORT_LAST_CYCLES, SHORT_MOTOR, make_case, outcome
 

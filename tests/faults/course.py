@@ -21,8 +21,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, Reset, SetSetpoint
-from adaptdrive_sim.device_main import build_drive
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device import DeviceSettings, build_drive
 from adaptdrive_sim.devices.drive import Frame
 from tests.faults.by_hand import DaemonByHand
 

@@ -12,8 +12,7 @@ import crccheck.crc
 import pytest
 
 from adaptdrive.config.file import validate_configuration
-from adaptdrive_sim.device_main import build_drive, build_node
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device import DeviceSettings, build_drive, build_node
 from adaptdrive_sim.devices.can import CanDrive
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 

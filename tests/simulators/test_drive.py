@@ -3,8 +3,7 @@
 import pytest
 
 from adaptdrive.config import Configuration
-from adaptdrive_sim.device_main import build_drive
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device import DeviceSettings, build_drive
 from tests.config import modbus_documents
 from tests.config.documents import parse
 

@@ -16,8 +16,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim import cli
-from adaptdrive_sim.device_main import build_world
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device import DeviceSettings, build_world
 from adaptdrive_sim.plants.kinds import load_of
 from tests.devices.bench import EXAMPLES
 

@@ -8,8 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from adaptdrive_sim.line import LineParameters
-from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import Sample, World, WorldParameters
 
 ROUGH = WorldParameters(

@@ -18,7 +18,7 @@ from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.reports import Event, LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetMode, SetSetpoint, SetWaveform
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.device import DeviceSettings
 from tests.closed_loop.wire import WAIT_s, Wire, wired
 from tests.wire.rig import EXAMPLES, rigged, until
 

@@ -20,9 +20,9 @@ import numpy as np
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.line import LineParameters
-from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.boost import BoostParameters
-from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.site import OperatedDrive
+from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
 from tests.closed_loop.life import CYCLE_S, HIGH, LOW, STEP, Rows, Sensed, periods, started, wait
 from tools.benchmarks.seeds import over_seeds

@@ -16,9 +16,16 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from adaptdrive_sim.experiments.case import Design, Disturbance, Variant, run_case
+from adaptdrive_sim.experiments.case import (
+    Cycle,
+    Design,
+    Disturbance,
+    Variant,
+    convergence_cycles,
+    cycles,
+    run_case,
+)
 from adaptdrive_sim.experiments.experiment import DROPPED
-from adaptdrive_sim.experiments.metrics import Cycle, convergence_cycles, cycles
 from tests.experiments.cases import make_case
 
 ROOT = Path(__file__).parents[2]

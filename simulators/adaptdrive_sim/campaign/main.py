@@ -24,7 +24,7 @@ from adaptdrive_sim.campaign.drawn import Row, Trial
 from adaptdrive_sim.campaign.motors import Stand, draw
 from adaptdrive_sim.campaign.report import judge, print_results, repeat, write_results
 from adaptdrive_sim.campaign.settings import MOST_RUNS, BathCampaign, Campaign, read_campaign_of
-from adaptdrive_sim.jobs import processes, progress
+from adaptdrive_sim.course import processes, progress
 from adaptdrive_sim.parameters import SEED_MAX, check_range
 
 AnyCampaign = Campaign | BathCampaign | BatteryCampaign

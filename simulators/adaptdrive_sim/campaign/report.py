@@ -21,9 +21,9 @@ from rich.table import Table
 from adaptdrive.analysis import style
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun, Row, Trial
-from adaptdrive_sim.claims import Claim, print_claims
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.figure import CONTROLLERS, SYMBOLS, mark_in_force, minutes_of
+from adaptdrive_sim.experiments.outcome import Claim, print_claims
 
 # Judges a run by criteria that every load shares.
 

@@ -12,8 +12,7 @@ from adaptdrive.mqtt.commands import number
 from adaptdrive.mqtt.contract import DeviceReply, Reply
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive_sim.demo.record import DemoRecord
-from adaptdrive_sim.demo.settings import DemoError
-from adaptdrive_sim.demo.story import Scene, Story, Wave
+from adaptdrive_sim.demo.story import DemoError, Scene, Story, Wave
 
 START_s = 60.0
 RUNNING_s = 30.0

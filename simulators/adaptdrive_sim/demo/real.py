@@ -28,8 +28,7 @@ from adaptdrive.tui.main import follow_drive, over_mqtt
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RecordingError
 from adaptdrive_sim.demo.record import DemoRecord
-from adaptdrive_sim.demo.settings import DemoError, DemoSettings
-from adaptdrive_sim.demo.story import Story
+from adaptdrive_sim.demo.story import DemoError, DemoSettings, Story
 from adaptdrive_sim.experiments.examples import FOLDER
 
 SESSION_s = 10.0

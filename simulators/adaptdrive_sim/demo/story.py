@@ -1,16 +1,21 @@
-"""Stories as data: one file each, which names what happens when, and the sentence about it."""
+"""Stories as data, one file each, and the settings of a demonstration."""
 
 from __future__ import annotations
 
 import math
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+from cyclopts import Parameter
 
-from adaptdrive.util.errors import RefusedError
+from adaptdrive.cli.options import Integer
+from adaptdrive.util.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.experiments.examples import example_tables
+
+# Stories as data: one file each, which names what happens when, and the sentence about it.
 
 FOLDER = Path(__file__).parent / "stories"
 
@@ -177,3 +182,58 @@ def read_story(name: str) -> Story:
         raise RefusedError(f"{name!r} is no story; there are {', '.join(story_names())}")
     document = tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
     return msgspec.convert(document | {"name": name}, Story)
+
+
+# Command-line settings of a demonstration.
+
+SPEED_MAX = 1e6
+"""Times real time: more than any machine reaches."""
+
+
+class DemoError(AdaptdriveError):
+    """The demonstration cannot continue; the message gives the reason."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class DemoSettings:
+    """The options of `adaptdrive-sim demo`.
+
+    Attributes:
+        duration_s: Seconds of the story; the whole story when left out. The last scene of a story
+            lasts until then.
+        headless: Show nothing; print one line of JSON at the end.
+        noise: Standard deviation of each sample of the output, in its unit; the story's own when
+            left out.
+        seed: Seed of the noise.
+        directory: Folder for configuration, logs and sessions; a new one in build/demo when left
+            out.
+        speed: Times real time, for a story in virtual time.
+    """
+
+    duration_s: Annotated[float | None, Parameter(name="--duration")] = None
+    headless: Annotated[bool, Parameter(negative=())] = False
+    noise: float | None = None
+    seed: Integer = 0
+    directory: Path | None = None
+    speed: float | None = None
+
+    def check(self, *, virtual: bool) -> None:
+        """Refuse what cannot be done.
+
+        Args:
+            virtual: Whether the story passes in virtual time.
+
+        Raises:
+            RefusedError: Which option, and why.
+        """
+        if self.duration_s is not None and not 1.0 <= self.duration_s < math.inf:
+            raise RefusedError(f"--duration {self.duration_s:g} must be at least 1 second")
+        if self.speed is not None and not 0.0 < self.speed <= SPEED_MAX:
+            raise RefusedError(f"--speed {self.speed:g} must lie above 0, and up to 1e6")
+        if self.noise is not None and not 0.0 <= self.noise <= 1.0:
+            raise RefusedError(f"--noise {self.noise:g} must lie in 0…1")
+        unused = "directory" if virtual else "speed"
+        if getattr(self, unused) is not None:
+            time = "virtual time, without processes" if virtual else "real time"
+            raise RefusedError(f"--{unused}: this story passes in {time}")

@@ -23,13 +23,11 @@ from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.demo.record import DemoRecord
-from adaptdrive_sim.demo.settings import DemoError, DemoSettings
-from adaptdrive_sim.demo.story import Story
-from adaptdrive_sim.device_main import build_world
-from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.demo.story import DemoError, DemoSettings, Story
+from adaptdrive_sim.device import DeviceSettings, build_world
 from adaptdrive_sim.disturbances import answer, features_of
 from adaptdrive_sim.experiments.examples import FOLDER
-from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.site import OperatedDrive
 
 _SLICE_s = 0.02
 _BREAK_s = 0.005

@@ -25,9 +25,8 @@ from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.can.mapping import StatusFrame
 from adaptdrive.util.errors import BusError
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
-from adaptdrive_sim.devices.pacing import run_half_cycles
 from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
 
 # The simulated drive as a node on a CAN bus.

@@ -30,9 +30,8 @@ from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.util.errors import BusError, ConfigurationError
 from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
 from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of
-from adaptdrive_sim.devices.pacing import run_half_cycles
 
 # The state machine of CiA 402 as a drive runs it: controlwords in, statusword out.
 

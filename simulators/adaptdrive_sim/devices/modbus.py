@@ -32,10 +32,15 @@ from adaptdrive.config.root import ModbusRtuSensors, ModbusTcpSensors, SensorReg
 from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive.devices.polled.registers import encode_count, encode_value
 from adaptdrive.util.errors import BusError
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
-from adaptdrive_sim.devices.frames import quantities_of
-from adaptdrive_sim.devices.pacing import run_half_cycles
-from adaptdrive_sim.devices.registers import RegisterImage, Table, addresses, bounded, not_available
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
+from adaptdrive_sim.devices.frames import (
+    RegisterImage,
+    Table,
+    addresses,
+    bounded,
+    not_available,
+    quantities_of,
+)
 from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
 
 # A serial cable without wires: two pseudo-terminals, each end of which is a serial port.

@@ -16,9 +16,8 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.devices.scpi.port import describe_supply
 from adaptdrive.util.errors import BusError
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
 from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of
-from adaptdrive_sim.devices.pacing import run_half_cycles
 
 NO_NUMBER = "9.91E37"
 _LISTED = 10

@@ -1,29 +1,48 @@
-"""One run of an experiment: which controller, which design, which noise; and the run itself.
+"""One run of an experiment, and metrics of it.
 
 Both designs are the daemon's: the paper's is its `load.design = "paper"`. A run happens in virtual
 time, as fast as it goes. It depends on its case alone, so it is the same each time.
+
+They compare with the closed loop as it was designed: the true load, no limits, no delays, no noise.
+
+With the model A y = B u of the true load the design makes
+
+    A_m y = A_m(1)/B(1) · B r
+
+(27) and (15) in the paper's design; in the exact one B has the zero of the held load. All poles of
+A_m are where the design wants them, so that a larger load changes B's zero at most.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from adaptdrive.analysis.excerpts import judge_step
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.design.pole_placement import desired_polynomial
+from adaptdrive.control.loads.discretise import held_model
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
+from adaptdrive.control.vectors import Vector
 from adaptdrive_sim.course import Array, Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER
-from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.noise import NoiseParameters, read_spikes, samples
+from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 from adaptdrive_sim.parameters import SEED_MAX, check_range
 from adaptdrive_sim.site import Site
+from adaptdrive_sim.wire import NoiseParameters, read_spikes, samples
 from adaptdrive_sim.world import World
+
+# One run of an experiment: which controller, which design, which noise; and the run itself.
 
 Design = Literal["paper", "exact"]
 Variant = Literal["fixed", "adaptive", "direct_rls", "lm_rls"]
@@ -208,3 +227,161 @@ def _disturbances(noise: NoiseParameters, seed: int, count: int) -> Array:
     if noise.silent:
         return np.zeros(count)
     return np.fromiter(samples(noise, np.random.default_rng(seed)), np.float64, count)
+
+
+# Metrics of an experiment, always from the output without noise at the slow instants.
+
+CONVERGED = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """One reference cycle.
+
+    Attributes:
+        start_s: Its start.
+        load: Size of the load at its end, as a multiple of the nominal one.
+        overshoot: The larger one of its two half cycles, as a fraction of the step.
+        settling_s: Time until the output stays within 5 % of the step; the longer one of its two
+            half cycles, None when a half cycle ends before.
+        model_error_rms: Deviation from the ideal closed loop, as a fraction of the step.
+    """
+
+    start_s: float
+    load: float
+    overshoot: float
+    settling_s: float | None
+    model_error_rms: float
+
+
+def cycles(experiment: Experiment, design: Design, record: Run) -> list[Cycle]:
+    """Judge every reference cycle of a run."""
+    errors = model_errors(experiment, design, record)
+    return [_cycle(experiment, record, errors, start_s) for start_s in experiment.cycle_starts()]
+
+
+def model_errors(experiment: Experiment, design: Design, record: Run) -> Array:
+    """Deviation from the ideal closed loop at each slow instant, as a fraction of the step."""
+    return (record["output"] - ideal_output(experiment, design)) / experiment.step
+
+
+def ideal_output(experiment: Experiment, design: Design) -> Array:
+    """Output of the ideal loop at every slow instant, from rest on the lower reference."""
+    desired = desired_polynomial(experiment.pole, 2 * experiment.nominal().order)
+    low, times_s = experiment.reference.low, experiment.times_s()
+    steps = [experiment.reference.value(time_s) - low for time_s in times_s]
+    found = np.zeros(len(times_s))
+    for k, time_s in enumerate(times_s):
+        weights = _weights(experiment.true_load(experiment.size_at(time_s)), design, experiment)
+        forced = sum(weights[i] * steps[k - i] for i in range(min(k + 1, len(weights))))
+        free = sum(desired[i] * found[k - i] for i in range(1, min(k + 1, len(desired))))
+        found[k] = forced - free
+    return low + found
+
+
+def _weights(load: Load, design: Design, experiment: Experiment) -> Vector:
+    """A_m(1)/B(1) · B."""
+    desired = desired_polynomial(experiment.pole, 2 * load.order)
+    b = _numerator(load, design, experiment.period_s)
+    return [sum(desired) / sum(b) * value for value in b]
+
+
+@cache
+def _numerator(load: Load, design: Design, period_s: float) -> Vector:
+    numerator, denominator = list(load.numerator), list(load.denominator)
+    if design == "paper":
+        return load.paper_model(numerator, denominator, period_s)[1]
+    return held_model(numerator, denominator, period_s, 0.0, 0.0)[1]
+
+
+def rms_between(record: Run, errors: Array, first_s: float, last_s: float) -> float:
+    """Root of the mean square over first <= t < last."""
+    values = errors[_between(record, first_s, last_s)]
+    return float(np.sqrt(np.mean(values * values)))
+
+
+def _cycle(experiment: Experiment, record: Run, errors: Array, start_s: float) -> Cycle:
+    half_s = 0.5 * experiment.reference.period_s
+    end_s = min(start_s + 2.0 * half_s, experiment.duration_s)
+    begins_s = [one for one in (start_s, start_s + half_s) if one < end_s]
+    halves = [_half(experiment, record, one, min(one + half_s, end_s)) for one in begins_s]
+    overshoot, settling_s = (max(one) for one in zip(*halves, strict=True))
+    return Cycle(
+        start_s=start_s,
+        load=experiment.size_at(math.nextafter(end_s, start_s)),
+        overshoot=overshoot,
+        settling_s=settling_s if math.isfinite(settling_s) else None,
+        model_error_rms=rms_between(record, errors, start_s, end_s),
+    )
+
+
+def _half(
+    experiment: Experiment, record: Run, first_s: float, last_s: float
+) -> tuple[float, float]:
+    """Overshoot, and settling time or infinity, of one half cycle."""
+    reference, target = experiment.reference, experiment.reference.value(first_s)
+    before = reference.low + reference.high - target
+    overshoot, periods = judge_step(
+        record["output"][_between(record, first_s, last_s)], before, target
+    )
+    return overshoot, periods * experiment.period_s
+
+
+def convergence_cycles(experiment: Experiment, record: Run, change: LoadChange) -> float | None:
+    """Return `cycles_until_right` of an adaptive run."""
+    return cycles_until_right(experiment, estimates_of(experiment, record), change)
+
+
+def estimates_of(experiment: Experiment, record: Run) -> Array:
+    """Return the estimates of a run, a row for each slow period."""
+    return np.column_stack([record[name] for name in experiment.nominal().names])
+
+
+def cycles_until_right(
+    experiment: Experiment, estimates: Array, change: LoadChange
+) -> float | None:
+    """Reference cycles until every estimate is within 5 % of the truth and stays so.
+
+    Args:
+        experiment: What was done.
+        estimates: A row for each slow period.
+        change: The load change after which to look; only until the next one.
+
+    Returns:
+        None when the estimates never get there.
+    """
+    end_s = min(one for one in experiment.ends_s if one > change.time_s)
+    first, last = (round(time_s / experiment.period_s) for time_s in (change.time_s, end_s))
+    with np.errstate(invalid="ignore"):
+        good = np.all(distances(experiment, estimates, first, last) <= CONVERGED, axis=1)
+    bad = np.flatnonzero(~good)
+    settled = int(bad[-1]) + 1 if bad.size else 0
+    if settled == good.size:
+        return None
+    return settled * experiment.period_s / experiment.reference.period_s
+
+
+def distances(experiment: Experiment, estimates: Array, first: int, last: int) -> Array:
+    """Return the distances of estimates from the truth over some slow periods, relative to it."""
+    truth = [experiment.truth_at(k * experiment.period_s) for k in range(first, last)]
+    found: Array = np.abs(estimates[first:last] / np.array(truth) - 1.0)
+    return found
+
+
+def _between(record: Run, first_s: float, last_s: float) -> NDArray[np.bool_]:
+    times = record["time_s"]
+    return (times >= first_s) & (times < last_s)
+
+
+def estimate_moves(experiment: Experiment, record: Run) -> dict[str, float]:
+    """Return the smallest move of each estimate among the load changes, relative to its value.
+
+    A move is the largest distance from the last value before the change, within one cycle after
+    it.
+    """
+    estimates = estimates_of(experiment, record)
+    periods = round(experiment.reference.period_s / experiment.period_s)
+    firsts = [round(change.time_s / experiment.period_s) for change in experiment.changes]
+    moves = [estimates[first : first + periods] / estimates[first - 1] - 1.0 for first in firsts]
+    least = np.min([np.max(np.abs(one), axis=0) for one in moves], axis=0)
+    return dict(zip(experiment.nominal().names, least.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Result of an experiment: its runs, its metrics, and the verdicts on the paper's claims.
+"""Result of an experiment: runs, metrics, claims and the verdicts on them.
 
 Each claim has what was measured, what is expected, and whether it holds.
 """
@@ -7,16 +7,56 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from adaptdrive_sim.claims import Claim
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.case import Disturbance, ReproduceRequest, Variant
-from adaptdrive_sim.experiments.metrics import Cycle, convergence_cycles, cycles, estimate_moves
+from adaptdrive_sim.experiments.case import (
+    Cycle,
+    Disturbance,
+    ReproduceRequest,
+    Variant,
+    convergence_cycles,
+    cycles,
+    estimate_moves,
+)
 from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
+
+# Claims about what was simulated, and the verdicts on them.
+
+_VERDICTS = {True: "holds", False: "FAILS", None: "not judged"}
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One claim.
+
+    Attributes:
+        claim: What is claimed.
+        measured: What was measured.
+        target: What is expected.
+        met: Whether it holds; None where this run's noise is not the one to judge it by.
+    """
+
+    claim: str
+    measured: str
+    target: str
+    met: bool | None
+
+
+def print_claims(title: str, claims: list[Claim]) -> None:
+    """Print the verdict on every claim."""
+    lines = [
+        f"{_VERDICTS[one.met]}: {one.claim}: {one.measured} (target: {one.target})"
+        for one in claims
+    ]
+    sys.stdout.write("\n".join((title, *lines)) + "\n")
+
+
+# Result of an experiment: its runs, its metrics, and the verdicts on the paper's claims.
 
 
 @dataclass(frozen=True, slots=True)

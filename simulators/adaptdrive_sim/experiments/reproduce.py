@@ -12,18 +12,16 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 from adaptdrive.util.errors import AdaptdriveError, RefusedError
-from adaptdrive_sim.claims import Claim
-from adaptdrive_sim.course import Run
+from adaptdrive_sim.course import Run, processes, progress
 from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
 from adaptdrive_sim.experiments.experiment import BATH, DROPPED, MOTOR, Experiment
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome, claims, judge, summary
+from adaptdrive_sim.experiments.outcome import Claim, ExperimentOutcome, claims, judge, summary
 from adaptdrive_sim.experiments.sweep import (
     listen,
     settings_over_forgetting,
     settings_over_tau_lambda,
     try_settings,
 )
-from adaptdrive_sim.jobs import processes, progress
 
 VARIANTS: dict[str, tuple[Variant, ...]] = {
     "motor": ("fixed", "adaptive", "direct_rls"),
@@ -100,8 +98,11 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
             for variant in variants
         }
         # Drawing takes a while to import: meanwhile the runs are under way.
-        from adaptdrive_sim.experiments.figure import draw, experiment_figure  # noqa: PLC0415
-        from adaptdrive_sim.experiments.sweep_figure import sweep_figure  # noqa: PLC0415
+        from adaptdrive_sim.experiments.figure import (  # noqa: PLC0415
+            draw,
+            experiment_figure,
+            sweep_figure,  # noqa: PLC0415
+        )
 
         heard = listen(request.listener(), runs["fixed"].result())
         over_forgetting = pool.submit(try_settings, heard, settings_over_forgetting(experiment))

@@ -30,10 +30,9 @@ from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, shift_in
 from adaptdrive_sim.course import Array, Run
-from adaptdrive_sim.experiments.case import Case
+from adaptdrive_sim.experiments.case import Case, cycles_until_right, distances
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.metrics import cycles_until_right, distances
-from adaptdrive_sim.noise import samples
+from adaptdrive_sim.wire import samples
 
 SETTLED = 0.02
 

@@ -1,4 +1,4 @@
-"""The simulated drive as a process: building it, its log, and its orderly end."""
+"""A simulated device as a process: its settings, its plant, its bus."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
 
 from adaptdrive.app.settings import controller_settings, tick_s
+from adaptdrive.cli.options import Integer, read_address
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import AnySensorBus, Configuration
+from adaptdrive.config.services import Mqtt
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
 from adaptdrive.util.lines import log
-from adaptdrive_sim.device_settings import DeviceSettings, parse_address
 from adaptdrive_sim.devices.drive import (
     COMMAND_TIMEOUT_s,
     Frame,
@@ -26,16 +30,68 @@ from adaptdrive_sim.devices.drive import (
     SimulatedDrive,
     VoltageHolder,
 )
-from adaptdrive_sim.devices.kinds import KINDS, DriveNode, SensorNode
-from adaptdrive_sim.devices.remote import Remote
+from adaptdrive_sim.devices.kinds import KINDS, DriveNode, Remote, SensorNode
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
 from adaptdrive_sim.line import LineParameters
-from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.plants.held import HeldOutput
 from adaptdrive_sim.plants.kinds import coupling_of, load_of
+from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
+
+# Command-line settings of a simulated drive.
+
+InterfaceChoice = Literal["socketcan", "udp_multicast"]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class DeviceSettings:
+    """Settings that `adaptdrive-sim device` adds to the configuration.
+
+    Attributes:
+        broker: HOST:PORT of an MQTT broker for disturbances; none when left out.
+        noise_V: Standard deviation of each sample of the output, in the unit of the output.
+        seed: Seed of the noise.
+        disks: Disks on the shaft of a motor; one when left out.
+        initial_voltage_V: Start at rest at this boost voltage instead of at standstill.
+        command_timeout_s: Age of the last command, in seconds, at which it shuts down;
+            `bus.command_timeout_s` when left out, or 0.1.
+        boost_needs_bridge: The boost stage works only while the bridge's enable bit is on.
+        line_drift_Hz: Amplitude of the line's frequency drift, in hertz.
+        interface: Bus interface instead of the configured one.
+        channel: Channel instead of the configured one.
+        port: UDP port instead of the configured one.
+    """
+
+    broker: str | None = None
+    noise_V: Annotated[float, Parameter(name="--noise")] = 0.0
+    seed: Integer = 0
+    disks: Integer | None = None
+    initial_voltage_V: Annotated[float | None, Parameter(name="--initial-voltage")] = None
+    command_timeout_s: Annotated[float | None, Parameter(name="--command-timeout")] = None
+    boost_needs_bridge: bool = False
+    line_drift_Hz: Annotated[float, Parameter(name="--line-drift")] = 0.1
+    interface: InterfaceChoice | None = None
+    channel: str | None = None
+    port: Integer | None = None
+
+
+def parse_address(text: str) -> Mqtt:
+    """Read `HOST:PORT`, where an IPv6 address stands in brackets; the port may be left out.
+
+    Raises:
+        RefusedError: It is no such thing.
+    """
+    try:
+        host, port = read_address(text)
+    except ValueError as problem:
+        raise RefusedError(f"broker {text!r} is not HOST:PORT") from problem
+    return Mqtt(host=host, port=port)
+
+
+# The simulated drive as a process: building it, its log, and its orderly end.
 
 PATIENCE_READINGS = 4
 """Polls without a command before a drive that is polled shuts down, unless its file states less."""
