@@ -9,7 +9,6 @@ half cycle of delay between a frame and the command's effect, and it exists nowh
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from adaptdrive_sim.line import Line, LineParameters
 from adaptdrive_sim.parameters import SEED_MAX, ParameterError, check_range
 from adaptdrive_sim.plants.boost import Boost, BoostParameters
 from adaptdrive_sim.plants.coupling import Coupling, CouplingParameters
-from adaptdrive_sim.plants.load import SimulatedLoad
+from adaptdrive_sim.plants.load import Sample, SimulatedLoad
 from adaptdrive_sim.wire import NoiseParameters, samples
 
 
@@ -44,28 +43,6 @@ class WorldParameters:
 
     def __post_init__(self) -> None:
         check_range("seed", self.seed, 0, SEED_MAX, "")
-
-
-class Sample(NamedTuple):
-    """Measurements of the drive at the end of a half cycle.
-
-    Attributes:
-        tick: Half cycles since the start.
-        tick_period_s: Length of the elapsed half cycle.
-        boost_voltage_V: v_bst at the sampling phase, ripple included.
-        line_voltage_V: Line voltage of the elapsed half cycle, rms.
-        load_power_W: Mean power from the boost capacitor over the elapsed half cycle.
-        output: Regulated quantity with measurement noise.
-        load_current_A: Mean load current over the elapsed half cycle.
-    """
-
-    tick: int
-    tick_period_s: float
-    boost_voltage_V: float
-    line_voltage_V: float
-    load_power_W: float
-    output: float
-    load_current_A: float
 
 
 class World:

@@ -9,7 +9,8 @@ import pytest
 from adaptdrive.app.advice import advice
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, trip_limits
-from adaptdrive.config.root import DriveLimits, consistency_flaws
+from adaptdrive.config.consistency import consistency_flaws
+from adaptdrive.config.root import DriveLimits
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Measurement, Mode, Order, Stage
 from adaptdrive.devices.port import Reading

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config import Configuration, parse_configuration
-from adaptdrive.config.root import ModbusRtuSensors
-from adaptdrive.config.supply import in_order, moved_inputs, needed_names
+from adaptdrive.config.root import ModbusRtuSensors, in_order, moved_inputs, needed_names
 from adaptdrive.util.errors import ConfigurationError
 from tests.config import modbus_documents
 from tests.config.documents import SOURCE, document

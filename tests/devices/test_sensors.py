@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.app.ports import publish_samples
-from adaptdrive.config.supply import Derived
+from adaptdrive.config.root import Derived
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.port import PortStatistics, Reading, SensorListener
 from adaptdrive.devices.sensors import RULES, SensorBus, SensoredPort, derived_value

@@ -101,7 +101,7 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
         from adaptdrive_sim.experiments.figure import (  # noqa: PLC0415
             draw,
             experiment_figure,
-            sweep_figure,  # noqa: PLC0415
+            sweep_figure,
         )
 
         heard = listen(request.listener(), runs["fixed"].result())

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive_sim.plants.boost import Boost, BoostParameters
-from adaptdrive_sim.world import Sample
+from adaptdrive_sim.plants.load import Sample
 
 
 class HeldOutput(Boost):

@@ -7,7 +7,29 @@ The boost stage needs only those two numbers, and the load needs only the source
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+
+class Sample(NamedTuple):
+    """Measurements of the drive at the end of a half cycle.
+
+    Attributes:
+        tick: Half cycles since the start.
+        tick_period_s: Length of the elapsed half cycle.
+        boost_voltage_V: v_bst at the sampling phase, ripple included.
+        line_voltage_V: Line voltage of the elapsed half cycle, rms.
+        load_power_W: Mean power from the boost capacitor over the elapsed half cycle.
+        output: Regulated quantity with measurement noise.
+        load_current_A: Mean load current over the elapsed half cycle.
+    """
+
+    tick: int
+    tick_period_s: float
+    boost_voltage_V: float
+    line_voltage_V: float
+    load_power_W: float
+    output: float
+    load_current_A: float
 
 
 class SimulatedLoad(Protocol):

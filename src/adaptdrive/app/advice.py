@@ -12,8 +12,8 @@ from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanDescription, SignalSource
+from adaptdrive.config.consistency import absent_names
 from adaptdrive.config.load import BathSection, BatterySection
-from adaptdrive.config.supply import absent_names
 from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.util.errors import Flaw
 

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.root import AnySensorBus
-from adaptdrive.config.supply import in_order, needed_names
+from adaptdrive.config.root import AnySensorBus, in_order, needed_names
 from adaptdrive.devices.bus import BusKind
 from adaptdrive.devices.description import NO_DEMANDS, Demands, demands_of
 from adaptdrive.devices.port import Port, SensorPort

@@ -10,6 +10,7 @@ from dataclasses import replace
 from adaptdrive import __version__
 from adaptdrive.app.loads import alike, build_load, pole_range, short_lag_s
 from adaptdrive.config import Configuration
+from adaptdrive.config.consistency import absent_names
 from adaptdrive.config.load import (
     ERROR_SHARE,
     FORGETTING,
@@ -17,7 +18,7 @@ from adaptdrive.config.load import (
     BatterySection,
     MotorSection,
 )
-from adaptdrive.config.supply import absent_names, moved_inputs
+from adaptdrive.config.root import moved_inputs
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.loads.load import Load, to_input

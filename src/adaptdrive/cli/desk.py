@@ -219,7 +219,6 @@ class _Desk:
         return websocket
 
     async def _start_panel(self, websocket: int) -> None:
-        pass  # noqa: PLC0415 - it has a web server
 
         host = self._broker.host
         if not is_listening(host, websocket):

@@ -14,7 +14,8 @@ from typing import Annotated, Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from adaptdrive.config.root import Configuration, consistency_flaws
+from adaptdrive.config.consistency import consistency_flaws
+from adaptdrive.config.root import Configuration
 from adaptdrive.util.errors import ConfigurationError, Flaw, key_proposal
 
 _TYPE_AT = {"load": 1, "bus": 1, "sensor_bus": 2}

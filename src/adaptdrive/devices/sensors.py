@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from adaptdrive.config.bus import MEASURED
-from adaptdrive.config.supply import Derived, Rule, needed_names
+from adaptdrive.config.root import Derived, Rule, needed_names
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.port import (
     FAREWELL_GAP_S,

@@ -12,7 +12,7 @@ from adaptdrive.app.ports import build_whole_port
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.polled import ModbusBus, ModbusRtu
-from adaptdrive.config.supply import Derived
+from adaptdrive.config.root import Derived
 from adaptdrive.devices.polled.mapping import map_drive
 from adaptdrive.devices.polled.registers import (
     Exchange,

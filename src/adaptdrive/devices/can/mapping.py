@@ -14,7 +14,7 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, CanDescription, Signals
-from adaptdrive.config.supply import VOLTAGE_TICKS
+from adaptdrive.config.root import VOLTAGE_TICKS
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices.binding import Source, is_word, other_names, watched_words
 from adaptdrive.devices.can.codec import MessageCodec, counter_modulus
