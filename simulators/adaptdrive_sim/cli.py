@@ -79,7 +79,7 @@ def disturb(
 
     from adaptdrive.mqtt.client import NoAnswerError  # noqa: PLC0415
     from adaptdrive.mqtt.client import disturb as ask  # noqa: PLC0415
-    from adaptdrive_sim.disturbances import from_words  # noqa: PLC0415
+    from adaptdrive_sim.devices.disturbances import from_words  # noqa: PLC0415
 
     request = from_words(action, values)
     try:

@@ -34,9 +34,8 @@ from adaptdrive_sim.devices.kinds import KINDS, DriveNode, Remote, SensorNode
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.parameters import check_range
-from adaptdrive_sim.plants.boost import BoostParameters
-from adaptdrive_sim.plants.held import HeldOutput
-from adaptdrive_sim.plants.kinds import coupling_of, load_of
+from adaptdrive_sim.plants.boost import BoostParameters, HeldOutput
+from adaptdrive_sim.plants.load import coupling_of, load_of
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
 

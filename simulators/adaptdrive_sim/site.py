@@ -33,7 +33,7 @@ from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSe
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.course import PERIODS, Course, Run
-from adaptdrive_sim.plants.load import Sample
+from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.wire import CONTROL_FAULT, Wire, find_cause, received, rounded
 from adaptdrive_sim.world import World
 

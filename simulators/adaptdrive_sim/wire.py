@@ -19,7 +19,7 @@ from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector, shift_in
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.parameters import check_quantities, quantity
-from adaptdrive_sim.plants.load import Sample
+from adaptdrive_sim.plants.boost import Sample
 
 # Connection between the drive and its controller: rounding, a late sensor, interlocks.
 

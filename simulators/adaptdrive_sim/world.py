@@ -14,9 +14,8 @@ import numpy as np
 
 from adaptdrive_sim.line import Line, LineParameters
 from adaptdrive_sim.parameters import SEED_MAX, ParameterError, check_range
-from adaptdrive_sim.plants.boost import Boost, BoostParameters
-from adaptdrive_sim.plants.coupling import Coupling, CouplingParameters
-from adaptdrive_sim.plants.load import Sample, SimulatedLoad
+from adaptdrive_sim.plants.boost import Boost, BoostParameters, Coupling, CouplingParameters, Sample
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.wire import NoiseParameters, samples
 
 

@@ -15,7 +15,7 @@ from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.settings import ControllerSettings, Jacket, Learning, PowerStage, Rates
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Stage
 from adaptdrive.control.voltage_loop import LAG_TICKS
-from adaptdrive_sim.plants.load import Sample
+from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters

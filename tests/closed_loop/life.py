@@ -16,7 +16,8 @@ from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.plants.load import Sample, SimulatedLoad
+from adaptdrive_sim.plants.boost import Sample
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.wire import NoiseParameters

@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.control.signals import Command
 from adaptdrive_sim.devices.drive import VoltageHolder
-from adaptdrive_sim.plants.load import Sample
+from adaptdrive_sim.plants.boost import Sample
 from tests.closed_loop.bench import EXACT, RATES, STAGE, Bench, TICK_s, order
 
 HOLDER_TICKS = 9.0

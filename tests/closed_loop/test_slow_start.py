@@ -11,7 +11,7 @@ import pytest
 
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, SetSetpoint
-from adaptdrive_sim.plants.load import Sample
+from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.world import World
 from tests.closed_loop.test_same_on_every_bus import COURSES, configured
 from tests.closed_loop.wire import WAIT_s, Wire, wired

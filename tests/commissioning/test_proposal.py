@@ -24,7 +24,7 @@ from adaptdrive.identification.identify import identify
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from adaptdrive_sim.experiments.examples import FOLDER
-from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
 from tests.commissioning.draws import KINDS, Draw, Rig, finish

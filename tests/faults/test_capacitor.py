@@ -13,7 +13,7 @@ from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from adaptdrive_sim.devices.drive import Overvoltage
-from adaptdrive_sim.plants.load import Sample
+from adaptdrive_sim.plants.boost import Sample
 from tests.faults.course import Course, example, example_path
 
 LIMIT_V = 430.0

@@ -17,7 +17,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim import cli
 from adaptdrive_sim.device import DeviceSettings, build_world
-from adaptdrive_sim.plants.kinds import load_of
+from adaptdrive_sim.plants.load import load_of
 from tests.devices.bench import EXAMPLES
 
 MODELS: dict[str, dict[str, float]] = {

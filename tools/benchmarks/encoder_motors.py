@@ -34,7 +34,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive_sim.course import Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.wire import Wire

@@ -21,7 +21,7 @@ from adaptdrive_sim.campaign.settings import (
 )
 from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.plants.bath import Bath, BathParameters
-from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.world import World, WorldParameters
 
 _STREAM = 4

@@ -22,7 +22,7 @@ from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters

@@ -36,7 +36,7 @@ from adaptdrive_sim.campaign.settings import (
 )
 from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.experiments.case import from_rest
-from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World, WorldParameters
 

@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 from adaptdrive.config.file import read_text
 from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive_sim.plants.bath import Bath, BathParameters
-from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters
 
 # Contents of a campaign's file.
 

@@ -25,7 +25,7 @@ from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.story import DemoError, DemoSettings, Story
 from adaptdrive_sim.device import DeviceSettings, build_world
-from adaptdrive_sim.disturbances import answer, features_of
+from adaptdrive_sim.devices.disturbances import answer, features_of
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.site import OperatedDrive
 

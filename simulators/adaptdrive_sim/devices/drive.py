@@ -26,8 +26,7 @@ from typing import Any, NamedTuple
 from adaptdrive.control import voltage_loop
 from adaptdrive.util.clock import TickTimer
 from adaptdrive_sim.parameters import check_range
-from adaptdrive_sim.plants.held import HeldOutput
-from adaptdrive_sim.plants.load import Sample
+from adaptdrive_sim.plants.boost import HeldOutput, Sample
 from adaptdrive_sim.world import World
 
 # Behaviour of the simulated drive that does not depend on its bus.

@@ -25,11 +25,11 @@ from adaptdrive.mqtt.contract import DeviceReply, simulator_topic
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive_sim.devices.can import CanDrive, CanSensors
 from adaptdrive_sim.devices.canopen import CanOpenDrive
+from adaptdrive_sim.devices.disturbances import answer, features_of, refused
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import load_messages
 from adaptdrive_sim.devices.modbus import ModbusDrive, ModbusSensors
 from adaptdrive_sim.devices.scpi import ScpiDrive
-from adaptdrive_sim.disturbances import answer, features_of, refused
 
 # The simulated devices of each kind of bus.
 

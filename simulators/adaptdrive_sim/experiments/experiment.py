@@ -24,7 +24,7 @@ from adaptdrive.control.signals import Waveform
 from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.experiments.examples import example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
-from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 
 # An experiment as data: a load that changes, a reference, and the paper's settings for it.

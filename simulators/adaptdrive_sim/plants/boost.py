@@ -1,4 +1,4 @@
-"""The boost pre-regulator: a capacitor between the line's rectifier and the dc/dc stage.
+"""The power stage: boost pre-regulator, a drive that holds its output, the coupled dc/dc stage.
 
 State x = v_bst², for which the stage is linear in its command:
 
@@ -17,14 +17,46 @@ vanishes at the zero crossing.
 
 While the line is on, the rectifier's diodes do not let v fall below the line's peak; a capacitor
 below it is charged towards it through the precharge resistor.
+
+It follows its reference with a first-order lag, whatever the load draws and the line gives.
+
+From the load's side it is a source N2·v behind R_d. From the boost capacitor's side it draws the
+current N2·i, where i is the load current; with a load of electromotive force E and resistance R
+that is i_boost(v) = G·v − H with G = N2²/(R_d + R) and H = N2·E/(R_d + R).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from adaptdrive_sim.parameters import check_quantities, quantity
+
+
+class Sample(NamedTuple):
+    """Measurements of the drive at the end of a half cycle.
+
+    Attributes:
+        tick: Half cycles since the start.
+        tick_period_s: Length of the elapsed half cycle.
+        boost_voltage_V: v_bst at the sampling phase, ripple included.
+        line_voltage_V: Line voltage of the elapsed half cycle, rms.
+        load_power_W: Mean power from the boost capacitor over the elapsed half cycle.
+        output: Regulated quantity with measurement noise.
+        load_current_A: Mean load current over the elapsed half cycle.
+    """
+
+    tick: int
+    tick_period_s: float
+    boost_voltage_V: float
+    line_voltage_V: float
+    load_power_W: float
+    output: float
+    load_current_A: float
+
+
+# The boost pre-regulator: a capacitor between the line's rectifier and the dc/dc stage.
 
 _HALF, _THIRD, _QUARTER, _FIFTH = 1.0 / 2.0, 1.0 / 3.0, 1.0 / 4.0, 1.0 / 5.0
 
@@ -206,3 +238,82 @@ def _sum_series(x: float, v: float, x1: float, g: float, h: float) -> tuple[floa
     x5 = (h * v4 - g * x4) * _FIFTH
     mean = v + (v1 * _HALF + (v2 * _THIRD + (v3 * _QUARTER + v4 * _FIFTH)))
     return x + (x1 + (x2 + (x3 + (x4 + x5)))), mean
+
+
+# The output of a drive that holds it itself: a voltage, a frequency or a torque without a floor.
+
+
+class HeldOutput(Boost):
+    """Takes the place of the boost capacitor, and of the loop that holds its voltage.
+
+    Attributes:
+        reference_V: What is asked for, in the drive's unit; 0 for none.
+    """
+
+    has_rectifier = False
+
+    def __init__(self, parameters: BoostParameters, lag_s: float) -> None:
+        """Begin at 0.
+
+        Args:
+            parameters: Whether the load may feed power back.
+            lag_s: Time constant.
+        """
+        super().__init__(parameters, 0.0)
+        self.reference_V = 0.0
+        self._lag_s = lag_s
+
+    def scale_S(self, reference_V: float, sample: Sample) -> float:
+        """Take a reference; there is no line current to scale."""
+        del sample
+        self.reference_V = reference_V
+        return 0.0
+
+    def advance(
+        self,
+        current_scale_S: float,
+        line_V: float,
+        conductance_S: float,
+        offset_A: float,
+        duration_s: float,
+    ) -> float:
+        """Run one half line cycle, as the boost stage does."""
+        del current_scale_S, line_V
+        share = -math.expm1(-duration_s / self._lag_s) if self._lag_s else 1.0
+        end_V = self.voltage_V + share * (self.reference_V - self.voltage_V)
+        mean_V = 0.5 * (self.voltage_V + end_V)
+        self.settle(end_V, mean_V * max(self._lowest, conductance_S * mean_V - offset_A))
+        self.mean_voltage_V = mean_V
+        return end_V
+
+
+# The inductively coupled dc/dc stage: an ideal transformer with a droop resistance.
+
+
+@dataclass(frozen=True, slots=True)
+class CouplingParameters:
+    """The dc/dc stage."""
+
+    ratio: float = quantity(0.25, "", "secondary volts per volt of v_bst, N2", 0.01, 10.0)
+    droop_Ohm: float = quantity(1.0, "Ω", "output resistance of the stage, R_d", 0.0, 100.0)
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+
+
+class Coupling:
+    """The stage as the boost capacitor and the load see it."""
+
+    def __init__(self, parameters: CouplingParameters) -> None:
+        self.parameters = parameters
+        self.ratio = parameters.ratio
+        self.droop_Ohm = parameters.droop_Ohm
+
+    def draw(self, emf_V: float, resistance_Ohm: float) -> tuple[float, float]:
+        """Return the load as seen from the boost capacitor.
+
+        Returns:
+            Conductance G in siemens and offset current H in ampere: i_boost(v) = G·v − H.
+        """
+        primary_S = self.ratio / (self.droop_Ohm + resistance_Ohm)
+        return primary_S * self.ratio, primary_S * emf_V

@@ -22,7 +22,7 @@ from adaptdrive_sim.course import Course
 from adaptdrive_sim.experiments.examples import example_tables
 from adaptdrive_sim.plants.bath import BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import MotorParameters
 from adaptdrive_sim.world import World
 

@@ -17,7 +17,7 @@ A request is a JSON object with an `id` and exactly one disturbance:
 
 The simulator's own topics on an MQTT broker.
 
-    adaptdrive-sim/DRIVE/disturb   requests, see `adaptdrive_sim.disturbances`; never retained
+    adaptdrive-sim/DRIVE/disturb   requests, as above; never retained
     adaptdrive-sim/DRIVE/reply     the answer to each: id, accepted, reason
     adaptdrive-sim/DRIVE/truth     retained, once a second: what an estimator is to find, and
                                    the disturbances that the device offers
