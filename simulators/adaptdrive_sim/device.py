@@ -1,7 +1,5 @@
 """A simulated device as a process: its settings, its plant, its bus."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import signal

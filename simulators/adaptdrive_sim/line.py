@@ -4,8 +4,6 @@ Drift and wander are slow sines with periods of their own, so that a run is the 
 A sag takes a fraction off the voltage for a while and ends by itself.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Self

@@ -4,8 +4,6 @@ The order of calls is that of `adaptdrive.control.schedule`. There is no bus and
 nothing waits: time passes as fast as the machine counts it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -7,8 +7,6 @@ Random numbers are drawn in blocks and handed out one by one as plain floats: a 
 for each sample would cost more than the plant.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ the drive latches a command at the end of the half cycle in which it arrives. Th
 half cycle of delay between a frame and the command's effect, and it exists nowhere else.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

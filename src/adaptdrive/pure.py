@@ -1,7 +1,5 @@
 """Choice between the compiled modules and their Python sources."""
 
-from __future__ import annotations
-
 import sys
 from importlib.machinery import SOURCE_SUFFIXES, FileFinder, SourceFileLoader
 from typing import TYPE_CHECKING

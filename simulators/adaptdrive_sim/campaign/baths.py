@@ -1,7 +1,5 @@
 """Runs of baths: what a seed draws, and plant, controller and course made of it."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from functools import cache

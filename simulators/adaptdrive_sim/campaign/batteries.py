@@ -3,8 +3,6 @@
 The whole machine of the daemon runs, as a charge begins below the EMF and may end by itself.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal

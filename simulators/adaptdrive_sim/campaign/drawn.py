@@ -1,7 +1,5 @@
 """One drawn run of any load: what was drawn, its course, its plant, and what a run of it shows."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """The loop as it was designed: true load, no limits, delays or noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 A file names a load by its key `type`. Runs go to processes of this machine, or to a Dask cluster.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ All of it comes from a separate stream of random numbers, so that a campaign wit
 it always drew.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from functools import cache

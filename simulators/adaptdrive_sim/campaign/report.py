@@ -5,8 +5,6 @@ slow instants, plus (0.005 · step)² for each: errors below any display cost no
 that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Contents of a campaign's file, for motors and for baths."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """`adaptdrive-sim demo`: plays one story, shows it, and prints its figures."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import shutil

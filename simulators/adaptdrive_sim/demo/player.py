@@ -1,7 +1,5 @@
 """Plays a story: its clock, its scenes, and the way back after a trip or a pause."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol
 

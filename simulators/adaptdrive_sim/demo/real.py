@@ -1,7 +1,5 @@
 """The stage of a story in real time: broker, simulated drive and daemon, each a process."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import shutil

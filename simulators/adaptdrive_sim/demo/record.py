@@ -1,7 +1,5 @@
 """Messages of a demonstration, and what it learns from them: overshoots, values, trips."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field

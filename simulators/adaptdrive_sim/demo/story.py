@@ -1,7 +1,5 @@
 """Stories as data, one file each, and the settings of a demonstration."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The stage of a story in virtual time: one process, no bus, N times real time."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import time

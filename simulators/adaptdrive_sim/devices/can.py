@@ -7,8 +7,6 @@ constants are right, ignores and counts the others, and leaves what is not addre
 command that is spread over several frames is obeyed when the one with the bridge has come.
 """
 
-from __future__ import annotations
-
 import asyncio
 import collections
 import contextlib

@@ -9,8 +9,6 @@ draws line current in *switched on* and feeds the load in *operation enabled* on
 the host's heartbeat: when that stays away it switches off by itself.
 """
 
-from __future__ import annotations
-
 import asyncio
 import collections
 import functools

@@ -25,8 +25,6 @@ The simulator's own topics on an MQTT broker.
 The truth is removed when the simulated drive goes away, by its last will if need be.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Sequence

@@ -14,8 +14,6 @@ itself and does not trust its host:
 * A fault that is injected shuts the drive down until it is cleared.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Callable, Iterator

@@ -7,8 +7,6 @@ The drive reads the same configuration as the daemon. A table has every address 
 register to its last; what lies between and is not mapped reads as 0.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

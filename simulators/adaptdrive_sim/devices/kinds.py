@@ -4,8 +4,6 @@ The drive's node never waits for any of this: when the broker is away the node r
 client is tried at growing intervals.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections import Counter

@@ -8,8 +8,6 @@ Each device id of the map is a module. Registers that no signal is taken from ar
 can be written and read back. What is measured cannot be written.
 """
 
-from __future__ import annotations
-
 import asyncio
 import collections
 import contextlib

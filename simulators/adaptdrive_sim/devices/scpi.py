@@ -4,8 +4,6 @@ It answers with what was measured in the last half cycle. What it does not know,
 into its queue of errors, which `SYST:ERR?` or whatever the configuration names for it empties.
 """
 
-from __future__ import annotations
-
 import asyncio
 import collections
 import contextlib

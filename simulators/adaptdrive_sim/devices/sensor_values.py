@@ -3,8 +3,6 @@
 The sensors read the same configuration as the daemon: what is called so there is shown so here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from pathlib import Path

@@ -13,8 +13,6 @@ With the model A y = B u of the true load the design makes
 A_m are where the design wants them, so that a larger load changes B's zero at most.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The example configurations that come with the simulator."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any

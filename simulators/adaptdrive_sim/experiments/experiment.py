@@ -4,8 +4,6 @@ A bath fills from 0.6 to 1.5 US gal (Fig. 4); a second and a third disk drop ont
 motor (Fig. 9).
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The figures of the experiments, laid out like the paper's, with more panels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Each claim has what was measured, what is expected, and whether it holds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import sys

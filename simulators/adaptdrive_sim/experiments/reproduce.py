@@ -1,7 +1,5 @@
 """`adaptdrive-sim reproduce`: an experiment of the paper from start to end."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

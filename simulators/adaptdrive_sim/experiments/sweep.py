@@ -6,8 +6,6 @@ once without noise, for the speed, and several times with it, for what the noise
 instants are worked out.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

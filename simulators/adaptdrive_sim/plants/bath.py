@@ -12,8 +12,6 @@ Where the temperature of the inflow drifts, by s(t) from that at the start, T st
 above that at the start, and rests at p·R + s. The resistance of a heater that ages rises steadily.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ a bidirectional drive can make it negative. One step takes the current as linear
 exact to the third power of the step over the relaxation times.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

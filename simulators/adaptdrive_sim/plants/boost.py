@@ -25,8 +25,6 @@ current N2·i, where i is the load current; with a load of electromotive force E
 that is i_boost(v) = G·v − H with G = N2²/(R_d + R) and H = N2·E/(R_d + R).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

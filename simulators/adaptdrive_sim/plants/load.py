@@ -8,8 +8,6 @@ Its linear model is that of `[load.model]`. What a model leaves open, such as th
 motor's armature, is that of the reference load, or is named in `[simulation.parameters]`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from difflib import get_close_matches

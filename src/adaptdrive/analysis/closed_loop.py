@@ -4,8 +4,6 @@ The order of calls is that of `control.schedule`. A command that is computed fro
 at tick n is latched by the drive at the end of the half cycle after it, and acts from tick n+1.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

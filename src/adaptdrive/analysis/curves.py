@@ -1,7 +1,5 @@
 """Curves of a session: as many points as a figure can show, found with flat memory."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

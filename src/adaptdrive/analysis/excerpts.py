@@ -1,7 +1,5 @@
 """Parts of a record: uninterrupted ones for identification, and steps of the set-point."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

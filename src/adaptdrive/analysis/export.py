@@ -1,7 +1,5 @@
 """Sessions in the formats of other programs, and as tables without lists."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """Figure and report of a session: output, voltages, estimates, and the controller in force."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

@@ -1,7 +1,5 @@
 """The load of a record as a table, as values for JSON, and as a figure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """A record of one input and one output, made by any program: which columns, and at which times."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, replace

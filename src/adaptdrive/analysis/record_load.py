@@ -1,7 +1,5 @@
 """The load that a record shows: a CSV file, a table, a simulation, or a recorded session."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields, replace
 from pathlib import Path

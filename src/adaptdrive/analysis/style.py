@@ -1,7 +1,5 @@
 """Style of the figures: one typeface, few colours, no unnecessary frames."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from typing import Any
 

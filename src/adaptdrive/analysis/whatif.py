@@ -1,7 +1,5 @@
 """A recorded session again in closed loop, with other settings: run, table, values and figure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

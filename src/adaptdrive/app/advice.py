@@ -1,7 +1,5 @@
 """Values that can be used, and probably are not meant or do not work well together."""
 
-from __future__ import annotations
-
 import ipaddress
 import math
 import os

@@ -1,7 +1,5 @@
 """The limits of a configuration as `adaptdrive check` shows them: tables, or JSON for programs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The `[bus]` and `[signals]` of a drive, from its DBC or EDS and the choices of its user."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Mapping
 

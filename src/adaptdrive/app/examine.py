@@ -1,7 +1,5 @@
 """Everything that can be known to be wrong with a configuration before a bus is opened."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator

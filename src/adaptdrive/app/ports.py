@@ -1,7 +1,5 @@
 """The port of a drive with its separate sensors, as its configuration asks for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

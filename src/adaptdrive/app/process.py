@@ -9,8 +9,6 @@ imports and memory ready, so that the first real ticks take no longer than later
 before each real one it fills the caches of the CPU.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import math

@@ -4,8 +4,6 @@ It is a record of the log. It counts only for the configuration that it was made
 carries a hash; another one is not used, with a warning.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

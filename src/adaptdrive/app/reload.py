@@ -4,8 +4,6 @@ The bus is closed and opened again, and everything is built anew, as at a start;
 locks and its place at the service manager stay.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import math

@@ -5,8 +5,6 @@ reach the thread that controls a drive. What the queue cannot hold is dropped, o
 counted; the count is written as soon as a line gets through again.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import functools

@@ -1,7 +1,5 @@
 """Settings of controller, runtime and interlocks, made from the configuration."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator

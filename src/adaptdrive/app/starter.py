@@ -4,8 +4,6 @@ An example describes one load behind one bus. The bus of one and the load of ano
 configurations that no example shows; every one of them passes `check` as it stands.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

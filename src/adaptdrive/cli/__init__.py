@@ -1,7 +1,5 @@
 """The command `adaptdrive`: one clear line for every error, and a status that scripts can use."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path

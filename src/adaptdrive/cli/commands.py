@@ -1,7 +1,5 @@
 """The words of a command line, and the commands that they name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
@@ -23,8 +21,8 @@ _COMMANDS = {
     "identify": ("analysis", "Identify the load from a session or a CSV file, with error bars."),
     "whatif": ("analysis", "Run a session again in closed loop with other settings."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
-    "commission": ("commission", "Measure an unknown load on its drive, and propose the settings."),
-    "panel": ("panel", "Serve the panel, a web page for a broker's drives, on this machine."),
+    "commission": ("analysis", "Measure an unknown load on its drive, and propose the settings."),
+    "panel": ("desk", "Serve the panel, a web page for a broker's drives, on this machine."),
     "watch": ("operate", "Show a drive live in the terminal, with keys for the commands."),
     "status": ("operate", "Show the state and the telemetry of a drive."),
     "manual": ("operate", "Hold the present V_c until the command voltage."),

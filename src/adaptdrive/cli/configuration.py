@@ -1,7 +1,5 @@
 """Commands that read a configuration and nothing else."""
 
-from __future__ import annotations
-
 import json
 import sys
 from contextlib import suppress

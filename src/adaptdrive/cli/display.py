@@ -1,7 +1,5 @@
 """Status of a drive as text."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 They return 0 when the drive accepted, 1 when it refused, 3 when there was no answer.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import sys

@@ -3,8 +3,6 @@
 Nothing is commanded, unless asked for: then the safe command alone.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import os

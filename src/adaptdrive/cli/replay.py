@@ -1,7 +1,5 @@
 """`adaptdrive replay`: the controller again, on recorded measurements."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict
 from pathlib import Path

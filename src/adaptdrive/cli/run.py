@@ -1,7 +1,5 @@
 """`adaptdrive run`, which imports nothing but what the daemon needs."""
 
-from __future__ import annotations
-
 import gc
 import os
 import threading

@@ -1,7 +1,5 @@
 """Signals and standard files as a process needs them, whatever its starter has left."""
 
-from __future__ import annotations
-
 import codecs
 import errno
 import os

@@ -1,7 +1,5 @@
 """`adaptdrive init`: from nothing, or from a DBC or EDS, to a first configuration."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

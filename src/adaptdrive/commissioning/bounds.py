@@ -10,8 +10,6 @@ standard deviations of K (profile likelihood). The largest credible K of each gi
 movement that V_c can cause before it is taken back.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

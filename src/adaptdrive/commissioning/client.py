@@ -3,8 +3,6 @@
 Each voltage has a time to live: when this program or its connection dies, the drive trips.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import AsyncGenerator, AsyncIterator, Callable

@@ -1,7 +1,5 @@
 """The course of an experiment: samples, phases, waits, limits, and the voltage it asks for."""
 
-from __future__ import annotations
-
 import bisect
 import itertools
 import math

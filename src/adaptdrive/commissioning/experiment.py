@@ -10,8 +10,6 @@
 A load without overshoot stays within that movement. Time is that of the samples.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

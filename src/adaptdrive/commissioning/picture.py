@@ -1,7 +1,5 @@
 """An experiment with its live picture in a terminal, ended by a key."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import math

@@ -1,7 +1,5 @@
 """Settings that follow from an identified load, and the configuration with them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The results of commissioning: text, figure; and the experiment on a plant of the user."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Commissioning from the first look at the sensors to the file with new values."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import re

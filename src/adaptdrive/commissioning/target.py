@@ -1,7 +1,5 @@
 """Limits of an experiment: the drive's, the output's, and the movement that was asked for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from adaptdrive.app.loads import build_load

@@ -1,7 +1,5 @@
 """`[bus]` and `[signals]`: where the drive is reached and which signal is which quantity."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from typing import Annotated, ClassVar, Literal

@@ -1,7 +1,5 @@
 """Checks between the sections of a configuration: paces, supplied quantities, commands, limits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator
 from graphlib import CycleError

@@ -1,7 +1,5 @@
 """Reading a configuration file, with every flaw named by its place."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import re

@@ -3,8 +3,6 @@
 `[estimator]` and `[supervisor]` state how the load is learnt, and when estimates are used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal

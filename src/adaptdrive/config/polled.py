@@ -1,7 +1,5 @@
 """`[bus]` of a drive that is polled: a register map on Modbus, or lines of SCPI."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

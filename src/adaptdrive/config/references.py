@@ -3,8 +3,6 @@
 Each kind of bus names its signals in its own way, and has its own time between two readings.
 """
 
-from __future__ import annotations
-
 import itertools
 import operator
 from collections.abc import Iterable, Iterator, Mapping

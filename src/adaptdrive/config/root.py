@@ -1,7 +1,5 @@
 """The whole configuration, the drive and its sensors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from graphlib import TopologicalSorter
 from itertools import chain

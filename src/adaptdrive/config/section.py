@@ -1,7 +1,5 @@
 """What all sections share: keys, their limits, and units."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import operator

@@ -1,7 +1,5 @@
 """`[interlocks]`, `[mqtt]`, `[recording]`, `[realtime]`: what surrounds the controller."""
 
-from __future__ import annotations
-
 import contextlib
 import ipaddress
 import re

@@ -3,8 +3,6 @@
 `docs/proof/obedience.md` gives the argument for each of them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ runs the controller applies that decision right before the tick at which it take
 calls in the same order give the same commands bit for bit, live, simulated and replayed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -5,8 +5,6 @@ voltage loop. The input of the λ filters is the measured boost voltage (through
 map), not V_c: the lag of the voltage loop would otherwise be taken for the load's.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ half leaves a snapshot. The decision made of it is due at tick kQ + L, or at the
 its delivery when it comes later. When a run ends, what was decided for it is void.
 """
 
-from __future__ import annotations
-
 from typing import Final, Protocol
 
 from adaptdrive.control.signals import Command, Decision, Measurement, Order, Snapshot, Stage

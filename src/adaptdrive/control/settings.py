@@ -1,7 +1,5 @@
 """Settings of the controller, fixed when it is built."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import dataclass, field

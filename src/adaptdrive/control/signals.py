@@ -8,8 +8,6 @@ leave in a `Command`. A recording of the first two reproduces the third bit for 
 is annotated with a `Quantity` is a column of the messages and of the recording.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, is_dataclass

@@ -16,8 +16,6 @@ estimate, the design turns a trusted one into gains, and the law in force comput
 on the history that both laws share.
 """
 
-from __future__ import annotations
-
 import math
 
 from adaptdrive.control.design.pole_placement import (

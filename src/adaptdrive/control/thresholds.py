@@ -4,8 +4,6 @@ Each slow period brings one innovation, and the slow period is chosen in proport
 constants of the load, so that counts of samples suit a motor, a bath and a battery alike.
 """
 
-from __future__ import annotations
-
 FEWEST = 5
 """Samples that can show anything: as many as there are parameters, 4 to 6 for a bath or a motor."""
 

@@ -5,8 +5,6 @@ interpreter runs them, and mypyc compiles the very same source. A matrix is a fl
 order. A `Vector` is a list, which is faster than an array at these sizes.
 """
 
-from __future__ import annotations
-
 import math
 
 Vector = list[float]

@@ -15,8 +15,6 @@ dividing by the measured line voltage keeps the poles there on a weak or a stron
 stands still while k is limited and the error would drive it further into the limit.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 _POLE = Fraction(2, 3)

@@ -3,8 +3,6 @@
 No tick commands it: an operator asks for it while the drive is off.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections import Counter

@@ -3,8 +3,6 @@
 A proposal is a start for a configuration; its author confirms each line.
 """
 
-from __future__ import annotations
-
 import codecs
 import re
 from collections.abc import Callable, Iterable, Mapping

@@ -9,8 +9,6 @@ next tick brings a fresher command. A bus that is lost, or on which nothing come
 either; both are reported as such.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A DBC, an EDS and a register map describe it in three ways; here it is the same for all of them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -9,8 +9,6 @@ Each quantity is judged by itself. A value that must not be used does not replac
 of its quantity: that one keeps its own time and ages.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace

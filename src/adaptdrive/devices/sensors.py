@@ -6,8 +6,6 @@ derived from all of it. Nothing is waited for: a sensor that is silent leaves it
 grows old until the port complains.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable, Mapping, Sequence

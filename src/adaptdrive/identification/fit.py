@@ -10,8 +10,6 @@ model makes the estimate consistent also where a controller feeds the noise back
 (Ljung, System Identification, section 13.4).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

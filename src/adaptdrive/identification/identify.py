@@ -1,7 +1,5 @@
 """Identification of a load, and the model that is proposed from it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

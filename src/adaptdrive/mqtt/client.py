@@ -1,7 +1,5 @@
 """An operator's side of the contract: reading of what drives publish, sending of commands."""
 
-from __future__ import annotations
-
 import asyncio
 import getpass
 import json

@@ -1,7 +1,5 @@
 """Wall-clock time, whether it can be trusted, and delays: of log lines and of the next attempt."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import sys

@@ -5,8 +5,6 @@ is read for its id, then the whole is held against the one shape that its verb a
 number lies in the drive's range is checked by the host, which has the limits.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -6,8 +6,6 @@ the one that loses the name gives way: it connects under another name, where ope
 both, and reports it. It trips as soon as it is certain of the other daemon.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import ssl

@@ -5,8 +5,6 @@ looked at. Every other command that arrived before it and still waits is refused
 waits for a slow disk must not undo the stop that came after it.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterable, Mapping

@@ -8,8 +8,6 @@ Of the steps in each 12 s at most two are kept: those with the lowest and the hi
 that a plot shows every overshoot. Readings are kept as they come, ten a second.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections import deque

@@ -5,8 +5,6 @@ its own user of the broker may do. Its client sends what a loss of the broker ha
 acknowledgement again, after any time: each command but a stop expires.
 """
 
-from __future__ import annotations
-
 import asyncio
 import random
 import time

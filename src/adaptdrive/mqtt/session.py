@@ -4,8 +4,6 @@ mosquitto accepts a subscription to topics which its access list does not let th
 delivers nothing. No answer shows that, and a drive would run on whatever an operator asks for.
 """
 
-from __future__ import annotations
-
 import asyncio
 import secrets
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """aiomqtt's client, made fit to live in the event loop of a controller."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import socket

@@ -3,8 +3,6 @@
 It implements MQTT 3.1.1, keeps nothing on disk and needs no password: for demonstrations and desks.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import signal

@@ -4,8 +4,6 @@ Each gets a separate session, so that Ctrl-C on the terminal reaches this proces
 then ends them one by one; and a leash, so that none outlives it however it dies.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

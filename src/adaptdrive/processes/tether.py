@@ -6,8 +6,6 @@ The kernel sends SIGTERM to a leashed process when its parent dies. The leash su
 that nothing of this file is left in the process. Needs the standard library only.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

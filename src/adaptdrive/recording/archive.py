@@ -5,8 +5,6 @@ and a file of the log is removed when all of it is in them. A full disk, a kill 
 of the log therefore needs no repair but another run.
 """
 
-from __future__ import annotations
-
 import bisect
 import fcntl
 import math

@@ -4,8 +4,6 @@ It is started as `python -m adaptdrive.recording.archiver LOG AFTER [--no-figure
 being the time after a trip that belongs to its record, and outlives the daemon that started it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

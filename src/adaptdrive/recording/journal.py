@@ -6,8 +6,6 @@ for a bounded time. What a disk that hangs leaves waiting is bounded: the oldest
 an event, a command or a reply never does.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Callable

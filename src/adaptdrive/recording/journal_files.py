@@ -8,8 +8,6 @@ A file is named by its running number, the start of its session and the segment 
 The daemon holds a lock on the file that it writes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import re

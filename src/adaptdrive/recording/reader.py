@@ -1,7 +1,5 @@
 """Reading a session back, however it ended, and verifying its files."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence

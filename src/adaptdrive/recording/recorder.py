@@ -1,7 +1,5 @@
 """The recorder service in the control process, and the archiver as that process sees it."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

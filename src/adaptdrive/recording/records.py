@@ -9,8 +9,6 @@ kind (one byte) and payload. A reader that finds a frame damaged looks for the n
 is sound, and reports what it has passed over.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from array import array

@@ -4,8 +4,6 @@ The order of calls is that of `control.schedule`. The record holds the tick at w
 decision took effect, which may be late, and on which snapshots the daemon decided at all.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import tomllib

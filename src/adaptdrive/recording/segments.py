@@ -8,8 +8,6 @@ A symbolic link to a session, such as one that was moved to another disk, takes 
 neither counted nor removed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

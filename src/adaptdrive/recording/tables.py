@@ -3,8 +3,6 @@
 Each field has `unit`, `description` and `source` as metadata.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterable, Iterator, Sequence

@@ -4,8 +4,6 @@ A disk may stall a write. Another thread syncs what was written, so that rows an
 file meanwhile.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

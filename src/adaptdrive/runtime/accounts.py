@@ -1,7 +1,5 @@
 """Reports of a daemon, collected from its parts: to the hub on each change, and in one line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields

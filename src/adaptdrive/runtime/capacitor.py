@@ -20,8 +20,6 @@ A command that was computed from frame n acts from frame n+1 to n+2. Three rules
   limit in each half cycle, until the report rises or its time to start is over.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Final

@@ -1,7 +1,5 @@
 """The daemon of one drive: its tasks, their ownership, and their reports."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

@@ -8,8 +8,6 @@ Within a tick the command comes first. What can wait until it is on the wire (th
 loop, the watchdog, the books and the report) comes after it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -19,8 +19,6 @@ A counter that stands while frames come shows no rate at all: they may be one fr
 long it has stood is measured apart.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -1,7 +1,5 @@
 """All interlocks of one drive at a tick, a stop by itself among them: the first cause counts."""
 
-from __future__ import annotations
-
 import math
 
 from adaptdrive.config.timing import Timing

@@ -31,8 +31,6 @@ An output that is derived from several values moves as long as one of them does.
 that the load moves is watched by itself.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Everything here is optional. An ordinary user is refused most of it and gets a d
 only with ticks that other processes can delay.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import gc

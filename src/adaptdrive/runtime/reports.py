@@ -4,8 +4,6 @@ Each subscriber has its own bounded queue. A full queue drops its oldest report 
 drop, so that a stalled broker or disk costs history and never a tick.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections import deque

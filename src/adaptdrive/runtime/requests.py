@@ -4,8 +4,6 @@ A request is one class: its verb in the topic, and its fields as they stand in t
 state machine carries it out. `REQUESTS` lists them; messages and command line are made of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 

@@ -1,7 +1,5 @@
 """Settings of the runtime of one drive: limits of requests, V_c by hand, the loop's interface."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ Below what V_c can hold an enabled drive coasts: its bridge is off until a set-p
 starts it. `enable` itself moves nothing, and a set-point of 0 or less lets the load coast.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Final

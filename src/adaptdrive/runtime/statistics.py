@@ -5,8 +5,6 @@ in the last bin those of 32,768 us or more. One late tick in a night is seen in 
 of that minute has long been overwritten.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

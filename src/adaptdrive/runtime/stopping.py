@@ -1,7 +1,5 @@
 """Stop of a drive: what its reports mean for the state machine, and what holds it to the stop."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from enum import Enum, auto

@@ -1,7 +1,5 @@
 """Work between the ticks: preparation, causes of late ticks, garbage, and the watchdog."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import math

@@ -27,8 +27,6 @@ A drive that is polled sends no frames by itself: its readings are a fixed numbe
 apart, by the clock that polls it, and its ticks are multiples of that number.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -4,8 +4,6 @@ An interlock gives its cause as text, and records keep only that. The registry l
 the remedy: in the table of `docs/operation.md`, and in each message.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from dataclasses import dataclass

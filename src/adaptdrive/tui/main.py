@@ -3,8 +3,6 @@
 A stop withdraws all commands that were sent before it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import time

@@ -1,7 +1,5 @@
 """Messages received of one drive, and their plot in braille characters."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -3,8 +3,6 @@
 Whoever looks is told by lines on standard error; a terminal that is stopped takes none.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import os

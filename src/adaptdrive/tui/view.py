@@ -1,7 +1,5 @@
 """The live view of one drive: one screen, made from what was received."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -7,8 +7,6 @@ The helper threads of the event loop are few, everything else that blocks needs 
 process cannot end before they do: a call to a name server or to a broken device takes minutes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import ctypes

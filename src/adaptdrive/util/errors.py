@@ -1,7 +1,5 @@
 """All errors of adaptdrive: one root, leaves with their data, names that were probably meant."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

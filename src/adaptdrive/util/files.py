@@ -1,7 +1,5 @@
 """Small files: read without waiting for anything, a FIFO or a device is refused; replaced whole."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -1,7 +1,5 @@
 """Log lines: one JSON object a line on stderr, for the journal. Nothing is logged per tick."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -4,8 +4,6 @@ Whatever leaves the process with such a value takes name and unit from here: tex
 and figures.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 BOOST_VOLTAGE = "v_bst"

@@ -38,8 +38,6 @@ the open loop L = B S/(A R) from -1 on the unit circle is |A_f/(A R)|, the modul
 additional delay of d periods the loop stays stable while |B S/A_f| |1 - z^-d| < 1.
 """
 
-from __future__ import annotations
-
 import math
 
 from adaptdrive.control.design.pole_placement import desired_polynomial, kept_factor, place

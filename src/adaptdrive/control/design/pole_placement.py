@@ -31,8 +31,6 @@ it likes. Parameters that the samples leave open along a direction that the loop
 as a gain and time constants that grow together, count for what they do together.
 """
 
-from __future__ import annotations
-
 import math
 
 from adaptdrive.control.loads.discretise import held_model, input_taps

@@ -36,8 +36,6 @@ Only the course is planned, and no sample of the output is in it but by the mean
 the output on this course as on any other, and the noise of its input stays within the same limit.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ uncertain by its bias most of all, so that forgetting along P r would hardly rea
 they are forgotten separately.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -13,8 +13,6 @@ A disturbance of the input moves the bias. A load that changes keeps its dc gain
 its input: inertia, volume. Either may come with the other, and with another gain.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

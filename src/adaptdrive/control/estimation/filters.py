@@ -44,8 +44,6 @@ is at most a sixth of q/√12 too large.
     rounding error = q/√12 exp(-π³ p²/2)
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import dataclass

@@ -18,8 +18,6 @@ value. The deviations shown therefore include sqrt(Σ (d/u_0)²) of the values, 
 that were found lately: others of their size may not have been.
 """
 
-from __future__ import annotations
-
 import math
 
 from adaptdrive.control.estimation import rivals as riv

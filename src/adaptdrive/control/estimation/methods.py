@@ -10,8 +10,6 @@ The regressor is [-y[k-1] ... -y[k-m], u[k-1] ... u[k-n]], and 1 where a bias is
 and b of the discrete model (17).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

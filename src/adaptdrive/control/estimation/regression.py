@@ -43,8 +43,6 @@ thousandth or less, so that one more regressor q/τ_λ (before the bias) holds t
 the rise is mistaken for dynamics: a dc admittance of a third of the true one, then a negative one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -22,8 +22,6 @@ of an explanation that fits anything. The likeliest is the estimate from the ala
 when it has won.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ with P kept as U D Uᵀ (`ud_factors`). Forgetting stops to inflate D at a ceili
 finite without excitation.
 """
 
-from __future__ import annotations
-
 import math
 
 from adaptdrive.control.vectors import Vector, copy_into, dot, identity, unit

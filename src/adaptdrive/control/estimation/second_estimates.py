@@ -25,8 +25,6 @@ the explanations of an alarm deal with, counts little. The second estimate is in
 to Λ < 0.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

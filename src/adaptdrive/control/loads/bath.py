@@ -7,8 +7,6 @@ and a dead time. y is the temperature above that of the inflow. u is the power i
 square-law map of the boost voltage (8): p = N2² v² R_h / (R_d + R_h)², inverted by (9).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from adaptdrive.control.loads.discretise import exponential

@@ -9,8 +9,6 @@ H is proper but not strictly proper: a step of the voltage is a step of the curr
 β_0), and the EMF is a constant that the estimator needs a bias for.
 """
 
-from __future__ import annotations
-
 from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load

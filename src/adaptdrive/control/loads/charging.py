@@ -12,8 +12,6 @@ leaves in one step, from several times that value, does not taper: the battery i
 A charge has a longest time, since a current that is measured too high never tapers to its end.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -24,8 +24,6 @@ the response to a step that acts d after the slow instant, the numerator of the 
 and c_1, c_2 are chosen so that only its first coefficient is left, as in (24).
 """
 
-from __future__ import annotations
-
 import math
 
 from adaptdrive.control.loads.load import Load

@@ -4,8 +4,6 @@ A load is a linear model of order m between an input u and the output y, and a m
 voltage to that input. A new load is one new file that provides a `Load`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ kept in S and Π: with τ_λ near the time constants, noise makes the estimated 
 every third time, and that is a legal model.
 """
 
-from __future__ import annotations
-
 from adaptdrive.control.loads.discretise import impulse_invariant_pair
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector

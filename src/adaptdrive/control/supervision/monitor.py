@@ -21,8 +21,6 @@ model. A constant error of the model does not count: the integrator removes it, 
 the input from limit to limit would otherwise trip a healthy drive whose model is a little wrong.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import IntEnum

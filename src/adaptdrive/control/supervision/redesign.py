@@ -3,8 +3,6 @@
 The checks run in the order of their cost; the first that fails gives the verdict.
 """
 
-from __future__ import annotations
-
 import math
 
 from adaptdrive.control.design.noise import fast_loop, noise_gain, quiet_loop

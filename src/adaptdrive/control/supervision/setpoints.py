@@ -27,8 +27,6 @@ the fixed controller has taken over for good. It never lasts longer than four ex
 `stale_periods` must pass before the next one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

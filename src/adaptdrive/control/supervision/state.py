@@ -1,7 +1,5 @@
 """State of the slow half between periods, and its reasons for operators."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

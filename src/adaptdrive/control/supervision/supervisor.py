@@ -10,8 +10,6 @@ cells only store and lose: their poles are real, the damping of a second-order p
 is at least 1, and what noise takes from that is little.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """Status messages of a drive, put together, and the frames that were refused."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 

@@ -11,8 +11,6 @@ no other socket has: it marks the frames of this bus among those of another send
 on the loopback interface: a drive must not be commanded by, nor shown to, the network.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

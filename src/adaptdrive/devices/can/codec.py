@@ -1,7 +1,5 @@
 """One message of a DBC in both directions: values to frames, and frames to values or a refusal."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from socket import CAN_EFF_FLAG
 from types import MappingProxyType

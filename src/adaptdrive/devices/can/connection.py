@@ -7,8 +7,6 @@ After each wake-up it reports that no more frames wait. A port that did not run 
 then act once, on the newest of what has piled up, and not once for each.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence

@@ -1,7 +1,5 @@
 """The DBC: loading it, and finding in it what a configuration names."""
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ Each flaw is a remark with its line. A line that cannot be mended is left out, s
 error only for who names what it describes.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -20,8 +20,6 @@ queue was last found empty: however long that is, and whatever its stamp is. Whe
 was set meanwhile, each frame that is read until the queue is empty counts as that old.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from enum import StrEnum

@@ -5,8 +5,6 @@ can describe (floating point and multiplexed signals) takes the slow way through
 same results.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping

@@ -3,8 +3,6 @@
 Everything that can be wrong is found here, before a bus is opened, and all of it at once.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ choice of another signal includes that. A DBC may give a signal several values (
 a multiplexer may be one of the signals that another one selects.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

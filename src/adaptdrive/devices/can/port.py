@@ -8,8 +8,6 @@ a tick. A frame that fails a check is counted and changes nothing, but for the o
 with a value out of range. Of one whose alive counter leapt or stands, faults and a stop are noted.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

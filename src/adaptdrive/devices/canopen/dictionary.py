@@ -3,8 +3,6 @@
 An object that cannot be mended is left out, so that it is an error only for who names it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re

@@ -3,8 +3,6 @@
 Everything that can be wrong is found here, before a bus is opened, and all of it at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -8,8 +8,6 @@ still take commands has time for the safe one.
 Emergency (EMCY) frames in words: classes of CiA 301 by the library, single codes of CiA 402.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable

@@ -5,8 +5,6 @@ the last good one. A PDO that comes again before the others have ends the set, a
 SYNC since the last reading begins none: repeated PDOs make no readings of their own.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from abc import ABC, abstractmethod

@@ -7,8 +7,6 @@ that commands no more, or whose node is lost, falls silent, and the drive makes 
 one whose drive does not obey the safe command. A lost node gets the safe command alone.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import math

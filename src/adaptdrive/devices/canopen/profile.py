@@ -9,8 +9,6 @@ state, is commanded to disable its voltage and is not brought up again before a 
 A fault is reset by an edge of bit 7, and only when that is asked for.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from enum import IntEnum, StrEnum

@@ -7,8 +7,6 @@ The daemon energises no drive meanwhile. One that is still energised is commande
 switched off by its own watch, which the set-up leaves running.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import struct

@@ -1,7 +1,5 @@
 """Requests and replies of Modbus as bytes, on TCP and on a serial line."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 

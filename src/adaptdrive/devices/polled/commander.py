@@ -1,7 +1,5 @@
 """Writing of commands to a drive on Modbus, and what the drive has acknowledged of them."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A link that is polled: opened, one exchange at a time, and opened again when it is lost."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import fcntl

@@ -3,8 +3,6 @@
 Everything that can be wrong is found here, before a link is opened, and all of it at once.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

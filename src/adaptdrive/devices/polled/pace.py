@@ -1,7 +1,5 @@
 """Pace at which blocks of a command are written, and commands that a drive has not taken."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 

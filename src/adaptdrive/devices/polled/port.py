@@ -6,8 +6,6 @@ A command waits for the end of the poll under way, the safe command only for the
 under way.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 

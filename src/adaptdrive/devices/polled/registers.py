@@ -6,8 +6,6 @@ A serial line carries one character of 10 or 11 bits per byte, one frame at a ti
 around each. On TCP the bytes cost next to nothing; the drive's turnaround is what counts.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterable, Iterator, Sequence

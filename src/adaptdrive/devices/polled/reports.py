@@ -1,7 +1,5 @@
 """Reports of a drive that is polled: its readings, and whether commands may follow them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -4,8 +4,6 @@ Nothing numbers the replies. After one that is missing, or that nothing asked fo
 could be that to an earlier request: the connection is given up, which no late reply outlives.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
