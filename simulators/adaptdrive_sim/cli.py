@@ -7,10 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 import adaptdrive
-from adaptdrive.cli import carry_out
-from adaptdrive.cli.commands import understood
-from adaptdrive.cli.options import DriveName, Integer
-from adaptdrive.cli.standard_files import FAILED, complain
+from adaptdrive.cli import carry_out, commands, options, standard_files
 from adaptdrive_sim.demo.story import DemoSettings
 from adaptdrive_sim.device import DeviceSettings, parse_address
 
@@ -31,7 +28,11 @@ ANSWER_s = 5.0
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
     try:
-        sys.exit(carry_out(app.name[0], understood(app), sys.argv[1:], unusable=FAILED))
+        sys.exit(
+            carry_out(
+                app.name[0], commands.understood(app), sys.argv[1:], unusable=standard_files.FAILED
+            )
+        )
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise
@@ -53,7 +54,7 @@ def device(config: Path, *, settings: DeviceSettings | None = None) -> None:
 
 @app.command(usage="Usage: adaptdrive-sim disturb [OPTIONS] DRIVE ACTION [VALUES]")
 def disturb(
-    drive: DriveName,
+    drive: options.DriveName,
     action: str,
     values: Annotated[tuple[float, ...], Parameter(allow_leading_hyphen=True)] = (),
     /,
@@ -85,9 +86,11 @@ def disturb(
     except NoAnswerError as silence:
         late = isinstance(silence.__cause__, TimeoutError)
         text = f"no answer from {drive} at {broker}" if late else silence.problem
-        return complain(app.name[0], text, NO_ANSWER)
+        return standard_files.complain(app.name[0], text, NO_ANSWER)
     if not reply.accepted:
-        return complain(app.name[0], f"refused: {reply.reason}", FAILED)
+        return standard_files.complain(
+            app.name[0], f"refused: {reply.reason}", standard_files.FAILED
+        )
     print(f"{drive}: {' '.join([action, *(f'{value:g}' for value in values)])}: done")
     return 0
 
@@ -98,7 +101,7 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
     /,
     *,
     output: Path,
-    seed: Integer = 0,
+    seed: options.Integer = 0,
     noise: float | None = None,
     spikes: str = "0,0",
     design: Literal["paper", "exact"] = "paper",
@@ -138,9 +141,9 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
     *,
     output: Path,
     scheduler: str | None = None,
-    processes: Integer | None = None,
-    runs: Integer | None = None,
-    only: Integer | None = None,
+    processes: options.Integer | None = None,
+    runs: options.Integer | None = None,
+    only: options.Integer | None = None,
 ) -> None:
     """Run thousands of randomised motors, baths or batteries, each with fixed and adaptive control.
 

@@ -15,11 +15,11 @@ from cyclopts import Parameter
 
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.cli.options import Integer, read_address
-from adaptdrive.config.file import load_configuration
-from adaptdrive.config.root import AnySensorBus, Configuration
-from adaptdrive.config.services import Mqtt
+from adaptdrive.config import file, root, services
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
 from adaptdrive.util.lines import log
+from adaptdrive_sim import wire
+from adaptdrive_sim.devices import kinds, sensor_values
 from adaptdrive_sim.devices.drive import (
     COMMAND_TIMEOUT_s,
     Frame,
@@ -28,13 +28,10 @@ from adaptdrive_sim.devices.drive import (
     SimulatedDrive,
     VoltageHolder,
 )
-from adaptdrive_sim.devices.kinds import KINDS, DriveNode, Remote, SensorNode
-from adaptdrive_sim.devices.sensor_values import check_names, values_of
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters, HeldOutput
 from adaptdrive_sim.plants.load import coupling_of, load_of
-from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
 
 # Command-line settings of a simulated drive.
@@ -75,7 +72,7 @@ class DeviceSettings:
     port: Integer | None = None
 
 
-def parse_address(text: str) -> Mqtt:
+def parse_address(text: str) -> services.Mqtt:
     """Read `HOST:PORT`, where an IPv6 address stands in brackets; the port may be left out.
 
     Raises:
@@ -85,7 +82,7 @@ def parse_address(text: str) -> Mqtt:
         host, port = read_address(text)
     except ValueError as problem:
         raise RefusedError(f"broker {text!r} is not HOST:PORT") from problem
-    return Mqtt(host=host, port=port)
+    return services.Mqtt(host=host, port=port)
 
 
 # The simulated drive as a process: building it, its log, and its orderly end.
@@ -105,7 +102,7 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     Raises:
         AdaptdriveError: It cannot start, or its bus is lost.
     """
-    configuration = _overridden(load_configuration(path), settings)
+    configuration = _overridden(file.load_configuration(path), settings)
     drive = build_drive(configuration, settings, report)
     node = build_node(configuration, drive, report, path)
     sensors = build_sensors(configuration, drive, path)
@@ -114,7 +111,7 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
         jobs.append(partial(modules.run, partial(_say_bus, "sensors", bus.name)))
     if settings.broker is not None:
         address = parse_address(settings.broker)
-        jobs.append(Remote(address, configuration.drive.name, drive, report).run)
+        jobs.append(kinds.Remote(address, configuration.drive.name, drive, report).run)
     try:
         asyncio.run(_until_signal(jobs))
     except ExceptionGroup as problems:
@@ -125,7 +122,7 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
 
 
 def build_drive(
-    configuration: Configuration, settings: DeviceSettings, report: Report
+    configuration: root.Configuration, settings: DeviceSettings, report: Report
 ) -> SimulatedDrive:
     """Build the drive and its plant.
 
@@ -150,7 +147,7 @@ def build_drive(
     )
 
 
-def _overvoltage(configuration: Configuration) -> Overvoltage:
+def _overvoltage(configuration: root.Configuration) -> Overvoltage:
     """Return the protection of the drive itself, which acts above the trip of the daemon."""
     daemon_V = configuration.interlocks.boost_voltage_max_V
     normal_V = configuration.drive.limits.boost_reference_max_V
@@ -158,7 +155,7 @@ def _overvoltage(configuration: Configuration) -> Overvoltage:
     return Overvoltage(trip_V, over_V=daemon_V, normal_V=normal_V)
 
 
-def _command_timeout_s(configuration: Configuration, settings: DeviceSettings) -> float:
+def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettings) -> float:
     """Return the age of the last command at which the drive shuts down.
 
     Raises:
@@ -166,7 +163,7 @@ def _command_timeout_s(configuration: Configuration, settings: DeviceSettings) -
         RefusedError: The drive watches a heartbeat instead.
     """
     wanted_s = settings.command_timeout_s
-    if not KINDS[configuration.bus.type].times_commands:
+    if not kinds.KINDS[configuration.bus.type].times_commands:
         if wanted_s is not None:
             kind = configuration.bus.type
             raise RefusedError(f"--command-timeout {wanted_s:g}: {kind} watches a heartbeat")
@@ -183,43 +180,45 @@ def _command_timeout_s(configuration: Configuration, settings: DeviceSettings) -
 
 
 def build_node(
-    configuration: Configuration, drive: SimulatedDrive, report: Report, path: Path
-) -> DriveNode:
+    configuration: root.Configuration, drive: SimulatedDrive, report: Report, path: Path
+) -> kinds.DriveNode:
     """Put the drive on the bus that its configuration names.
 
     Raises:
         ConfigurationError: Bus and signals do not fit together.
     """
-    return KINDS[configuration.bus.type].drive(drive, configuration, report, path)
+    return kinds.KINDS[configuration.bus.type].drive(drive, configuration, report, path)
 
 
 def build_sensors(
-    configuration: Configuration, drive: SimulatedDrive, path: Path
-) -> list[SensorNode]:
+    configuration: root.Configuration, drive: SimulatedDrive, path: Path
+) -> list[kinds.SensorNode]:
     """Put sensors on the buses that its configuration names.
 
     Raises:
         ConfigurationError: They are to measure what the plant does not have.
     """
     buses = configuration.sensor_bus
-    known = values_of(drive.world, Frame(drive.world.at_rest(), 0, bridge=False))
+    known = sensor_values.values_of(drive.world, Frame(drive.world.at_rest(), 0, bridge=False))
     names = [
         (f"sensor_bus.{number}.signals.{name}", name)
         for number, bus in enumerate(buses)
         for name in bus.signals
     ]
-    check_names(names, known, path)
+    sensor_values.check_names(names, known, path)
     drive.has_sensors = bool(buses)
     return [_sensors(bus, f"sensor_bus.{number}", drive, path) for number, bus in enumerate(buses)]
 
 
-def _sensors(bus: AnySensorBus, place: str, drive: SimulatedDrive, path: Path) -> SensorNode:
-    build = KINDS[bus.type].sensors
+def _sensors(
+    bus: root.AnySensorBus, place: str, drive: SimulatedDrive, path: Path
+) -> kinds.SensorNode:
+    build = kinds.KINDS[bus.type].sensors
     assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
     return build(drive, bus, place, path)
 
 
-def build_world(configuration: Configuration, settings: DeviceSettings) -> World:
+def build_world(configuration: root.Configuration, settings: DeviceSettings) -> World:
     """Build the plant that a configuration and a command line describe.
 
     Raises:
@@ -235,7 +234,7 @@ def build_world(configuration: Configuration, settings: DeviceSettings) -> World
     boost = BoostParameters(
         capacitance_F=drive.boost_capacitance_F, bidirectional=drive.kind == "bidirectional"
     )
-    noise = NoiseParameters(sigma=settings.noise_V)
+    noise = wire.NoiseParameters(sigma=settings.noise_V)
     stage = coupling_of(configuration)
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
     world = World(load_of(configuration, settings.disks), parameters)
@@ -246,7 +245,7 @@ def build_world(configuration: Configuration, settings: DeviceSettings) -> World
     return world
 
 
-def _holds_output(configuration: Configuration) -> bool:
+def _holds_output(configuration: root.Configuration) -> bool:
     """Return whether the drive is no boost stage: it gives less than the peak of its line."""
     drive = configuration.drive
     peak_V = 2.0**0.5 * drive.line_voltage_V
@@ -254,7 +253,7 @@ def _holds_output(configuration: Configuration) -> bool:
     return configuration.voltage_loop.where == "drive" and lowest_V <= peak_V
 
 
-def _lag_s(configuration: Configuration) -> float:
+def _lag_s(configuration: root.Configuration) -> float:
     return controller_settings(configuration).rates.lag_ticks * tick_s(configuration)
 
 
@@ -263,11 +262,11 @@ def report(event: str, **data: object) -> None:
     log("info", event, **data, monotonic_s=round(time.monotonic(), 6))
 
 
-def _overridden(configuration: Configuration, settings: DeviceSettings) -> Configuration:
+def _overridden(configuration: root.Configuration, settings: DeviceSettings) -> root.Configuration:
     """Let the command line choose another bus."""
     if settings.port is not None:
         check_range("--port", settings.port, 1, 65535, "")
-    names = KINDS[configuration.bus.type].overrides
+    names = kinds.KINDS[configuration.bus.type].overrides
     device = None if settings.channel is None else Path(settings.channel)
     given = {
         "interface": settings.interface,

@@ -13,22 +13,10 @@ import numpy as np
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
+from adaptdrive.control import schedule, signals
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.schedule import Schedule
-from adaptdrive.control.signals import (
-    SAFE_COMMAND,
-    Command,
-    Decision,
-    Measurement,
-    Mode,
-    Order,
-    Snapshot,
-    Stage,
-)
 from adaptdrive.control.supervision.setpoints import Reach
-from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
-from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.runtime import reports, requests, state_machine
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.course import PERIODS, Course, Run
 from adaptdrive_sim.plants.boost import Sample
@@ -61,20 +49,22 @@ class Site:
         """
         self.controller, self.world, self.wire = controller, world, wire
         self.sample: Sample = world.at_rest()
-        self.snapshot: Snapshot | None = None
-        self.decision: Decision | None = None
+        self.snapshot: signals.Snapshot | None = None
+        self.decision: signals.Decision | None = None
         self.upcoming: tuple[float, ...] = ()
         self._rates = controller._settings.rates  # noqa: SLF001
-        self._schedule = Schedule(controller, self._rates.latency_ticks)
+        self._schedule = schedule.Schedule(controller, self._rates.latency_ticks)
 
-    def measure(self, tick: int) -> Measurement:
+    def measure(self, tick: int) -> signals.Measurement:
         """Return what the controller receives at a tick, which it may ask for once."""
         if self.wire is not None:
             return received(self.wire, tick, self.sample)
         _, tick_period_s, boost_V, line_V, load_W, output, _ = self.sample
-        return Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
+        return signals.Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
 
-    def control(self, measurement: Measurement, order: Order) -> tuple[Command, bool]:
+    def control(
+        self, measurement: signals.Measurement, order: signals.Order
+    ) -> tuple[signals.Command, bool]:
         """Run the controller for one tick; return whether it has decided."""
         command = self._schedule.tick(measurement, order)
         snapshot = self._schedule.take_snapshot()
@@ -84,7 +74,7 @@ class Site:
             self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
         return command, snapshot is not None
 
-    def advance(self, command: Command, disturbance: float | None = None) -> None:
+    def advance(self, command: signals.Command, disturbance: float | None = None) -> None:
         """Run the plant for one half cycle; the noise is its own unless it is given."""
         scale_S = command.current_scale_S
         if self.wire is not None:
@@ -107,8 +97,12 @@ class Site:
         if needed_V < peak_V:
             output = world.true_output + course.offset
         boost_V, load_W = world.boost.voltage_V, world.boost.mean_load_W
-        at_rest = Measurement(-1, line.half_cycle_s, boost_V, line.voltage_V, load_W, output)
-        self.controller.tick(at_rest, Order(Stage.RUN, output, course.mode, course.pole))
+        at_rest = signals.Measurement(
+            -1, line.half_cycle_s, boost_V, line.voltage_V, load_W, output
+        )
+        self.controller.tick(
+            at_rest, signals.Order(signals.Stage.RUN, output, course.mode, course.pole)
+        )
 
     def run(self, course: Course, *, keep_ticks: bool = False) -> Run:
         """Run a course, from rest.
@@ -130,7 +124,7 @@ class Site:
         for k, reference in enumerate(course.references.tolist()):
             change_plant(load, course, k)
             self.upcoming = course.upcoming(k)
-            order = Order(
+            order = signals.Order(
                 course.stage(k), reference, course.mode, course.pole, steady=course.steady
             )
             for n in range(k * ticks, (k + 1) * ticks):
@@ -147,7 +141,7 @@ class Site:
                 self.advance(command, noise[n + 1])
         return 0
 
-    def note(self, run: Run, k: int) -> Decision:
+    def note(self, run: Run, k: int) -> signals.Decision:
         """Fill the row of a slow period in which a decision was made."""
         snapshot, decision, slow = self.snapshot, self.decision, self.controller._slow  # noqa: SLF001
         assert snapshot is not None and decision is not None  # noqa: S101, PT018 - it has decided
@@ -157,7 +151,11 @@ class Site:
         run.trace[k] = (
             *(self.world.true_output, snapshot.output),
             *(decision.boost_reference_V, snapshot.applied_V),
-            *(decision.controller is Mode.ADAPTIVE, decision.accepted, slow.supervisor.verdict),
+            *(
+                decision.controller is signals.Mode.ADAPTIVE,
+                decision.accepted,
+                slow.supervisor.verdict,
+            ),
             *(decision.innovation, decision.handover_step_V, slow.watch.fallback),
             *(one.value for one in estimates),
             *(one.std for one in estimates),
@@ -199,19 +197,19 @@ class OperatedDrive(Site):
         super().__init__(controller, world)
         self.sample = world.step(0.0, bridge=False)
         settings = daemon_settings(configuration)
-        self.machine = Machine(settings.machine, settings.pole)
+        self.machine = state_machine.Machine(settings.machine, settings.pole)
         self.ticks = 0
         self.time_s = 0.0
         self.completed = False
-        self._command = SAFE_COMMAND
+        self._command = signals.SAFE_COMMAND
 
-    def begin(self, mode: Mode) -> None:
+    def begin(self, mode: signals.Mode) -> None:
         """Enable the drive, wait until it runs or trips, and ask for a controller."""
         self.tick()
-        self.carry_out(Enable())
-        while self.machine.state is State.STARTING:
+        self.carry_out(requests.Enable())
+        while self.machine.state is reports.State.STARTING:
             self.tick()
-        self.carry_out(SetMode(mode))
+        self.carry_out(requests.SetMode(mode))
 
     def follow(
         self,
@@ -236,7 +234,7 @@ class OperatedDrive(Site):
                 break
             if setpoint_at(time_s) != setpoint:
                 setpoint = setpoint_at(time_s)
-                self._ask(SetSetpoint(setpoint), run)
+                self._ask(requests.SetSetpoint(setpoint), run)
             if self.tick() and self.decision is not None:
                 change(time_s)
                 run.decisions.append(self.decision)
@@ -244,19 +242,19 @@ class OperatedDrive(Site):
         run.trace = np.array(rows).reshape(len(rows), len(run.names))
         return run
 
-    def _ask(self, request: Request, run: Run) -> None:
+    def _ask(self, request: requests.Request, run: Run) -> None:
         try:
             self.carry_out(request)
         except RefusedError as problem:
             run.refused.append(str(problem))
 
-    def _row(self, decision: Decision) -> tuple[float, ...]:
+    def _row(self, decision: signals.Decision) -> tuple[float, ...]:
         """A ripple that is asked for is part of the reference."""
         asked = self.reference + float(np.nan_to_num(decision.probe))
-        load, adaptive = self.world.load, decision.controller is Mode.ADAPTIVE
+        load, adaptive = self.world.load, decision.controller is signals.Mode.ADAPTIVE
         return asked, load.output, adaptive, *load.state().values()
 
-    def carry_out(self, request: Request) -> None:
+    def carry_out(self, request: requests.Request) -> None:
         """Carry out an operator's request before the next tick.
 
         Raises:
@@ -274,7 +272,7 @@ class OperatedDrive(Site):
         command, decided = self.control(measurement, self.machine.order(self.ticks))
         if decided and self.decision is not None:
             self._obey(self.decision)
-        if self.machine.stage is Stage.OFF:
+        if self.machine.stage is signals.Stage.OFF:
             self.machine.forget_reach()
             self.machine.confirm_stop()
             self.world.shut()
@@ -288,11 +286,11 @@ class OperatedDrive(Site):
         """The set-point in force."""
         return self.machine.reference(self.ticks)
 
-    def _obey(self, decision: Decision) -> None:
+    def _obey(self, decision: signals.Decision) -> None:
         """Trip or stop where a decision demands it, and take over what V_c can hold."""
         self.machine.reach = Reach(decision.reach_low, decision.reach_high)
         if decision.fault:
             self.machine.latch(decision.fault)
         elif decision.complete:
             self.completed = True
-            self.carry_out(Disable())
+            self.carry_out(requests.Disable())

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from adaptdrive_sim import wire
 from adaptdrive_sim.line import Line, LineParameters
 from adaptdrive_sim.parameters import SEED_MAX, ParameterError, check_range
 from adaptdrive_sim.plants.boost import Boost, BoostParameters, Coupling, CouplingParameters, Sample
 from adaptdrive_sim.plants.load import SimulatedLoad
-from adaptdrive_sim.wire import NoiseParameters, samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class WorldParameters:
     line: LineParameters = field(default_factory=LineParameters)
     boost: BoostParameters = field(default_factory=BoostParameters)
     coupling: CouplingParameters = field(default_factory=CouplingParameters)
-    noise: NoiseParameters = field(default_factory=NoiseParameters)
+    noise: wire.NoiseParameters = field(default_factory=wire.NoiseParameters)
     sampling_phase_rad: float = 0.0
     seed: int = 0
 
@@ -66,14 +66,14 @@ class World:
         self.noise = self.parameters.noise
 
     @property
-    def noise(self) -> NoiseParameters:
+    def noise(self) -> wire.NoiseParameters:
         """Measurement noise of the output; may be changed at any time."""
         return self._noise
 
     @noise.setter
-    def noise(self, noise: NoiseParameters) -> None:
+    def noise(self, noise: wire.NoiseParameters) -> None:
         self._noise = noise
-        self._draws = None if noise.silent else samples(noise, self._generator)
+        self._draws = None if noise.silent else wire.samples(noise, self._generator)
 
     @property
     def true_output(self) -> float:

@@ -10,13 +10,8 @@ from adaptdrive.control.loads.bath import realise
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive_sim.campaign import drawn as draws
+from adaptdrive_sim.campaign import settings
 from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Numbers, Row
-from adaptdrive_sim.campaign.settings import (
-    BathCampaign,
-    BathReferenceRanges,
-    bath_parameters,
-    bath_reach,
-)
 from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.boost import CouplingParameters
@@ -62,7 +57,7 @@ class BathScenario(Drawn):
         return np.array([self.reference.value(time_s) for time_s in times_s.tolist()])
 
 
-def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
+def draw_bath(campaign: settings.BathCampaign, seed: int) -> BathScenario:
     """The run of a campaign that a seed stands for."""
     generator = np.random.default_rng([seed, _STREAM])
     water, sensor = campaign.water, campaign.sensor
@@ -80,7 +75,7 @@ def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
     ageing = draws.uniform(generator, campaign.heater.ageing_per_h)
     aged = resistance * (1.0 + ageing * campaign.duration_s / 3600.0)
     shift_K = abs(drift) * turn_s / 3600.0 + abs(offset_K)
-    room = bath_reach(inflows, (resistance, aged), shift_K)
+    room = settings.bath_reach(inflows, (resistance, aged), shift_K)
     return BathScenario(
         seed=seed,
         duration_s=campaign.duration_s,
@@ -108,7 +103,7 @@ def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
 
 
 def _waveform(
-    generator: np.random.Generator, ranges: BathReferenceRanges, room: tuple[float, float]
+    generator: np.random.Generator, ranges: settings.BathReferenceRanges, room: tuple[float, float]
 ) -> Waveform:
     """Draw a waveform and move it into what V_c holds."""
     shape = ranges.shapes[int(generator.integers(len(ranges.shapes)))]
@@ -174,4 +169,4 @@ class BathStand(DrawnRun):
         scenario = self.scenario
         aged = 1.0 + scenario.ageing_per_h * float(self.times_s[k]) / 3600.0
         volume = float(self.sizes[k]) / BathParameters().volume_gal
-        return bath_parameters(volume, float(self.inflows[k]), scenario.resistance * aged)
+        return settings.bath_parameters(volume, float(self.inflows[k]), scenario.resistance * aged)

@@ -14,15 +14,13 @@ from pydantic import Field
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
+from adaptdrive_sim import course, site, wire
 from adaptdrive_sim.campaign.drawn import Row, Trial, columns_of, each, uniform
 from adaptdrive_sim.campaign.settings import CampaignFile, CampaignTable, LineRanges, Range, within
-from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.boost import CouplingParameters
-from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
 
 _BEGINS_s = 60.0
@@ -176,7 +174,7 @@ class BatteryScenario:
             coupling=CouplingParameters(
                 ratio=nominal.ratio * self.scale, droop_Ohm=nominal.droop_Ohm * self.scale**2
             ),
-            noise=NoiseParameters(sigma=self.noise * self.largest_A),
+            noise=wire.NoiseParameters(sigma=self.noise * self.largest_A),
             seed=self.seed,
         )
 
@@ -212,7 +210,7 @@ def draw_battery(campaign: BatteryCampaign, seed: int) -> BatteryScenario:
     )
 
 
-def ideal_current(references: Array, pole: float) -> Array:
+def ideal_current(references: course.Array, pole: float) -> course.Array:
     """Return the current of the loop as designed: its zero cancels one of two poles.
 
     Args:
@@ -240,10 +238,10 @@ class BatteryTrial(Trial):
         row = columns_of(own) | {"full_V": CELL_FULL_V * own.cells, "current_A": own.current_A}
         return row | {"changes": int(own.growth > 1.0), "shape": "square"}
 
-    def run(self, mode: Mode) -> Run:
+    def run(self, mode: Mode) -> course.Run:
         """Charge the battery."""
         own, plant = self.scenario, Battery(self.scenario.battery())
-        drive = OperatedDrive(own.configuration(), World(plant, own.world()))
+        drive = site.OperatedDrive(own.configuration(), World(plant, own.world()))
         drive.begin(mode)
         series_Ohm = plant.series_Ohm
 
@@ -254,16 +252,16 @@ class BatteryTrial(Trial):
         run.interlock = int(bool(run.trip))
         return run
 
-    def errors(self, run: Run) -> Array:
+    def errors(self, run: course.Run) -> course.Array:
         """Return the differences to the designed loop at constant current."""
         if run.trip:
             return np.array([np.inf])
         pole = self.scenario.configuration().load.pole
-        errors: Array = (run["output"] - ideal_current(run["reference"], pole)) / self.step
+        errors: course.Array = (run["output"] - ideal_current(run["reference"], pole)) / self.step
         errors = errors[self._constant(run)]
         return errors if errors.size else np.zeros(1)  # at the voltage limit from the start
 
-    def seen(self, run: Run) -> Row:
+    def seen(self, run: course.Run) -> Row:
         """Return the share of constant current with adaptive in force, and the ripple."""
         constant, own = self._constant(run), self.scenario
         if run.trip or not np.any(constant):
@@ -275,7 +273,7 @@ class BatteryTrial(Trial):
             "constant_s": float(np.count_nonzero(constant)),
         }
 
-    def _constant(self, run: Run) -> NDArray[np.bool_]:
+    def _constant(self, run: course.Run) -> NDArray[np.bool_]:
         """Return the slow periods at constant current: from its start to the voltage limit."""
         near_V = _NEAR_LIMIT * CELL_FULL_V * self.scenario.cells
         reached = np.flatnonzero(run["terminal_voltage_V"] >= near_V)

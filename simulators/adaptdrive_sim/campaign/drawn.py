@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.controller import Controller
+from adaptdrive.control import controller, signals
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.signals import Mode, Waveform
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive_sim.campaign.ideal import follow_ideal
 from adaptdrive_sim.course import Array, Course, Run, TripLevels
@@ -75,7 +74,7 @@ class Drawn:
 
     seed: int
     duration_s: float
-    reference: Waveform
+    reference: signals.Waveform
     sigma: float
     spike_share: float
     spike_sigma: float
@@ -221,7 +220,7 @@ class Trial(ABC):
         """Return the drawn values as columns of the results; `changes` of the load among them."""
 
     @abstractmethod
-    def run(self, mode: Mode) -> Run:
+    def run(self, mode: signals.Mode) -> Run:
         """Run a controller."""
 
     def described(self, run: Run) -> Run:
@@ -291,7 +290,7 @@ class DrawnRun(Trial):
         row = columns_of(self._drawn) | {"step": self.step, "changes": len(self.change_times_s)}
         return row | {"size_largest": float(np.max(self.sizes))}
 
-    def course(self, mode: Mode) -> Course:
+    def course(self, mode: signals.Mode) -> Course:
         """Return what happens in the run."""
         return Course(
             self.references,
@@ -320,9 +319,11 @@ class DrawnRun(Trial):
 
     def site(self) -> Site:
         """Return the controller and the plant."""
-        return Site(Controller(self.own.settings, self.own.load), self.world(), self._wire())
+        return Site(
+            controller.Controller(self.own.settings, self.own.load), self.world(), self._wire()
+        )
 
-    def run(self, mode: Mode) -> Run:
+    def run(self, mode: signals.Mode) -> Run:
         """Run the deployed controller."""
         return self.site().run(self.course(mode))
 

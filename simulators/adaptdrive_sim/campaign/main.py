@@ -16,21 +16,16 @@ from rich.console import Console
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.util.errors import AdaptdriveError
-from adaptdrive_sim.campaign.baths import BathStand, draw_bath
-from adaptdrive_sim.campaign.batteries import BatteryCampaign, BatteryTrial, draw_battery
-from adaptdrive_sim.campaign.drawn import Row, Trial
-from adaptdrive_sim.campaign.motors import Stand, draw
-from adaptdrive_sim.campaign.report import judge, print_results, repeat, write_results
-from adaptdrive_sim.campaign.settings import MOST_RUNS, BathCampaign, Campaign, read_campaign_of
+from adaptdrive_sim.campaign import baths, batteries, drawn, motors, report, settings
 from adaptdrive_sim.course import processes, progress
 from adaptdrive_sim.parameters import SEED_MAX, check_range
 
-AnyCampaign = Campaign | BathCampaign | BatteryCampaign
+AnyCampaign = settings.Campaign | settings.BathCampaign | batteries.BatteryCampaign
 
-_TYPES: dict[str, tuple[type[AnyCampaign], type[Trial], Callable[[Any, int], Any]]] = {
-    "motor": (Campaign, Stand, draw),
-    "bath": (BathCampaign, BathStand, draw_bath),
-    "battery": (BatteryCampaign, BatteryTrial, draw_battery),
+_TYPES: dict[str, tuple[type[AnyCampaign], type[drawn.Trial], Callable[[Any, int], Any]]] = {
+    "motor": (settings.Campaign, motors.Stand, motors.draw),
+    "bath": (settings.BathCampaign, baths.BathStand, baths.draw_bath),
+    "battery": (batteries.BatteryCampaign, batteries.BatteryTrial, batteries.draw_battery),
 }
 """Contents of a file, a run of it, and the function that draws the scenario of a run."""
 
@@ -41,26 +36,28 @@ def read_any_campaign(path: Path) -> AnyCampaign:
     Raises:
         ConfigurationError: It cannot be read, or a value is not allowed.
     """
-    return read_campaign_of(path, {name: contents for name, (contents, *_) in _TYPES.items()})
+    return settings.read_campaign_of(
+        path, {name: contents for name, (contents, *_) in _TYPES.items()}
+    )
 
 
-def trial_of(campaign: AnyCampaign, seed: int) -> Trial:
+def trial_of(campaign: AnyCampaign, seed: int) -> drawn.Trial:
     """Return the run of a campaign that a seed stands for."""
     _, trial, draw_scenario = _TYPES[campaign.type]
     return trial(draw_scenario(campaign, seed))  # type: ignore[call-arg]  # each has its own
 
 
-def run_seed(campaign: AnyCampaign, seed: int) -> Row:
+def run_seed(campaign: AnyCampaign, seed: int) -> drawn.Row:
     """Run one seed with both controllers and judge them: one row of the results."""
     trial = trial_of(campaign, seed)
-    return judge(trial, trial.run(Mode.FIXED), trial.run(Mode.ADAPTIVE))
+    return report.judge(trial, trial.run(Mode.FIXED), trial.run(Mode.ADAPTIVE))
 
 
 class ClusterError(AdaptdriveError):
     """A Dask cluster cannot be used."""
 
 
-def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[Row]:
+def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[drawn.Row]:
     """Run every seed of a campaign; rows arrive in the order of their seeds."""
     seeds = range(campaign.seed, campaign.seed + campaign.runs)
     return executor.map(partial(run_seed, campaign), seeds)
@@ -99,7 +96,7 @@ MOST_PROCESSES = 1024
 
 def run_campaign(
     path: Path, output: Path, *, scheduler: str | None, processes: int | None, runs: int | None
-) -> list[Row]:
+) -> list[drawn.Row]:
     """Run a campaign and write what was found.
 
     Args:
@@ -116,20 +113,20 @@ def run_campaign(
     if processes is not None:
         check_range("--processes", processes, 1, MOST_PROCESSES, "")
     if runs is not None:
-        check_range("--runs", runs, 1, MOST_RUNS, "")
+        check_range("--runs", runs, 1, settings.MOST_RUNS, "")
         campaign = campaign.model_copy(update={"runs": runs})
     output.mkdir(parents=True, exist_ok=True)
     console = Console()
     with workers(processes, scheduler) as executor:
         started_s = time.monotonic()
-        rows: list[Row] = []
+        rows: list[drawn.Row] = []
         with progress(campaign.runs) as done:
             for row in run_all(campaign, executor):
                 rows.append(row)
                 done(1, "")
         seconds = time.monotonic() - started_s
-    write_results(rows, output)
-    print_results(rows, seconds, path, console)
+    report.write_results(rows, output)
+    report.print_results(rows, seconds, path, console)
     if summary := _TYPES[campaign.type][1].summarise(rows):
         console.print(summary)
     return rows
@@ -144,4 +141,4 @@ def repeat_run(path: Path, seed: int, output: Path) -> None:
     check_range("--only", seed, 0, SEED_MAX, "")
     output.mkdir(parents=True, exist_ok=True)
     campaign = read_any_campaign(path)
-    repeat(trial_of(campaign, seed), seed, output, Console())
+    report.repeat(trial_of(campaign, seed), seed, output, Console())

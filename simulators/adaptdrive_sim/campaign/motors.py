@@ -13,25 +13,8 @@ import numpy as np
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Shape, Waveform
+from adaptdrive_sim.campaign import drawn, settings
 from adaptdrive_sim.campaign import drawn as draws
-from adaptdrive_sim.campaign.drawn import (
-    Deployed,
-    Drawn,
-    DrawnRun,
-    Numbers,
-    Row,
-    times,
-    uniform,
-    whole,
-)
-from adaptdrive_sim.campaign.settings import (
-    MIDDLE,
-    NOMINAL_GAIN,
-    Campaign,
-    LifeRanges,
-    ReferenceRanges,
-    reach,
-)
 from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.experiments.case import from_rest
 from adaptdrive_sim.plants.boost import CouplingParameters
@@ -61,14 +44,14 @@ class Life:
         offset: What the tachometer shows at a standstill.
     """
 
-    torque_times_s: Numbers = ()
-    torques_V: Numbers = ()
-    torque_ramps_s: Numbers = ()
-    inertia_ramps_s: Numbers = ()
-    idle_times_s: Numbers = ()
-    idle_s: Numbers = ()
-    stop_times_s: Numbers = ()
-    off_s: Numbers = ()
+    torque_times_s: drawn.Numbers = ()
+    torques_V: drawn.Numbers = ()
+    torque_ramps_s: drawn.Numbers = ()
+    inertia_ramps_s: drawn.Numbers = ()
+    idle_times_s: drawn.Numbers = ()
+    idle_s: drawn.Numbers = ()
+    stop_times_s: drawn.Numbers = ()
+    off_s: drawn.Numbers = ()
     coulomb_V: float = 0.0
     drag_V: float = 0.0
     offset: float = 0.0
@@ -105,7 +88,7 @@ def volt_Nm() -> float:
     return stage.ratio * motor.constant_Vs / (stage.droop_Ohm + motor.resistance_Ohm)
 
 
-def draw_life(ranges: LifeRanges, seed: int, duration_s: float, changes: int) -> Life:
+def draw_life(ranges: settings.LifeRanges, seed: int, duration_s: float, changes: int) -> Life:
     """Draw what happens in the run of a seed.
 
     Args:
@@ -115,32 +98,37 @@ def draw_life(ranges: LifeRanges, seed: int, duration_s: float, changes: int) ->
         changes: How often its inertia changes.
     """
     generator = np.random.default_rng([seed, _STREAM])
-    torques, phases = whole(generator, ranges.torque_changes), whole(generator, ranges.idle)
+    torques, phases = (
+        drawn.whole(generator, ranges.torque_changes),
+        drawn.whole(generator, ranges.idle),
+    )
     restarts = int(generator.random() < ranges.restarted)
     constant = generator.random() < ranges.constant
     return Life(
-        torque_times_s=times(generator, torques, 0.0, duration_s),
+        torque_times_s=drawn.times(generator, torques, 0.0, duration_s),
         torques_V=_several(generator, torques, ranges.torque_V),
         torque_ramps_s=_ramps_s(generator, torques, ranges.torque_ramp_s, ranges.sudden),
         inertia_ramps_s=_ramps_s(generator, changes, ranges.inertia_ramp_s, ranges.sudden),
-        idle_times_s=(0.0,) if constant else times(generator, phases, 0.0, duration_s),
+        idle_times_s=(0.0,) if constant else drawn.times(generator, phases, 0.0, duration_s),
         idle_s=(np.inf,) if constant else _several(generator, phases, ranges.idle_s),
         stop_times_s=_several(generator, restarts, (0.2 * duration_s, 0.8 * duration_s)),
         off_s=_several(generator, restarts, ranges.off_s),
-        coulomb_V=uniform(generator, ranges.coulomb_V),
-        drag_V=uniform(generator, ranges.drag_V),
-        offset=uniform(generator, ranges.offset),
+        coulomb_V=drawn.uniform(generator, ranges.coulomb_V),
+        drag_V=drawn.uniform(generator, ranges.drag_V),
+        offset=drawn.uniform(generator, ranges.offset),
     )
 
 
 def _ramps_s(
     generator: np.random.Generator, count: int, ends: tuple[float, float], sudden: float
-) -> Numbers:
+) -> drawn.Numbers:
     ramps_s, jumps = generator.uniform(*ends, count), generator.random(count) < sudden
     return tuple(np.where(jumps, 0.0, ramps_s).tolist())
 
 
-def _several(generator: np.random.Generator, count: int, ends: tuple[float, float]) -> Numbers:
+def _several(
+    generator: np.random.Generator, count: int, ends: tuple[float, float]
+) -> drawn.Numbers:
     return tuple(generator.uniform(*ends, count).tolist())
 
 
@@ -148,7 +136,7 @@ def _several(generator: np.random.Generator, count: int, ends: tuple[float, floa
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scenario(Drawn):
+class Scenario(drawn.Drawn):
     """Drawn values of a run of a motor.
 
     Attributes:
@@ -159,8 +147,8 @@ class Scenario(Drawn):
         life: What happens besides.
     """
 
-    inertias: Numbers
-    change_times_s: Numbers
+    inertias: drawn.Numbers
+    change_times_s: drawn.Numbers
     gain: float
     filter: float
     life: Life
@@ -181,11 +169,11 @@ class Scenario(Drawn):
             tachometer_Vs=nominal.tachometer_Vs * self.gain,
             filter_s=nominal.filter_s * self.filter,
             coulomb_Nm=self.life.coulomb_V * volt_Nm(),
-            drag_Nms2=self.life.drag_V * volt_Nm() * (nominal.tachometer_Vs / MIDDLE) ** 2,
+            drag_Nms2=self.life.drag_V * volt_Nm() * (nominal.tachometer_Vs / settings.MIDDLE) ** 2,
         )
 
 
-def draw(campaign: Campaign, seed: int) -> Scenario:
+def draw(campaign: settings.Campaign, seed: int) -> Scenario:
     """The run of a campaign that a seed stands for."""
     generator = np.random.default_rng([seed, 0])
     load, reference, noise = campaign.load, campaign.reference, campaign.noise
@@ -204,7 +192,7 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
     line, wire = campaign.line, campaign.wire
     gain, above = draws.uniform(generator, load.gain), _low_above(reference, seed)
     life = draw_life(campaign.life, seed, campaign.duration_s, len(times_s))
-    held = reach(gain, life.largest_torque_V + life.coulomb_V, life.drag_V)
+    held = settings.reach(gain, life.largest_torque_V + life.coulomb_V, life.drag_V)
     low, high = draws.within_reach(reference.low + above, step, held)
     return Scenario(
         seed=seed,
@@ -226,7 +214,7 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
     )
 
 
-def _low_above(reference: ReferenceRanges, seed: int) -> float:
+def _low_above(reference: settings.ReferenceRanges, seed: int) -> float:
     """Draw from a separate stream, so that a file without it draws the same as ever."""
     return draws.uniform(np.random.default_rng([seed, 2]), reference.low_above)
 
@@ -235,17 +223,17 @@ WARM_UP_s = 90.0
 
 
 @cache
-def deployed() -> Deployed:
+def deployed() -> drawn.Deployed:
     """The example configuration, for a run that starts at rest."""
     return at_rest(draws.deploy("motor.toml"))
 
 
-def at_rest(own: Deployed) -> Deployed:
+def at_rest(own: drawn.Deployed) -> drawn.Deployed:
     """Return the same for a run that starts at rest."""
     return dataclasses.replace(own, settings=from_rest(own.settings, WARM_UP_s, own.period_s))
 
 
-class Stand(DrawnRun):
+class Stand(drawn.DrawnRun):
     """The course of one scenario of a motor; its size is the inertia in disks."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -256,12 +244,14 @@ class Stand(DrawnRun):
         self.burdens = life.torques_at(self.times_s)
         self.references = scenario.references_at(self.times_s)
         self.change_times_s = scenario.change_times_s
-        self.largest_movement = max(self.step, NOMINAL_GAIN * scenario.gain * life.largest_torque_V)
+        self.largest_movement = max(
+            self.step, settings.NOMINAL_GAIN * scenario.gain * life.largest_torque_V
+        )
         self.stops = life.stops(self.own.period_s)
         self.disturbances = life.offset + scenario.disturbances(self.ticks + 1)
         self._true_load = cache(self._load_with)
 
-    def columns(self) -> Row:
+    def columns(self) -> drawn.Row:
         """Return the drawn values as columns of the results; noise is relative to the step."""
         return super().columns() | {"sigma": self.scenario.sigma / self.step}
 

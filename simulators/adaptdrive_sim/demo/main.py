@@ -23,15 +23,14 @@ from rich.text import Text
 from adaptdrive.processes.owned import ProcessDiedError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import SessionMark, write_marks
-from adaptdrive.tui.main import run_view
+from adaptdrive.tui import main, terminal
 from adaptdrive.tui.record import CONTROLLERS, plot
-from adaptdrive.tui.terminal import KeyCommand, refuse_dumb_terminal
 from adaptdrive.tui.view import DIM, Surroundings, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, first_error
+from adaptdrive_sim.demo import real
 from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.real import RealStage, program
 from adaptdrive_sim.demo.record import TRIPPED, DemoRecord
 from adaptdrive_sim.demo.story import DemoSettings, Story, read_story
 from adaptdrive_sim.demo.virtual import VirtualStage
@@ -48,7 +47,9 @@ class DemoView:
         help: Whether the help is shown.
     """
 
-    def __init__(self, record: DemoRecord, player: Player, stage: RealStage | VirtualStage) -> None:
+    def __init__(
+        self, record: DemoRecord, player: Player, stage: real.RealStage | VirtualStage
+    ) -> None:
         """Prepare the view.
 
         Args:
@@ -60,7 +61,7 @@ class DemoView:
         self._record, self._player, self._stage = record, player, stage
         self._opening: asyncio.Task[None] | None = None
 
-    def takes(self, key: str) -> KeyCommand | bool:
+    def takes(self, key: str) -> terminal.KeyCommand | bool:
         """Heed a key of the story; return its disturbance, or whether it was such a key."""
         match key:
             case " ":
@@ -154,7 +155,7 @@ def run_demo(name: str, settings: DemoSettings) -> int:
     settings.check(virtual=story.speed is not None)
     seen = sys.stdout.isatty() and sys.stdin.isatty() and not settings.headless
     if seen:
-        refuse_dumb_terminal()
+        terminal.refuse_dumb_terminal()
     summary, problem = asyncio.run(_play(story, replace(settings, headless=not seen)))
     if not seen:
         sys.stdout.write(msgspec.json.encode(summary).decode() + "\n")
@@ -171,7 +172,7 @@ async def _play(
     """Play a story to its end, and return its figures and what has ended it early."""
     problem: AdaptdriveError | None = None
     virtual = story.speed is not None
-    stage = VirtualStage(story, settings) if virtual else RealStage(story, settings)
+    stage = VirtualStage(story, settings) if virtual else real.RealStage(story, settings)
     record = DemoRecord(stage.drive_name, time.monotonic, story=story)
     player = Player(story, stage, record, settings.duration_s)
     try:
@@ -180,7 +181,7 @@ async def _play(
             show = None if settings.headless else view.screen
             jobs = [player.run(), *stage.services(record)]
             with suppress(KeyboardInterrupt):
-                await run_view(record, stage.ask, jobs, show, view.takes)
+                await main.run_view(record, stage.ask, jobs, show, view.takes)
     except* AdaptdriveError as problems:
         problem = first_error(problems)
     if stage.session is not None:
@@ -275,9 +276,9 @@ def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
     yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
     if session is not None and (drawn := _figure(session)) is not None:
         yield f"  figure     {_short(drawn[0])}"
-        yield f"  once more  {program()} plot {_short(session)} --from {drawn[1]}"
+        yield f"  once more  {real.program()} plot {_short(session)} --from {drawn[1]}"
     else:
-        yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
+        yield f"  once more  {real.program('adaptdrive-sim')} demo {summary['demo']}"
     yield f"  next       {next_step()}"
 
 
@@ -286,7 +287,7 @@ def next_step() -> str:
     activate = Path(sys.executable).with_name("activate")
     if shutil.which("adaptdrive") is None and activate.exists():
         return f". {_short(activate)}   # then adaptdrive is a command here: README.md goes on"
-    return f"{program()} init motor --device siemens-v20 --name pump   # README.md goes on"
+    return f"{real.program()} init motor --device siemens-v20 --name pump   # README.md goes on"
 
 
 def _figure(session: Path) -> tuple[Path, int] | None:

@@ -5,9 +5,7 @@ from typing import Protocol
 
 import msgspec
 
-from adaptdrive.mqtt.client import NoAnswerError
-from adaptdrive.mqtt.commands import number
-from adaptdrive.mqtt.contract import DeviceReply, Reply
+from adaptdrive.mqtt import client, commands, contract
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.story import DemoError, Scene, Story, Wave
@@ -37,7 +35,7 @@ class StoryStage(Protocol):
     async def wait(self, longest_s: float) -> None:
         """Let some time pass, at most so much."""
 
-    async def ask(self, command: KeyCommand) -> Reply | DeviceReply:
+    async def ask(self, command: KeyCommand) -> contract.Reply | contract.DeviceReply:
         """Send a command or a disturbance, and return the answer."""
 
 
@@ -168,7 +166,7 @@ class Player:
             if scene.disturb is not None:
                 await self._disturb(scene.disturb)
             await self._carry_out(scene)
-        except (DemoError, NoAnswerError):
+        except (DemoError, client.NoAnswerError):
             self._ready = not self._record.running
 
     def _begin_again(self) -> None:
@@ -183,7 +181,7 @@ class Player:
     async def _try_to_prepare(self) -> None:
         try:
             await self._prepare()
-        except (DemoError, NoAnswerError) as problem:
+        except (DemoError, client.NoAnswerError) as problem:
             self._failures += 1
             if self._failures == _ATTEMPTS:
                 raise DemoError(str(problem)) from problem
@@ -221,7 +219,7 @@ class Player:
         """Wait until the output is near the wave, or for so long that it never will be."""
         end_s = self._stage.time_s + NEAR_s
         room = _NEAR * (wave.high - wave.low)
-        while abs(number(self._record.fast.get("output")) - wave.low) > room:
+        while abs(commands.number(self._record.fast.get("output")) - wave.low) > room:
             if self._stage.time_s > end_s:
                 return
             await self._pause_a_moment(float("inf"), "")

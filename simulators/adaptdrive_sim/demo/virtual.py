@@ -12,9 +12,7 @@ import msgspec
 from adaptdrive.app.settings import operator_profile
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.mqtt import contract
-from adaptdrive.mqtt.clock import Synchronisation
-from adaptdrive.mqtt.commands import Payload
+from adaptdrive.mqtt import clock, commands, contract
 from adaptdrive.mqtt.contract import DeviceReply
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
@@ -123,7 +121,7 @@ class VirtualStage:
             self._publish_state()
             return reply
         try:
-            self.drive.carry_out(Payload(raw).request(command.verb)[0])
+            self.drive.carry_out(commands.Payload(raw).request(command.verb)[0])
         except RefusedError as refusal:
             reason = refusal.reason
         self._publish_state()
@@ -167,7 +165,7 @@ class VirtualStage:
         drive, machine = self.drive, self.drive.machine
         report = state_report(machine, drive.decision, StopWord.CONFIRMED)
         last = contract.LastTrip(self._now, machine.trip, "") if machine.trip else None
-        standing = contract.Standing(self._now, last, Synchronisation.UNKNOWN, self._now)
+        standing = contract.Standing(self._now, last, clock.Synchronisation.UNKNOWN, self._now)
         self._publish("state", contract.state_message(report, standing, self._profile))
         if machine.state == self._told:
             return

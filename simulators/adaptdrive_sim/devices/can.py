@@ -17,15 +17,12 @@ import can
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.root import CanSensorSection as Config
+from adaptdrive.devices.can import connection, integrity, mapping
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.can.connection import FrameReader
-from adaptdrive.devices.can.integrity import FrameVerdict
-from adaptdrive.devices.can.mapping import StatusFrame
 from adaptdrive.util.errors import BusError
+from adaptdrive_sim.devices import frames, sensor_values
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
-from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
-from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
 
 # The simulated drive as a node on a CAN bus.
 
@@ -44,7 +41,7 @@ class CanDrive:
         self,
         drive: SimulatedDrive,
         config: CanBus,
-        messages: DriveMessages,
+        messages: frames.DriveMessages,
         report: Report,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -85,7 +82,7 @@ class CanDrive:
         if codec is None:
             return
         decoded = codec.decode(bytes(frame.data))
-        if decoded.verdict is not FrameVerdict.GOOD:
+        if decoded.verdict is not integrity.FrameVerdict.GOOD:
             self._refuse(decoded.verdict.value)
             return
         self._take_values(codec, decoded.values)
@@ -125,7 +122,7 @@ class CanDrive:
 
     async def _hear(self, bus: can.BusABC) -> None:
         while True:
-            self._report("bus lost", problem=await FrameReader(bus, self).run())
+            self._report("bus lost", problem=await connection.FrameReader(bus, self).run())
             self._leave_bus()
             bus = self._bus = await self._reopened()
             self._report("bus back")
@@ -142,7 +139,7 @@ class CanDrive:
             self._bus = None
 
     def _send(self, frame: Frame) -> None:
-        quantities, tick = quantities_of(frame), frame.sample.tick
+        quantities, tick = frames.quantities_of(frame), frame.sample.tick
         for message in self._status:
             codec, number = message.codec, message.number(tick)
             if number == self._numbers.get(codec.name):
@@ -176,7 +173,7 @@ class CanSensors:
     """
 
     def __init__(
-        self, drive: SimulatedDrive, config: Config, messages: tuple[StatusFrame, ...]
+        self, drive: SimulatedDrive, config: Config, messages: tuple[mapping.StatusFrame, ...]
     ) -> None:
         self.counts: collections.Counter[str] = collections.Counter()
         self._drive = drive
@@ -201,17 +198,19 @@ class CanSensors:
 
     def _send_all(self, bus: can.BusABC) -> None:
         frame, fault = self._drive.frame, self._drive.world.sensor_fault
-        if frame is None or fault == SensorFault.UNPLUGGED:
+        if frame is None or fault == sensor_values.SensorFault.UNPLUGGED:
             return
-        if fault != SensorFault.FROZEN:
-            self._frozen = values_of(self._drive.world, frame)
+        if fault != sensor_values.SensorFault.FROZEN:
+            self._frozen = sensor_values.values_of(self._drive.world, frame)
         for message in self._messages:
-            shown = self._shown(message, self._frozen, open_circuit=fault == SensorFault.OPEN)
+            shown = self._shown(
+                message, self._frozen, open_circuit=fault == sensor_values.SensorFault.OPEN
+            )
             self._send(bus, message, shown)
 
     @staticmethod
     def _shown(
-        message: StatusFrame, values: Mapping[str, float], *, open_circuit: bool
+        message: mapping.StatusFrame, values: Mapping[str, float], *, open_circuit: bool
     ) -> dict[str, float | None]:
         return {
             one.signal: None if open_circuit else (values[one.quantity] - one.offset) / one.scale
@@ -219,7 +218,7 @@ class CanSensors:
         }
 
     def _send(
-        self, bus: can.BusABC, message: StatusFrame, shown: Mapping[str, float | None]
+        self, bus: can.BusABC, message: mapping.StatusFrame, shown: Mapping[str, float | None]
     ) -> None:
         try:
             bus.send(message.codec.frame(message.codec.encode(shown)))

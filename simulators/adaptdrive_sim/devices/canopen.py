@@ -27,9 +27,8 @@ from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.util.errors import BusError, ConfigurationError
-from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
+from adaptdrive_sim.devices import canopen_objects, frames
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
-from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of
 
 # The state machine of CiA 402 as a drive runs it: controlwords in, statusword out.
 
@@ -149,8 +148,10 @@ class CanOpenDrive:
         self._clock = clock
         self._holds = configuration.voltage_loop.where == "drive"
         self._shown, self._obeyed = _addresses(configuration, self._config, source)
-        self._wire = NodeNetwork(self._put)
-        self._objects = Objects(str(self._config.eds), self._config.node_id, self._wire)
+        self._wire = canopen_objects.NodeNetwork(self._put)
+        self._objects = canopen_objects.Objects(
+            str(self._config.eds), self._config.node_id, self._wire
+        )
         self._power = PowerStates()
         self._nmt = _Nmt.BOOT_UP
         self._beat_s = -math.inf
@@ -260,7 +261,7 @@ class CanOpenDrive:
 
     def _half_cycle(self, frame: Frame) -> None:
         """Carry out one zero crossing of the line."""
-        for name, value in quantities_of(frame).items():
+        for name, value in frames.quantities_of(frame).items():
             if name in self._shown:
                 address, source = self._shown[name]
                 self._show(name, address, (value - source.offset) / source.scale)
@@ -272,7 +273,7 @@ class CanOpenDrive:
             self._put(_SYNC, b"")
             self._measure()
 
-    def _show(self, name: str, address: Address, value: float) -> None:
+    def _show(self, name: str, address: canopen_objects.Address, value: float) -> None:
         self._objects.put(address, value % 65536 if name == "counter" else value)
 
     def _measure(self) -> None:
@@ -330,7 +331,7 @@ class CanOpenDrive:
             self.counts["sent"] += 1
 
 
-_Places = dict[str, tuple[Address, SignalSource]]
+_Places = dict[str, tuple[canopen_objects.Address, SignalSource]]
 
 
 def _addresses(
@@ -340,7 +341,7 @@ def _addresses(
     catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     find = functools.partial(_places, catalogue)
     measured = ((name, one) for name, one, _ in configuration.signals.entries())
-    shown = find((one for one in measured if one[0] in QUANTITIES), "signals")
+    shown = find((one for one in measured if one[0] in frames.QUANTITIES), "signals")
     command = configuration.signals.command
     obeyed = find(((name, getattr(command, name)) for name in COMMANDED), "signals.command")
     if catalogue.flaws:

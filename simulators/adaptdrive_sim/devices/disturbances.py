@@ -36,10 +36,8 @@ from adaptdrive.mqtt.contract import DeviceReply, Feature
 from adaptdrive.util.errors import NOT_JSON, RefusedError
 from adaptdrive_sim.devices.sensor_values import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
-from adaptdrive_sim.plants.bath import Bath
-from adaptdrive_sim.plants.battery import Battery
+from adaptdrive_sim.plants import bath, battery, motor
 from adaptdrive_sim.plants.load import SimulatedLoad
-from adaptdrive_sim.plants.motor import Motor
 from adaptdrive_sim.world import World
 
 Plant = TypeVar("Plant")
@@ -135,7 +133,7 @@ def _put(kind: type, name: str) -> Callable[[Disturbed, Any, float], None]:
 
 
 def _change_disks(drive: Disturbed, disks: int, _: float) -> None:
-    _plant(drive, Motor).disks += disks
+    _plant(drive, motor.Motor).disks += disks
 
 
 def _set_noise(drive: Disturbed, noise_V: float, _: float) -> None:
@@ -151,27 +149,27 @@ def _spoil_sensors(drive: Disturbed, sensor_fault: int, _: float) -> None:
 
 def _set_charge(drive: Disturbed, charge: float, _: float) -> None:
     check_range("charge", charge, 0.0, 1.0, "")
-    _plant(drive, Battery).charge = charge
+    _plant(drive, battery.Battery).charge = charge
 
 
 _LACKING: dict[type, str] = {
-    Motor: "this load has no shaft",
-    Bath: "this load holds no water",
-    Battery: "this load is no battery",
+    motor.Motor: "this load has no shaft",
+    bath.Bath: "this load holds no water",
+    battery.Battery: "this load is no battery",
 }
 
 _LASTING = ("sag", "volume_gal")
 
 _ACTIONS: dict[str, Callable[[Disturbed, Any, float], None]] = {
     "disks": _change_disks,
-    "torque_Nm": _put(Motor, "torque_Nm"),
+    "torque_Nm": _put(motor.Motor, "torque_Nm"),
     "sag": lambda drive, sag, duration_s: drive.world.line.sag(sag, duration_s),
     "noise_V": _set_noise,
     "fault": lambda drive, fault, _: drive.inject(fault),
     "sensor_fault": _spoil_sensors,
-    "volume_gal": lambda drive, gal, duration_s: _plant(drive, Bath).fill(gal, duration_s),
-    "inflow_L_per_min": _put(Bath, "inflow_L_per_min"),
-    "series_Ohm": _put(Battery, "series_Ohm"),
+    "volume_gal": lambda drive, gal, duration_s: _plant(drive, bath.Bath).fill(gal, duration_s),
+    "inflow_L_per_min": _put(bath.Bath, "inflow_L_per_min"),
+    "series_Ohm": _put(battery.Battery, "series_Ohm"),
     "charge": _set_charge,
 }
 """Effect of each, with its value and with its duration."""
@@ -224,7 +222,7 @@ def features_of(load: SimulatedLoad) -> tuple[Feature, ...]:
         load: The plant.
     """
     found = list(_OFFERS.get(type(load), ()))
-    if isinstance(load, Bath):
+    if isinstance(load, bath.Bath):
         first_gal = load.parameters.volume_gal
         for verb, gal in (("pour water in to", 2.0 * first_gal), ("drain to", first_gal)):
             text = f"{verb} {gal:g} US gal within {FILLING_S:g} s"
@@ -235,13 +233,13 @@ def features_of(load: SimulatedLoad) -> tuple[Feature, ...]:
 FILLING_S = 60.0
 
 _OFFERS: dict[type, tuple[Feature, ...]] = {
-    Motor: (
+    motor.Motor: (
         Feature("add a disk", {"disks": 1}),
         Feature("remove a disk", {"disks": -1}),
         Feature("load the shaft with 0.5 Nm", {"torque_Nm": 0.5}),
         Feature("unload the shaft", {"torque_Nm": 0.0}),
     ),
-    Battery: (
+    battery.Battery: (
         Feature("raise the series resistance to 0.4 Ω", {"series_Ohm": 0.4}),
         Feature("set the charge to 80 %", {"charge": 0.8}),
     ),

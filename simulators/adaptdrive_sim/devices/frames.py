@@ -15,12 +15,11 @@ from pathlib import Path
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
+from adaptdrive.config import polled, root
 from adaptdrive.config.bus import COMMANDED, MEASURED, CanBus, Signals, SignalSource, SwitchSource
-from adaptdrive.config.polled import ModbusBus, Register
-from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Command
+from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec, counter_modulus
-from adaptdrive.devices.can.database import SignalCatalogue, cycle_time_s, open_catalogue
 from adaptdrive.devices.can.layout import compile_field
 from adaptdrive.devices.can.orders import (
     CommandFrame,
@@ -152,7 +151,7 @@ def quantities_of(frame: Frame) -> dict[str, float]:
     }
 
 
-def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> DriveMessages:
+def load_messages(bus: CanBus, configuration: root.Configuration, source: Path) -> DriveMessages:
     """Find the drive's messages in the configured database.
 
     Args:
@@ -163,7 +162,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
     Raises:
         ConfigurationError: The database and the configuration do not fit together.
     """
-    catalogue = open_catalogue(bus, source)
+    catalogue = database.open_catalogue(bus, source)
     sinks = _find_sinks(catalogue, configuration)
     sent = catalogue.sinks(configuration.signals.command, demands_of(configuration))
     orders = find_orders(catalogue, sent)
@@ -185,7 +184,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
 
 
 def _find_sinks(
-    catalogue: SignalCatalogue, configuration: Configuration
+    catalogue: database.SignalCatalogue, configuration: root.Configuration
 ) -> dict[str, list[tuple[Signal, SignalSink]]]:
     """Signals and what goes into them, by message."""
     sinks: dict[str, list[tuple[Signal, SignalSink]]] = {}
@@ -211,11 +210,11 @@ def _pages(message: Message, sinks: list[tuple[Signal, SignalSink]]) -> Iterator
 def _every_ticks(message: Message, bus: CanBus, half_cycle_ms: float) -> int:
     if message.name == bus.clock_message:
         return bus.clock_ticks
-    return max(1, round(1e3 * cycle_time_s(message) / half_cycle_ms))
+    return max(1, round(1e3 * database.cycle_time_s(message) / half_cycle_ms))
 
 
 def _sink(
-    catalogue: SignalCatalogue, quantity: str, signal: Signal, given: SignalSource
+    catalogue: database.SignalCatalogue, quantity: str, signal: Signal, given: SignalSource
 ) -> SignalSink:
     scale, offset = given.scale, given.offset
     if isinstance(given, SwitchSource) and given.on is not None:
@@ -228,7 +227,9 @@ def _sink(
     return SignalSink(quantity, signal.name, scale, offset, low, high, modulus)
 
 
-def _load_current(catalogue: SignalCatalogue, message: str) -> Iterator[tuple[Signal, SignalSink]]:
+def _load_current(
+    catalogue: database.SignalCatalogue, message: str
+) -> Iterator[tuple[Signal, SignalSink]]:
     mapped = SignalSource(signal=f"{message}.{LOAD_CURRENT}")
     for signal in catalogue.known(message).signals:
         if signal.name == LOAD_CURRENT:
@@ -247,7 +248,7 @@ class RegisterImage:
         tables: Content by address, for input and holding registers.
     """
 
-    def __init__(self, bus: ModbusBus, signals: Signals) -> None:
+    def __init__(self, bus: polled.ModbusBus, signals: Signals) -> None:
         self._bus = bus
         self._signals = signals
         self.tables: dict[str, Table] = {
@@ -301,7 +302,7 @@ class RegisterImage:
             yield "counter", SignalSource(signal=self._bus.heartbeat.drive)
 
 
-def addresses(registers: Iterable[Register], table: str) -> Table:
+def addresses(registers: Iterable[polled.Register], table: str) -> Table:
     """Return a table from the first register to the last, filled with 0."""
     spans = [(one.address, one.end) for one in registers if one.table == table]
     if not spans:
@@ -309,7 +310,7 @@ def addresses(registers: Iterable[Register], table: str) -> Table:
     return dict.fromkeys(range(min(a for a, _ in spans), max(b for _, b in spans)), 0)
 
 
-def not_available(register: Register) -> float:
+def not_available(register: polled.Register) -> float:
     """The count that means `no value`."""
     if register.not_available is not None:
         return register.not_available
@@ -319,21 +320,23 @@ def not_available(register: Register) -> float:
     return -span // 2 if register.type.startswith("int") else span - 1
 
 
-def _place(words: dict[tuple[str, int], int], register: Register, content: Sequence[int]) -> None:
+def _place(
+    words: dict[tuple[str, int], int], register: polled.Register, content: Sequence[int]
+) -> None:
     """Put registers down; bits that share a register are joined."""
     for number, word in enumerate(content, register.address):
         beside = 0 if register.bits is None else words.get((register.table, number), 0)
         words[register.table, number] = word | beside
 
 
-def _switching(given: int | str | None, usual: int, register: Register) -> int:
+def _switching(given: int | str | None, usual: int, register: polled.Register) -> int:
     """Return the count of a switch, which a configuration may name."""
     if given is None:
         return usual
     return register.names[given] if isinstance(given, str) else given
 
 
-def bounded(register: Register, value: float) -> float:
+def bounded(register: polled.Register, value: float) -> float:
     """Like a converter's, a value ends at the range of its register."""
     field = register_field("", register, "measured")
     low, high = sorted(field.physical(end) for end in _without(field))
@@ -348,5 +351,5 @@ def _without(field: Field) -> tuple[Raw, Raw]:
     return low + (low in field.unknown), high - (high in field.unknown)
 
 
-def _wrapped(register: Register, count: int) -> int:
+def _wrapped(register: polled.Register, count: int) -> int:
     return count % (1 << (16 * register.words - register.type.startswith("int")))

@@ -21,13 +21,8 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.devices.can.kind import map_sensors
 from adaptdrive.mqtt.contract import DeviceReply, simulator_topic
 from adaptdrive.mqtt.steady import SteadyClient
-from adaptdrive_sim.devices.can import CanDrive, CanSensors
-from adaptdrive_sim.devices.canopen import CanOpenDrive
-from adaptdrive_sim.devices.disturbances import answer, features_of, refused
+from adaptdrive_sim.devices import can, canopen, disturbances, frames, modbus, scpi
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
-from adaptdrive_sim.devices.frames import load_messages
-from adaptdrive_sim.devices.modbus import ModbusDrive, ModbusSensors
-from adaptdrive_sim.devices.scpi import ScpiDrive
 
 # The simulated devices of each kind of bus.
 
@@ -66,36 +61,36 @@ def _can_drive(
     drive: SimulatedDrive, configuration: Configuration, report: Report, source: Path
 ) -> DriveNode:
     bus: Any = configuration.bus
-    return CanDrive(drive, bus, load_messages(bus, configuration, source), report)
+    return can.CanDrive(drive, bus, frames.load_messages(bus, configuration, source), report)
 
 
 def _can_sensors(drive: SimulatedDrive, bus: Any, place: str, source: Path) -> SensorNode:  # noqa: ANN401
-    return CanSensors(drive, bus, map_sensors(bus, place, source))
+    return can.CanSensors(drive, bus, map_sensors(bus, place, source))
 
 
 def _modbus_drive(
     drive: SimulatedDrive, configuration: Configuration, report: Report, _: Path
 ) -> DriveNode:
     bus: Any = configuration.bus
-    return ModbusDrive(drive, bus, configuration.signals, report)
+    return modbus.ModbusDrive(drive, bus, configuration.signals, report)
 
 
 def _scpi_drive(
     drive: SimulatedDrive, configuration: Configuration, report: Report, _: Path
 ) -> DriveNode:
     bus: Any = configuration.bus
-    return ScpiDrive(drive, bus, configuration.signals, report)
+    return scpi.ScpiDrive(drive, bus, configuration.signals, report)
 
 
 def _modbus_sensors(drive: SimulatedDrive, bus: Any, _: str, __: Path) -> SensorNode:  # noqa: ANN401
-    return ModbusSensors(drive, bus)
+    return modbus.ModbusSensors(drive, bus)
 
 
 _CAN_KEYS = {"interface": "interface", "channel": "channel", "port": "udp_port"}
 
 KINDS = {
     "can": DeviceKind(_can_drive, _CAN_KEYS, _can_sensors),
-    "canopen": DeviceKind(CanOpenDrive, _CAN_KEYS, times_commands=False),
+    "canopen": DeviceKind(canopen.CanOpenDrive, _CAN_KEYS, times_commands=False),
     "modbus-tcp": DeviceKind(_modbus_drive, {"channel": "host", "port": "port"}, _modbus_sensors),
     "modbus-rtu": DeviceKind(_modbus_drive, {"channel": "device"}, _modbus_sensors),
     "scpi": DeviceKind(_scpi_drive, {"channel": "host", "port": "port"}),
@@ -164,15 +159,15 @@ class Remote:
     def carry_out(self, payload: bytes, *, retained: bool) -> DeviceReply:
         """Carry out one request, or return the reason of a refusal."""
         if retained:
-            return refused(payload, "a retained request is old and is not carried out")
-        reply = answer(payload, self._drive)
+            return disturbances.refused(payload, "a retained request is old and is not carried out")
+        reply = disturbances.answer(payload, self._drive)
         if reply.accepted:
             self._report("disturbed", **msgspec.json.decode(payload))
         return reply
 
     def state(self) -> Mapping[str, Any]:
         """Return the truth, and the disturbances that the device offers."""
-        return {**self.truth(), "features": features_of(self._drive.world.load)}
+        return {**self.truth(), "features": disturbances.features_of(self._drive.world.load)}
 
     def truth(self) -> Mapping[str, float | str]:
         """Return the true parameters for comparison with estimates, and the surroundings."""

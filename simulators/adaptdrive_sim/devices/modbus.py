@@ -24,12 +24,11 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from adaptdrive.config.bus import Signals
-from adaptdrive.config.polled import ModbusRtu, ModbusTcp, RtuLink, TcpLink
-from adaptdrive.config.root import ModbusRtuSensors, ModbusTcpSensors, SensorRegister
+from adaptdrive.config import bus, polled, root
 from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive.devices.polled.registers import encode_count, encode_value
 from adaptdrive.util.errors import BusError
+from adaptdrive_sim.devices import sensor_values
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
 from adaptdrive_sim.devices.frames import (
     RegisterImage,
@@ -39,7 +38,6 @@ from adaptdrive_sim.devices.frames import (
     not_available,
     quantities_of,
 )
-from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
 
 # A serial cable without wires: two pseudo-terminals, each end of which is a serial port.
 
@@ -104,7 +102,9 @@ class Registers(Protocol):
 
 
 @contextlib.asynccontextmanager
-async def serving(link: TcpLink | RtuLink, devices: Mapping[int, Registers]) -> AsyncIterator[None]:
+async def serving(
+    link: polled.TcpLink | polled.RtuLink, devices: Mapping[int, Registers]
+) -> AsyncIterator[None]:
     """Serve devices while the block runs.
 
     Args:
@@ -128,9 +128,9 @@ async def serving(link: TcpLink | RtuLink, devices: Mapping[int, Registers]) -> 
 
 
 def _server(
-    link: TcpLink | RtuLink, devices: list[SimDevice], stack: contextlib.ExitStack
+    link: polled.TcpLink | polled.RtuLink, devices: list[SimDevice], stack: contextlib.ExitStack
 ) -> ModbusTcpServer | ModbusSerialServer:
-    if isinstance(link, TcpLink):
+    if isinstance(link, polled.TcpLink):
         return ModbusTcpServer(devices, address=(link.host, link.port))
     port = link.device
     if not port.exists():
@@ -191,8 +191,8 @@ class ModbusDrive:
     def __init__(
         self,
         drive: SimulatedDrive,
-        config: ModbusTcp | ModbusRtu,
-        signals: Signals,
+        config: polled.ModbusTcp | polled.ModbusRtu,
+        signals: bus.Signals,
         report: Report,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -254,7 +254,7 @@ class ModbusDrive:
 _LOOK_S = 0.05
 """Interval at which modules check whether they are unplugged."""
 
-Config = ModbusTcpSensors | ModbusRtuSensors
+Config = root.ModbusTcpSensors | root.ModbusRtuSensors
 
 
 class SensorModule:
@@ -293,10 +293,10 @@ class SensorModule:
         """Both tables, with what the plant has now."""
         self.counts["requests"] += 1
         frame, fault = self._drive.frame, self._drive.world.sensor_fault
-        if frame is None or fault == SensorFault.OPEN:
+        if frame is None or fault == sensor_values.SensorFault.OPEN:
             self._show_nothing()
-        elif fault != SensorFault.FROZEN:
-            self._show(values_of(self._drive.world, frame))
+        elif fault != sensor_values.SensorFault.FROZEN:
+            self._show(sensor_values.values_of(self._drive.world, frame))
         return self._tables
 
     def write(self, address: int, words: list[int]) -> ExcCodes | None:
@@ -320,7 +320,7 @@ class SensorModule:
             register = self._registers[source.signal]
             self._place(register, encode_count(register, not_available(register)))
 
-    def _place(self, register: SensorRegister, words: list[int]) -> None:
+    def _place(self, register: root.SensorRegister, words: list[int]) -> None:
         span = range(register.address, register.end)
         self._tables[register.table].update(zip(span, words, strict=True))
 
@@ -357,5 +357,5 @@ class ModbusSensors:
     async def _until(self, *, unplugged: bool) -> None:
         """Wait until the modules are unplugged, or plugged in again."""
         world = self._drive.world
-        while (world.sensor_fault == SensorFault.UNPLUGGED) is not unplugged:  # noqa: ASYNC110 - the plant knows no events
+        while (world.sensor_fault == sensor_values.SensorFault.UNPLUGGED) is not unplugged:  # noqa: ASYNC110 - the plant knows no events
             await asyncio.sleep(_LOOK_S)

@@ -10,9 +10,8 @@ from pathlib import Path
 from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive_sim.devices.drive import Frame
 from adaptdrive_sim.devices.frames import quantities_of
-from adaptdrive_sim.plants.bath import Bath
+from adaptdrive_sim.plants import bath, motor
 from adaptdrive_sim.plants.load import SimulatedLoad
-from adaptdrive_sim.plants.motor import Motor
 from adaptdrive_sim.world import World
 
 
@@ -62,10 +61,10 @@ def check_names(names: Iterable[tuple[str, str]], known: Mapping[str, float], so
 
 
 def _values_of_load(load: SimulatedLoad, output: float) -> dict[str, float]:
-    if isinstance(load, Bath):
+    if isinstance(load, bath.Bath):
         inflow_K = load.inflow_K
         inflow_now_K = inflow_K + load.inflow_shift_K
         return {"inflow_temperature": inflow_now_K, "bath_temperature": inflow_K + output}
-    if isinstance(load, Motor):
+    if isinstance(load, motor.Motor):
         return {"tachometer_voltage": output}
     return {}

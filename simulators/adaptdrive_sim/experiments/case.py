@@ -25,20 +25,16 @@ from numpy.typing import NDArray
 from adaptdrive.analysis.excerpts import judge_step
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.controller import Controller
+from adaptdrive.control import controller, signals, vectors
 from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.signals import Mode
-from adaptdrive.control.vectors import Vector
+from adaptdrive_sim import parameters, wire, world
 from adaptdrive_sim.course import Array, Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
-from adaptdrive_sim.parameters import SEED_MAX, check_range
 from adaptdrive_sim.site import Site
-from adaptdrive_sim.wire import NoiseParameters, read_spikes, samples
-from adaptdrive_sim.world import World
 
 # One run of an experiment: which controller, which design, which noise; and the run itself.
 
@@ -61,13 +57,13 @@ class Disturbance:
     spike_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        check_range("noise", self.noise, 0.0, 10.0, "of the step")
-        check_range("share of spikes", self.spike_share, 0.0, 1.0, "")
-        check_range("noise of spikes", self.spike_noise, 0.0, 10.0, "of the step")
+        parameters.check_range("noise", self.noise, 0.0, 10.0, "of the step")
+        parameters.check_range("share of spikes", self.spike_share, 0.0, 1.0, "")
+        parameters.check_range("noise of spikes", self.spike_noise, 0.0, 10.0, "of the step")
 
-    def scaled(self, step: float) -> NoiseParameters:
+    def scaled(self, step: float) -> wire.NoiseParameters:
         """The same in the unit of the output."""
-        return NoiseParameters(self.noise * step, self.spike_share, self.spike_noise * step)
+        return wire.NoiseParameters(self.noise * step, self.spike_share, self.spike_noise * step)
 
 
 def disturbance_of(noise: float, spikes: str) -> Disturbance:
@@ -81,7 +77,7 @@ def disturbance_of(noise: float, spikes: str) -> Disturbance:
         RefusedError: The spikes cannot be read.
         ParameterError: A value lies outside its range.
     """
-    return Disturbance(noise, *read_spikes(spikes))
+    return Disturbance(noise, *wire.read_spikes(spikes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +128,7 @@ class ReproduceRequest:
     seed: int
 
     def __post_init__(self) -> None:
-        check_range("seed", self.seed, 0, SEED_MAX, "")
+        parameters.check_range("seed", self.seed, 0, parameters.SEED_MAX, "")
 
     def case(self, variant: Variant) -> Case:
         """The run of one controller."""
@@ -198,7 +194,9 @@ def run_case(case: Case, *, keep_ticks: bool = False) -> Run:
         The run, with the columns `time_s`, `reference` and `size`.
     """
     experiment, course = case.experiment, _course(case)
-    site = Site(Controller(case.settings, experiment.nominal()), World(experiment.plant()))
+    site = Site(
+        controller.Controller(case.settings, experiment.nominal()), world.World(experiment.plant())
+    )
     run = site.run(course, keep_ticks=keep_ticks)
     times_s = experiment.times_s()
     sizes = experiment.sizes_at(times_s)
@@ -215,16 +213,16 @@ def _course(case: Case) -> Course:
         sizes=experiment.sizes_at(times_s, wanted=True),
         over_s=max((change.over_s for change in experiment.changes), default=0.0),
         disturbances=_disturbances(noise, case.seed, ticks + 1),
-        mode=Mode.FIXED if case.variant == "fixed" else Mode.ADAPTIVE,
+        mode=signals.Mode.FIXED if case.variant == "fixed" else signals.Mode.ADAPTIVE,
         pole=experiment.pole,
         start=experiment.reference.low,
     )
 
 
-def _disturbances(noise: NoiseParameters, seed: int, count: int) -> Array:
+def _disturbances(noise: wire.NoiseParameters, seed: int, count: int) -> Array:
     if noise.silent:
         return np.zeros(count)
-    return np.fromiter(samples(noise, np.random.default_rng(seed)), np.float64, count)
+    return np.fromiter(wire.samples(noise, np.random.default_rng(seed)), np.float64, count)
 
 
 # Metrics of an experiment, always from the output without noise at the slow instants.
@@ -277,7 +275,7 @@ def ideal_output(experiment: Experiment, design: Design) -> Array:
     return low + found
 
 
-def _weights(load: Load, design: Design, experiment: Experiment) -> Vector:
+def _weights(load: Load, design: Design, experiment: Experiment) -> vectors.Vector:
     """A_m(1)/B(1) · B."""
     desired = desired_polynomial(experiment.pole, 2 * load.order)
     b = _numerator(load, design, experiment.period_s)
@@ -285,7 +283,7 @@ def _weights(load: Load, design: Design, experiment: Experiment) -> Vector:
 
 
 @cache
-def _numerator(load: Load, design: Design, period_s: float) -> Vector:
+def _numerator(load: Load, design: Design, period_s: float) -> vectors.Vector:
     numerator, denominator = list(load.numerator), list(load.denominator)
     if design == "paper":
         return load.paper_model(numerator, denominator, period_s)[1]

@@ -15,14 +15,14 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from adaptdrive.control.loads import motor
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Waveform
 from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.experiments.examples import example_tables
+from adaptdrive_sim.plants import boost
 from adaptdrive_sim.plants.bath import Bath, BathParameters
-from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 
 # An experiment as data: a load that changes, a reference, and the paper's settings for it.
@@ -179,7 +179,7 @@ NOMINAL_gal = 0.6
 @cache
 def true_bath(size: float) -> Load:
     """The bath's model at a multiple of its nominal volume."""
-    coupling = CouplingParameters()
+    coupling = boost.CouplingParameters()
     bath = Bath(BathParameters(volume_gal=size * NOMINAL_gal))
     model = bath.model(coupling.ratio, coupling.droop_Ohm)
     return bath_load(
@@ -225,15 +225,15 @@ BATH = read_experiment(
 @cache
 def true_motor(size: float) -> Load:
     """The motor's model with that many disks."""
-    coupling = CouplingParameters()
+    coupling = boost.CouplingParameters()
     model = Motor(MotorParameters(), round(size)).model(coupling.ratio, coupling.droop_Ohm)
-    return motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
+    return motor.motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
 
 
 MOTOR = read_experiment(
     "motor",
     tables=partial(example_tables, "motor.toml"),
-    nominal=partial(motor_load, gain=0.011, tau_motor_s=11.7, tau_filter_s=10.0),
+    nominal=partial(motor.motor_load, gain=0.011, tau_motor_s=11.7, tau_filter_s=10.0),
     plant=partial(Motor, MotorParameters()),
     true_load=true_motor,
 )

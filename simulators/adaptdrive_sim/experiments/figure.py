@@ -14,10 +14,9 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from adaptdrive.analysis import style
 from adaptdrive.control.loads.load import to_input
 from adaptdrive_sim.course import Array, Run
-from adaptdrive_sim.experiments.case import Variant
+from adaptdrive_sim.experiments import case, sweep
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome
-from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
 
 # The figures of the experiments, laid out like the paper's Fig. 4 and Fig. 9, with more panels.
 
@@ -172,7 +171,7 @@ def minutes_of(record: Run) -> Array:
     return record["time_s"] / 60.0
 
 
-_TITLES: dict[Variant, str] = {
+_TITLES: dict[case.Variant, str] = {
     "fixed": "fixed controller",
     "adaptive": "adaptive controller",
     "direct_rls": "direct RLS",
@@ -316,7 +315,9 @@ def _memory(forgetting: float) -> float:
 
 
 def _column(
-    axes: Sequence[Axes], points: list[SweepPoint], position: Callable[[SweepPoint], float]
+    axes: Sequence[Axes],
+    points: list[sweep.SweepPoint],
+    position: Callable[[sweep.SweepPoint], float],
 ) -> None:
     for method, (label, look) in _LOOKS.items():
         chosen = [one for one in points if one.setting.method == method]
@@ -326,8 +327,8 @@ def _column(
 
 def _curves(
     axes: Sequence[Axes],
-    points: list[SweepPoint],
-    position: Callable[[SweepPoint], float],
+    points: list[sweep.SweepPoint],
+    position: Callable[[sweep.SweepPoint], float],
     label: str,
     look: style.Look,
 ) -> None:
@@ -381,7 +382,7 @@ def _name(axes: Grid, experiment: Experiment) -> None:
 def _mark(axes: Grid, experiment: Experiment) -> None:
     """The paper's choice, and what is slower than the load itself."""
     paper, load = experiment.paper, experiment.nominal()
-    settled_s = settling_time_s(load, 0.1 * experiment.period_s)
+    settled_s = sweep.settling_time_s(load, 0.1 * experiment.period_s)
     for row in axes:
         row[0].axvline(_memory(paper.forgetting), **_PAPER)
         row[1].axvline(paper.tau_lambda_s, **_PAPER)

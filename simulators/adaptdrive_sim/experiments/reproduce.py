@@ -11,17 +11,11 @@ import pyarrow.parquet as pq
 
 from adaptdrive.util.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.course import Run, processes, progress
-from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
+from adaptdrive_sim.experiments import case, sweep
 from adaptdrive_sim.experiments.experiment import BATH, DROPPED, MOTOR, Experiment
 from adaptdrive_sim.experiments.outcome import Claim, ExperimentOutcome, claims, judge, summary
-from adaptdrive_sim.experiments.sweep import (
-    listen,
-    settings_over_forgetting,
-    settings_over_tau_lambda,
-    try_settings,
-)
 
-VARIANTS: dict[str, tuple[Variant, ...]] = {
+VARIANTS: dict[str, tuple[case.Variant, ...]] = {
     "motor": ("fixed", "adaptive", "direct_rls"),
     "bath": ("fixed", "adaptive"),
 }
@@ -54,7 +48,7 @@ def find_experiment(name: str, *, keep_speed: bool) -> Experiment:
     return MOTOR if keep_speed else DROPPED
 
 
-def run_request(request: ReproduceRequest, folder: Path) -> list[Claim]:
+def run_request(request: case.ReproduceRequest, folder: Path) -> list[Claim]:
     """Run an experiment, and write its figures, its summary and its recorded runs.
 
     Args:
@@ -86,13 +80,15 @@ def run_request(request: ReproduceRequest, folder: Path) -> list[Claim]:
     return verdicts
 
 
-def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
+def _carry_out(request: case.ReproduceRequest, folder: Path) -> ExperimentOutcome:
     """Run everything in parallel, and draw each figure as soon as its data is there."""
     experiment, variants = request.experiment, VARIANTS[request.experiment.name]
     workers = min(len(variants), os.cpu_count() or 1)
     with processes(workers) as pool, progress(len(variants) + _OTHER_STEPS) as done:
         runs = {
-            variant: pool.submit(run_case, request.case(variant), keep_ticks=variant == "fixed")
+            variant: pool.submit(
+                case.run_case, request.case(variant), keep_ticks=variant == "fixed"
+            )
             for variant in variants
         }
         # Drawing takes a while to import: meanwhile the runs are under way.
@@ -102,10 +98,14 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
             sweep_figure,
         )
 
-        heard = listen(request.listener(), runs["fixed"].result())
-        over_forgetting = pool.submit(try_settings, heard, settings_over_forgetting(experiment))
-        over_tau_lambda = pool.submit(try_settings, heard, settings_over_tau_lambda(experiment))
-        records: dict[Variant, Run] = {}
+        heard = sweep.listen(request.listener(), runs["fixed"].result())
+        over_forgetting = pool.submit(
+            sweep.try_settings, heard, sweep.settings_over_forgetting(experiment)
+        )
+        over_tau_lambda = pool.submit(
+            sweep.try_settings, heard, sweep.settings_over_tau_lambda(experiment)
+        )
+        records: dict[case.Variant, Run] = {}
         for variant, run in runs.items():
             records[variant] = run.result()
             done(1, f"ran the {variant} controller")
@@ -123,7 +123,7 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
     return outcome
 
 
-def _write_record(path: Path, outcome: ExperimentOutcome, variant: Variant) -> None:
+def _write_record(path: Path, outcome: ExperimentOutcome, variant: case.Variant) -> None:
     """Write a row for each slow period; what a run was made with is in the file's metadata."""
     disturbance = outcome.disturbance
     metadata = {

@@ -15,14 +15,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import methods
 from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation.filters import chain_decay, ramp_gains, step_gains
-from adaptdrive.control.estimation.methods import (
-    METHODS,
-    continuous_model,
-    direct_model,
-    fill_direct_regressor,
-)
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import Learning
@@ -145,7 +140,9 @@ def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> SweepPo
         forgetting=setting.forgetting,
         tau_lambda_s=setting.tau_lambda_s,
     )
-    estimate = _estimate_filtered if METHODS[learning.method].physical else _estimate_directly
+    estimate = (
+        _estimate_filtered if methods.METHODS[learning.method].physical else _estimate_directly
+    )
     quiet, *noisy = estimate(heard, learning, noises)
     experiment = heard.case.experiment
     spread = _spread(heard, quiet, noisy)
@@ -170,7 +167,7 @@ def _estimate_filtered(heard: Heard, learning: Learning, noises: list[Array]) ->
 def _follow_filtered(
     load: Load, learning: Learning, outputs: list[list[float]], inputs: list[list[float]]
 ) -> Array:
-    state = est.new_estimator(METHODS[learning.method], learning, load, load.paper_taps)
+    state = est.new_estimator(methods.METHODS[learning.method], learning, load, load.paper_taps)
     found = []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
         reg.fill_filtered_regressor(state.sample.regressor, learning, load, filtered, applied)
@@ -190,15 +187,17 @@ def _estimate_directly(heard: Heard, learning: Learning, noises: list[Array]) ->
 
 def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> Array:
     load, period_s = heard.case.experiment.nominal(), heard.case.experiment.period_s
-    state = est.new_estimator(METHODS[learning.method], learning, load, load.paper_taps)
+    state = est.new_estimator(methods.METHODS[learning.method], learning, load, load.paper_taps)
     past_outputs = [outputs[0]] * load.order
     past_inputs = [float(heard.load_input[0])] * load.paper_taps
     found = []
     for target, applied in zip(outputs, heard.held_input, strict=True):
-        fill_direct_regressor(state.sample.regressor, learning, load, past_outputs, past_inputs)
+        methods.fill_direct_regressor(
+            state.sample.regressor, learning, load, past_outputs, past_inputs
+        )
         est.learn(state, learning, load, target, usable=True)
-        a, b = direct_model(state.estimate.theta, learning, load)
-        found.append(_physical(load, *continuous_model(a, b, period_s)))
+        a, b = methods.direct_model(state.estimate.theta, learning, load)
+        found.append(_physical(load, *methods.continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)
         shift_in(past_inputs, applied)
     return np.array(found)

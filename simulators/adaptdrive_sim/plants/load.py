@@ -16,10 +16,7 @@ from typing import Any, Protocol, TypeVar
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathModel, BathSection, BatterySection, MotorModel, MotorSection
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.plants.bath import Bath, BathParameters, GALLON_kg, HEAT_J_per_kgK
-from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.boost import CouplingParameters
-from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.plants import bath, battery, boost, motor
 
 # The shape that every simulated load shares.
 
@@ -94,15 +91,15 @@ def load_of(configuration: Configuration, disks: int | None = None) -> Simulated
         raise RefusedError(f"--disks {disks}: a {section.type} has no shaft")
     match section:
         case MotorSection(model=model):
-            known = _motor(_with(MotorParameters(), given), model, stage)
-            return Motor(_with(known, given), 1 if disks is None else disks)
+            known = _motor(_with(motor.MotorParameters(), given), model, stage)
+            return motor.Motor(_with(known, given), 1 if disks is None else disks)
         case BathSection(model=model):
-            return Bath(_with(_bath(model), given))
+            return bath.Bath(_with(_bath(model), given))
         case BatterySection():
-            return Battery(_with(_battery(section), given))
+            return battery.Battery(_with(_battery(section), given))
 
 
-def coupling_of(configuration: Configuration) -> CouplingParameters:
+def coupling_of(configuration: Configuration) -> boost.CouplingParameters:
     """Build the dc/dc stage of a configuration.
 
     Raises:
@@ -110,12 +107,14 @@ def coupling_of(configuration: Configuration) -> CouplingParameters:
     """
     section, given = configuration.load, _split(configuration.simulation.parameters)[0]
     if isinstance(section, MotorSection):
-        return _with(CouplingParameters(), given)
+        return _with(boost.CouplingParameters(), given)
     model = section.model
-    return _with(CouplingParameters(model.turns_ratio, model.droop_Ohm), given)
+    return _with(boost.CouplingParameters(model.turns_ratio, model.droop_Ohm), given)
 
 
-def _motor(known: MotorParameters, model: MotorModel, stage: CouplingParameters) -> MotorParameters:
+def _motor(
+    known: motor.MotorParameters, model: MotorModel, stage: boost.CouplingParameters
+) -> motor.MotorParameters:
     """Return a motor with the inertia, tachometer and filter that a model needs."""
     total_Ohm, constant_Vs = stage.droop_Ohm + known.resistance_Ohm, known.constant_Vs
     damping_Nms = known.friction_Nms + constant_Vs**2 / total_Ohm
@@ -127,20 +126,20 @@ def _motor(known: MotorParameters, model: MotorModel, stage: CouplingParameters)
     )
 
 
-def _bath(model: BathModel) -> BathParameters:
+def _bath(model: BathModel) -> bath.BathParameters:
     """Return a bath with the inflow and the volume that a model needs."""
     heat_W_per_K = 1.0 / model.resistance_K_per_W
-    return BathParameters(
+    return bath.BathParameters(
         heater_Ohm=model.heater_Ohm,
-        inflow_L_per_min=60.0 * heat_W_per_K / HEAT_J_per_kgK,
-        volume_gal=model.tau_s * heat_W_per_K / HEAT_J_per_kgK / GALLON_kg,
+        inflow_L_per_min=60.0 * heat_W_per_K / bath.HEAT_J_per_kgK,
+        volume_gal=model.tau_s * heat_W_per_K / bath.HEAT_J_per_kgK / bath.GALLON_kg,
     )
 
 
-def _battery(section: BatterySection) -> BatteryParameters:
+def _battery(section: BatterySection) -> battery.BatteryParameters:
     """Return a battery with the resistances of a model, and cells for its highest voltage."""
     model = section.model
-    return BatteryParameters(
+    return battery.BatteryParameters(
         cells=max(1, round(section.charge.voltage_max_V / _CELL_MAX_V)),
         series_Ohm=model.internal_Ohm,
         relaxation_Ohm=model.relaxation_Ohm,
@@ -150,7 +149,7 @@ def _battery(section: BatterySection) -> BatteryParameters:
 
 def _split(given: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
     """Return the values for the dc/dc stage, and those for the load."""
-    names = {field.name for field in dataclasses.fields(CouplingParameters)}
+    names = {field.name for field in dataclasses.fields(boost.CouplingParameters)}
     stage = {name: value for name, value in given.items() if name in names}
     return stage, {name: value for name, value in given.items() if name not in names}
 

@@ -14,9 +14,9 @@ import polars as pl
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
+from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule
-from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot, Stage
 from adaptdrive.util.errors import IdentificationError
 
 # The daemon's controller in closed loop with a plant, in virtual time.
@@ -57,8 +57,8 @@ class LoopRecord:
     output: list[float] = field(default_factory=list)
     boost_voltage_V: list[float] = field(default_factory=list)
     load_power_W: list[float] = field(default_factory=list)
-    snapshots: list[Snapshot] = field(default_factory=list)
-    decisions: list[Decision] = field(default_factory=list)
+    snapshots: list[signals.Snapshot] = field(default_factory=list)
+    decisions: list[signals.Decision] = field(default_factory=list)
     fault: str = ""
 
 
@@ -103,7 +103,7 @@ class BoostStage:
         start_V = max(0.0, drive.limits.boost_reference_min_V) if voltage_V is None else voltage_V
         self.voltage_V = max(self._floor_V, start_V)
 
-    def step(self, command: Command, power_W: float, duration_s: float) -> float:
+    def step(self, command: signals.Command, power_W: float, duration_s: float) -> float:
         """Advance under a command and a load.
 
         Args:
@@ -129,7 +129,7 @@ class BoostStage:
 def run_loop(
     configuration: Configuration,
     plant: Plant,
-    order: Callable[[int], Order],
+    order: Callable[[int], signals.Order],
     readings: int,
     start: LoopStart | None = None,
 ) -> LoopRecord:
@@ -154,10 +154,12 @@ def run_loop(
     line_V, period_s = configuration.drive.line_voltage_V, half_cycle_s * stride
     plant = at_own_step(plant)
     output, power_W = advanced(plant, boost.voltage_V, period_s, 0)
-    latched: Command | None = None
+    latched: signals.Command | None = None
     for number in range(readings):
         wanted, volts = order(number), boost.voltage_V
-        measured = Measurement(number * stride, half_cycle_s, volts, line_V, power_W, output)
+        measured = signals.Measurement(
+            number * stride, half_cycle_s, volts, line_V, power_W, output
+        )
         command = schedule.tick(measured, wanted)
         _note(record, number * period_s, wanted, measured)
         if (snapshot := schedule.take_snapshot()) is not None:
@@ -172,7 +174,9 @@ def run_loop(
     return record
 
 
-def _note(record: LoopRecord, time_s: float, wanted: Order, measured: Measurement) -> None:
+def _note(
+    record: LoopRecord, time_s: float, wanted: signals.Order, measured: signals.Measurement
+) -> None:
     record.time_s.append(time_s)
     record.reference.append(wanted.reference)
     record.output.append(measured.output)
@@ -279,7 +283,7 @@ def simulated(
     plant: Plant,
     setpoint: Callable[[float], float],
     duration_s: float,
-    mode: Mode,
+    mode: signals.Mode,
 ) -> Simulation:
     """Run the controller of a configuration on a plant.
 
@@ -296,8 +300,8 @@ def simulated(
     reading_s = tick_s(configuration) * configuration.bus.ticks_per_reading
     pole = configuration.load.pole
 
-    def order(number: int) -> Order:
-        return Order(Stage.RUN, _finite(setpoint, number * reading_s), mode, pole)
+    def order(number: int) -> signals.Order:
+        return signals.Order(signals.Stage.RUN, _finite(setpoint, number * reading_s), mode, pole)
 
     record = run_loop(configuration, plant, order, round(duration_s / reading_s))
     slow = _slow(record, tick_s(configuration))

@@ -19,20 +19,20 @@ from pyarrow import csv
 from pyarrow import parquet as pq
 
 from adaptdrive.analysis.curves import session_clock
-from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording import reader
 from adaptdrive.recording.session import TABLES
 from adaptdrive.recording.tables import open_file
 
 # Tables of a session without lists, as other programs read them, and those of polars or pandas.
 
 
-def flat_schema(session: Session, table: str) -> pa.Schema:
+def flat_schema(session: reader.Session, table: str) -> pa.Schema:
     """Return the columns of a table without lists: one for each element and estimate."""
     first = next(flat_batches(session, table), None)
     return pa.schema([]) if first is None else first.schema
 
 
-def flat_batches(session: Session, table: str) -> Iterator[pa.RecordBatch]:
+def flat_batches(session: reader.Session, table: str) -> Iterator[pa.RecordBatch]:
     """Yield the rows of a table with each list spread over columns, such as `gains_0`."""
     widths: dict[str, list[str]] = {}
     for batch in session.batches(table):
@@ -87,7 +87,7 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
         path: Directory of the session.
         frames: `polars` or `pandas`.
     """
-    session = read_session(path)
+    session = reader.read_session(path)
     if session.damage:
         warnings.warn(session.damage, stacklevel=3)
     tables = {name: _table(session, name) for name in TABLES}
@@ -103,7 +103,7 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
     return {"info": session.info, "units": units, **made}
 
 
-def _table(session: Session, name: str) -> pa.Table:
+def _table(session: reader.Session, name: str) -> pa.Table:
     return pa.Table.from_batches(list(flat_batches(session, name)), flat_schema(session, name))
 
 
@@ -142,7 +142,7 @@ def export(path: Path, to: str, into: Path) -> list[Path]:
         ModuleNotFoundError: The library for the format is not installed.
         OSError: The files cannot be written; those there are as before.
     """
-    session = read_session(path)
+    session = reader.read_session(path)
     into.mkdir(parents=True, exist_ok=True)
     try:
         with TemporaryDirectory(dir=into, prefix=".unfinished-") as beside:
@@ -152,14 +152,14 @@ def export(path: Path, to: str, into: Path) -> list[Path]:
         raise
 
 
-def _tables(session: Session) -> Iterator[tuple[str, pa.Schema]]:
+def _tables(session: reader.Session) -> Iterator[tuple[str, pa.Schema]]:
     for table in TABLES:
         schema = flat_schema(session, table)
         if schema.names:
             yield table, schema
 
 
-def _write_csv(session: Session, into: Path) -> list[Path]:
+def _write_csv(session: reader.Session, into: Path) -> list[Path]:
     paths = []
     for table, schema in _tables(session):
         path = into / f"{session.path.name}_{table}.csv"
@@ -170,7 +170,7 @@ def _write_csv(session: Session, into: Path) -> list[Path]:
     return paths
 
 
-def _write_parquet(session: Session, into: Path) -> list[Path]:
+def _write_parquet(session: reader.Session, into: Path) -> list[Path]:
     paths = []
     for table, schema in _tables(session):
         path = into / f"{session.path.name}_{table}.parquet"
@@ -184,7 +184,7 @@ def _write_parquet(session: Session, into: Path) -> list[Path]:
     return paths
 
 
-def _write_mat(session: Session, into: Path) -> list[Path]:
+def _write_mat(session: reader.Session, into: Path) -> list[Path]:
     from scipy.io import savemat  # noqa: PLC0415 - an extra
 
     contents: dict[str, Any] = {}
@@ -215,7 +215,7 @@ def _field_names(columns: list[str]) -> dict[str, str]:
     return fields
 
 
-def _write_mdf4(session: Session, into: Path) -> list[Path]:
+def _write_mdf4(session: reader.Session, into: Path) -> list[Path]:
     from asammdf import MDF, Signal  # noqa: PLC0415 - an extra
 
     path = into / f"{session.path.name}.mf4"
@@ -243,7 +243,7 @@ def _write_mdf4(session: Session, into: Path) -> list[Path]:
         return [Path(file.save(path, overwrite=True))]
 
 
-def _beginning(session: Session) -> tuple[float, datetime]:
+def _beginning(session: reader.Session) -> tuple[float, datetime]:
     """Return the time of the first row of all tables, by the monotonic clock and in UTC."""
     clock, firsts = session_clock(session), []
     for table, _ in _tables(session):
@@ -252,7 +252,7 @@ def _beginning(session: Session) -> tuple[float, datetime]:
     return min(firsts, default=(0.0, session.info.started))
 
 
-def _write_mcap(session: Session, into: Path) -> list[Path]:
+def _write_mcap(session: reader.Session, into: Path) -> list[Path]:
     from mcap.writer import Writer  # noqa: PLC0415 - an extra
 
     path = into / f"{session.path.name}.mcap"
@@ -269,7 +269,7 @@ def _write_mcap(session: Session, into: Path) -> list[Path]:
     return [path]
 
 
-def _messages(session: Session, table: str) -> Iterator[tuple[int, bytes]]:
+def _messages(session: reader.Session, table: str) -> Iterator[tuple[int, bytes]]:
     start_ns = round(session.info.started.timestamp() * _NANOSECONDS)
     for batch in flat_batches(session, table):
         for row in batch.to_pylist():
@@ -326,7 +326,7 @@ def _about(field: pa.Field, key: str) -> str:
     return (field.metadata or {}).get(key.encode(), b"").decode()  # type: ignore[no-any-return]
 
 
-_WRITERS: dict[str, Callable[[Session, Path], list[Path]]] = {
+_WRITERS: dict[str, Callable[[reader.Session, Path], list[Path]]] = {
     "csv": _write_csv,
     "parquet": _write_parquet,
     "mat": _write_mat,

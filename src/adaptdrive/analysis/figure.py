@@ -17,12 +17,10 @@ from adaptdrive.analysis import style
 from adaptdrive.analysis.curves import Curves, find_window, read_curves
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
-from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.replay import reconfigured
+from adaptdrive.recording import reader, replay
 from adaptdrive.recording.session import read_marks
+from adaptdrive.util import files, quantity
 from adaptdrive.util.errors import escaped
-from adaptdrive.util.files import replace_result
-from adaptdrive.util.quantity import Given
 
 # The figure of a session: output, voltages, estimates, and which controller was in force.
 
@@ -56,7 +54,7 @@ _SYMBOLS = {
 }
 
 
-def draw_session(session: Session, configuration: Configuration, curves: Curves) -> bytes:
+def draw_session(session: reader.Session, configuration: Configuration, curves: Curves) -> bytes:
     """Draw a session, or the part of it that its curves show.
 
     Args:
@@ -91,7 +89,7 @@ def as_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _draw_output(axes: Axes, session: Session, curves: Curves, scale_s: float) -> None:
+def _draw_output(axes: Axes, session: reader.Session, curves: Curves, scale_s: float) -> None:
     looks = {"reference": style.REFERENCE, "output": style.ADAPTIVE}
     for name, look in looks.items():
         time_s, values = curves.ticks[name].line
@@ -103,7 +101,7 @@ def _draw_output(axes: Axes, session: Session, curves: Curves, scale_s: float) -
     style.legend_above(axes, columns=2)
 
 
-def _draw_given(axes: Axes, given: Given, curves: Curves, scale_s: float) -> None:
+def _draw_given(axes: Axes, given: quantity.Given, curves: Curves, scale_s: float) -> None:
     time_s, boost_V = curves.ticks["boost_voltage_V"].line
     axes.plot(time_s / scale_s, boost_V, label=given.name, **(style.FIXED | {"linewidth": 0.6}))
     if len(curves.slow_s):
@@ -184,7 +182,7 @@ def _runs(values: list[str], breaks: NDArray[np.int64]) -> Iterator[tuple[int, i
             first = index
 
 
-def _mark(axes: Sequence[Axes], session: Session, curves: Curves, scale_s: float) -> None:
+def _mark(axes: Sequence[Axes], session: reader.Session, curves: Curves, scale_s: float) -> None:
     begin_s, end_s = curves.window.begin_s, curves.window.end_s
     shown = [event for event in session.events if begin_s <= event.monotonic_s <= end_s]
     trips = [event for event in shown if event.kind == "trip"]
@@ -245,7 +243,7 @@ pre {{ background: #f5f5f2; padding: 1em; overflow-x: auto; font-size: 0.85em; }
 _MOST_ROWS = 1000
 
 
-def report_page(session: Session, curves: Curves, png: bytes) -> str:
+def report_page(session: reader.Session, curves: Curves, png: bytes) -> str:
     """Return the report of a session as HTML.
 
     Args:
@@ -263,7 +261,7 @@ def report_page(session: Session, curves: Curves, png: bytes) -> str:
     )
 
 
-def _facts(session: Session, curves: Curves) -> str:
+def _facts(session: reader.Session, curves: Curves) -> str:
     info, window = session.info, curves.window
     rows = [
         ("session", session.path.name),
@@ -276,7 +274,7 @@ def _facts(session: Session, curves: Curves) -> str:
     return _table(("", ""), [(row, "") for row in rows])
 
 
-def _events(session: Session, curves: Curves) -> str:
+def _events(session: reader.Session, curves: Curves) -> str:
     window = curves.window
     rows = [
         ((f"{one.time:%H:%M:%S.%f}"[:-3], one.kind, one.detail), one.severity)
@@ -286,7 +284,7 @@ def _events(session: Session, curves: Curves) -> str:
     return _table(("UTC", "kind", "detail"), rows)
 
 
-def _commands(session: Session) -> str:
+def _commands(session: reader.Session) -> str:
     rows = [
         (
             (
@@ -334,13 +332,13 @@ def plot(
         AdaptdriveError: The session cannot be read, or holds nothing there.
         OSError: The files cannot be written.
     """
-    session = read_session(path)
-    configuration = reconfigured(session.config_text, path / "config.toml", ())
+    session = reader.read_session(path)
+    configuration = replay.reconfigured(session.config_text, path / "config.toml", ())
     curves = read_curves(session, find_window(session, begin_s, end_s))
     png = draw_session(session, configuration, curves)
     folder = path if into is None else into
     figure, report = folder / "figure.png", folder / "report.html"
     page = report_page(session, curves, png)
-    replace_result(figure, png)
-    replace_result(report, escaped(page).encode())
+    files.replace_result(figure, png)
+    files.replace_result(report, escaped(page).encode())
     return figure, report

@@ -5,20 +5,18 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from adaptdrive.analysis.closed_loop import Simulation
+from adaptdrive.analysis import closed_loop
 from adaptdrive.analysis.columns import Columns, columns_of_file, columns_of_table
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.excerpts import Stretch, block_samples, divided, read_stretches
 from adaptdrive.analysis.record import InputOutputRecord, RecordView, read_record
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration, load_configuration
+from adaptdrive.control.loads import motor
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.excerpt import Excerpt
-from adaptdrive.identification.identify import identify_any, proposed_model, time_constants
-from adaptdrive.identification.result import IdentifiedLoad
+from adaptdrive.identification import excerpt, identify, result
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import IdentificationError
@@ -46,7 +44,7 @@ class RecordLoad:
     name: str
     unit: str
     ends_s: tuple[float, ...]
-    load: IdentifiedLoad
+    load: result.IdentifiedLoad
     online: dict[str, Estimate]
     nominal: dict[str, float]
     model: dict[str, Estimate]
@@ -75,14 +73,14 @@ def identify_record(
     if configuration is None:
         load = _plain(record, block, lags)
         ends_s, left_out = _used(parts, load, block)
-        return RecordLoad(name, "", ends_s, load, {}, {}, time_constants(load), left_out)
+        return RecordLoad(name, "", ends_s, load, {}, {}, identify.time_constants(load), left_out)
     if lags is not None:
         raise IdentificationError("lags and a configuration were given: it says how many there are")
     return _of_drive(name, parts, block, configuration)
 
 
 def _used(
-    parts: list[tuple[float, Excerpt]], load: IdentifiedLoad, block: int
+    parts: list[tuple[float, excerpt.Excerpt]], load: result.IdentifiedLoad, block: int
 ) -> tuple[tuple[float, ...], int]:
     """Return the time at the end of each part that a fit used, and how many it left out."""
     used = [parts[place] for place in load.used]
@@ -91,11 +89,11 @@ def _used(
 
 
 def _of_drive(
-    name: str, parts: list[tuple[float, Excerpt]], block: int, configuration: Configuration
+    name: str, parts: list[tuple[float, excerpt.Excerpt]], block: int, configuration: Configuration
 ) -> RecordLoad:
     """Return the load between the boost voltage and the output of a drive."""
     structure, excerpts = build_load(configuration), [one for _, one in parts]
-    load = identify_any(excerpts, candidate_loads(configuration), block=block)
+    load = identify.identify_any(excerpts, candidate_loads(configuration), block=block)
     ends_s, left_out = _used(parts, load, block)
     nominal = structure.physical(list(structure.numerator), list(structure.denominator))
     return RecordLoad(
@@ -105,15 +103,17 @@ def _of_drive(
         load=load,
         online={},
         nominal=dict(zip(structure.names, nominal, strict=True)),
-        model=proposed_model(load, configuration.load),
+        model=identify.proposed_model(load, configuration.load),
         left_out=left_out,
     )
 
 
-def _plain(record: InputOutputRecord, block: int, lags: int | None) -> IdentifiedLoad:
+def _plain(record: InputOutputRecord, block: int, lags: int | None) -> result.IdentifiedLoad:
     """Return the load between any input and output with the lags that the record shows."""
     counts = (1, 2) if lags is None else (lags,)
-    return identify_any(record.excerpts, [plain_load(count) for count in counts], block=block)
+    return identify.identify_any(
+        record.excerpts, [plain_load(count) for count in counts], block=block
+    )
 
 
 def plain_load(lags: int) -> Load:
@@ -127,7 +127,7 @@ def plain_load(lags: int) -> Load:
         return replace(bath, input_gain=1.0, input_exponent=1, names=("gain", "tau_s"))
     if lags != 2:
         raise IdentificationError(f"{lags} lags: a load has one or two")
-    return motor_load(1.0, 1.0, 1.0)
+    return motor.motor_load(1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +209,7 @@ def identify_source(
             return _identify(columns_of_file(path), path.name, view)
         _refuse_columns(view, "a session")
         return identify_session(path, view.begin_s, view.end_s)
-    if isinstance(source, Simulation):
+    if isinstance(source, closed_loop.Simulation):
         _refuse_columns(view, "a simulation")
         measured = replace(_MEASURED, begin_s=view.begin_s, end_s=view.end_s)
         measured = replace(measured, config=source.configuration)

@@ -11,19 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis import style
-from adaptdrive.analysis.closed_loop import LoopStart, run_loop
+from adaptdrive.analysis import closed_loop, excerpts, record_load, style
 from adaptdrive.analysis.curves import find_window, read_curves
-from adaptdrive.analysis.excerpts import (
-    Quality,
-    Stretch,
-    disturbed_plant,
-    period_means,
-    quality_of,
-    read_stretches,
-)
 from adaptdrive.analysis.figure import as_png
-from adaptdrive.analysis.record_load import SessionLoad, identify_session
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
@@ -54,7 +44,7 @@ class LoopCourse:
     reference: Array
     output: Array
     boost_voltage_V: Array
-    quality: Quality
+    quality: excerpts.Quality
     fault: str = ""
 
 
@@ -70,7 +60,7 @@ class Comparison:
         idle: Settings without an effect on the loop.
     """
 
-    found: SessionLoad
+    found: record_load.SessionLoad
     recorded: LoopCourse
     repeated: LoopCourse
     changed: LoopCourse
@@ -97,12 +87,12 @@ def what_if(
     """
     source = path / "config.toml"
     changed = _changed(read_session(path).config_text, source, settings)
-    found = identify_session(path, begin_s, end_s)
+    found = record_load.identify_session(path, begin_s, end_s)
     part = max(found.stretches, key=_controlled)
     if not _controlled(part)[0]:
         raise IdentificationError(f"{path}: V_c was set by hand: no controller was in force then")
     # From its enabling on: what the controller has learnt at the first second used is unknown.
-    runs = read_stretches(found.session, None, end_s)
+    runs = excerpts.read_stretches(found.session, None, end_s)
     run = [one for one in runs if one.begin_s <= part.begin_s][-1]
     columns, begin_s = run.columns, part.begin_s
     recorded = (columns["reference"], columns["output"], columns["boost_voltage_V"])
@@ -129,7 +119,7 @@ def _changed(text: str, source: Path, settings: Sequence[str]) -> Configuration:
     return changed
 
 
-def _controlled(stretch: Stretch) -> tuple[int, int]:
+def _controlled(stretch: excerpts.Stretch) -> tuple[int, int]:
     """Return how many samples a controller determined, and how many there are."""
     by_hand = np.count_nonzero(stretch.modes == tuple(Mode).index(Mode.MANUAL))
     return len(stretch.modes) - int(by_hand), len(stretch.modes)
@@ -143,7 +133,7 @@ def _acting(configuration: Configuration) -> tuple[object, ...]:
 
 
 def _acting_with(
-    found: SessionLoad, source: Path, settings: Sequence[str], one: str
+    found: record_load.SessionLoad, source: Path, settings: Sequence[str], one: str
 ) -> tuple[object, ...] | None:
     """Return the same with one setting; None where it is valid only with the others."""
     try:
@@ -155,7 +145,10 @@ def _acting_with(
 
 
 def _simulated(
-    found: SessionLoad, stretch: Stretch, configuration: Configuration, begin_s: float
+    found: record_load.SessionLoad,
+    stretch: excerpts.Stretch,
+    configuration: Configuration,
+    begin_s: float,
 ) -> LoopCourse:
     poles, by_hand_V = stretch.columns["pole"], np.nan_to_num(stretch.columns["manual_V"])
     if configuration.load.pole != found.configuration.load.pole:
@@ -168,9 +161,9 @@ def _simulated(
         asked, hand_V = float(reference[number]), float(by_hand_V[number])
         return Order(Stage.RUN, asked, mode, pole, hand_V, bool(steady[number]))
 
-    record = run_loop(
+    record = closed_loop.run_loop(
         configuration,
-        disturbed_plant(found.load, build_load(found.configuration), stretch),
+        excerpts.disturbed_plant(found.load, build_load(found.configuration), stretch),
         order,
         len(reference),
         _start(found, stretch),
@@ -179,22 +172,22 @@ def _simulated(
     return _course(found, stretch, (series[0], series[1], series[2]), begin_s, record.fault)
 
 
-def _start(found: SessionLoad, stretch: Stretch) -> LoopStart:
+def _start(found: record_load.SessionLoad, stretch: excerpts.Stretch) -> closed_loop.LoopStart:
     """Return the start of a run of the drive, with what the daemon had trusted by then."""
     volts = float(stretch.columns["boost_voltage_V"][0])
     if stretch.begin_s <= found.configuration.load.period_s:
-        return LoopStart(volts, found.session.info.prior)
+        return closed_loop.LoopStart(volts, found.session.info.prior)
     curves = read_curves(found.session, find_window(found.session, None, stretch.begin_s))
     accepted = np.flatnonzero(curves.slow.get("accepted", ()))
     if not len(accepted):
-        return LoopStart(volts, found.session.info.prior)
+        return closed_loop.LoopStart(volts, found.session.info.prior)
     values = (float(curves.estimates[name][0][accepted[-1]]) for name in found.nominal)
-    return LoopStart(volts, tuple(values))
+    return closed_loop.LoopStart(volts, tuple(values))
 
 
 def _course(
-    found: SessionLoad,
-    stretch: Stretch,
+    found: record_load.SessionLoad,
+    stretch: excerpts.Stretch,
     series: tuple[Array, Array, Array],
     begin_s: float,
     fault: str = "",
@@ -204,7 +197,7 @@ def _course(
     Those from `begin_s` on; all of them where a fault ended the run before.
     """
     samples, load = stretch.samples_per_period, found.configuration.load
-    output, volts = (period_means(one, samples) for one in series[1:])
+    output, volts = (excerpts.period_means(one, samples) for one in series[1:])
     reference = series[0][samples - 1 :: samples][: len(output)]
     ends = np.arange(1.0, len(output) + 1.0)
     time_s = stretch.begin_s + samples * stretch.period_s * ends
@@ -218,7 +211,7 @@ def _course(
         reference=reference,
         output=output,
         boost_voltage_V=volts,
-        quality=quality_of(reference, output, volts, load.period_s, span),
+        quality=excerpts.quality_of(reference, output, volts, load.period_s, span),
         fault=fault,
     )
 

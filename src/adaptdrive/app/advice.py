@@ -5,12 +5,9 @@ import math
 import os
 from collections.abc import Iterable, Iterator
 
-from adaptdrive.app.loads import build_load
-from adaptdrive.app.ports import bus_kind
-from adaptdrive.app.settings import controller_settings, tick_s
-from adaptdrive.config import Configuration
+from adaptdrive.app import loads, ports, settings
+from adaptdrive.config import Configuration, consistency
 from adaptdrive.config.bus import CanDescription, SignalSource
-from adaptdrive.config.consistency import absent_names
 from adaptdrive.config.load import BathSection, BatterySection
 from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.util.errors import Flaw
@@ -37,7 +34,7 @@ def advice(configuration: Configuration) -> Iterator[Flaw]:
     Args:
         configuration: A valid configuration.
     """
-    load = build_load(configuration)
+    load = loads.build_load(configuration)
     yield from _reach(configuration, load)
     yield from _power(configuration, load)
     yield from _absent(configuration)
@@ -48,7 +45,7 @@ def advice(configuration: Configuration) -> Iterator[Flaw]:
     yield from _paper(configuration)
     yield from _broker(configuration)
     yield from _unread(configuration)
-    yield from bus_kind(configuration.bus.type).cautions(configuration)
+    yield from ports.bus_kind(configuration.bus.type).cautions(configuration)
 
 
 def _paper(configuration: Configuration) -> Iterator[Flaw]:
@@ -94,7 +91,7 @@ def _only_stop(configuration: Configuration) -> Iterator[Flaw]:
 
 def _absent(configuration: Configuration) -> Iterator[Flaw]:
     """A quantity that is not measured watches nothing."""
-    absent, drive = absent_names(configuration), configuration.drive
+    absent, drive = consistency.absent_names(configuration), configuration.drive
     stated = drive.manipulated.unit == "V" or "load_power_max_W" in drive.limits.model_fields_set
     if "load_power_W" in absent and stated:
         text = "is absent: drive.limits.load_power_max_W holds nothing back"
@@ -156,7 +153,7 @@ def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The λ filters and the slow period suit the load."""
     mean_s = load.lag_s / load.order
     lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
-    least_s = _LEAST_READINGS * configuration.bus.ticks_per_reading * tick_s(configuration)
+    least_s = _LEAST_READINGS * configuration.bus.ticks_per_reading * settings.tick_s(configuration)
     shortest_s, longest_s = mean_s / _MOST_PERIODS, mean_s / _LEAST_PERIODS
     for place, value_s, low_s, high_s in (
         ("estimator.tau_lambda_s", lambda_s, _LEAST_LAMBDA * mean_s, _MOST_LAMBDA * mean_s),
@@ -170,7 +167,7 @@ def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
 
 def _delay(configuration: Configuration) -> Iterator[Flaw]:
     """The closed loop is slow enough for the dead time in it."""
-    load, rates = configuration.load, controller_settings(configuration).rates
+    load, rates = configuration.load, settings.controller_settings(configuration).rates
     ticks = rates.latency_ticks + rates.lag_ticks + 0.5 * rates.samples
     delay_s = ticks * rates.nominal_tick_s
     closed_s = -load.period_s / math.log(load.pole)

@@ -6,16 +6,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
+from adaptdrive.app import ports
 from adaptdrive.app.advice import advice
-from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import capacitor_limits, daemon_settings, response_limits, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.bus import Row
 from adaptdrive.devices.port import Reading
+from adaptdrive.runtime import plausibility
 from adaptdrive.runtime.capacitor import CapacitorBalance, CapacitorLimits
 from adaptdrive.runtime.interlocks import WINDOW_S
-from adaptdrive.runtime.plausibility import ResponseLimits
 from adaptdrive.util.errors import ConfigurationError, escaped
 
 # Highest v_bst that a report which fails can lead to, as `adaptdrive check` states it.
@@ -101,7 +101,7 @@ def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
     """
     interlocks, supervisor = configuration.interlocks, configuration.supervisor
     return [
-        *bus_kind(configuration.bus.type, source).time_limits(configuration, source),
+        *ports.bus_kind(configuration.bus.type, source).time_limits(configuration, source),
         *_sensor_rows(configuration),
         ("daemon not running", interlocks.stale_s, "interlocks.stale_s"),
         ("starting", interlocks.precharge_timeout_s, "interlocks.precharge_timeout_s"),
@@ -206,7 +206,7 @@ def pole_line(configuration: Configuration) -> str:
     return _fact("poles an operator may ask for", poles, "load.pole_min, load.pole_max, load.model")
 
 
-def response_table(limits: ResponseLimits | None) -> str:
+def response_table(limits: plausibility.ResponseLimits | None) -> str:
     """Return the limits of an output that is too low as lines of text.
 
     Args:
@@ -215,7 +215,7 @@ def response_table(limits: ResponseLimits | None) -> str:
     return "\n".join(_response(limits))
 
 
-def _response(limits: ResponseLimits | None) -> Iterator[str]:
+def _response(limits: plausibility.ResponseLimits | None) -> Iterator[str]:
     if limits is None:
         yield _fact("trips on a low output", "never", f"{_FACTOR} = 0")
         return
@@ -229,7 +229,7 @@ def _response(limits: ResponseLimits | None) -> Iterator[str]:
         yield _fact("trips on a fall faster than a lag of", fastest, f"{_FACTOR} > 0")
 
 
-def _level(limits: ResponseLimits, share: float) -> str:
+def _level(limits: plausibility.ResponseLimits, share: float) -> str:
     level = limits.at_rest(share * limits.input_max) - limits.margin
     return f"{level:.4g} {limits.output_unit}".rstrip()
 

@@ -5,13 +5,10 @@ import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from adaptdrive.app.loads import MODEL_ERROR, build_load, standing_poles
-from adaptdrive.app.ports import build_port, build_sensor_port
+from adaptdrive.app import loads, ports
 from adaptdrive.app.settings import controller_settings, tick_s
-from adaptdrive.config import Configuration
-from adaptdrive.config.file import Findings, added, find_flaws, read_text
+from adaptdrive.config import Configuration, file, polled
 from adaptdrive.config.load import AnyLoad, BatterySection
-from adaptdrive.config.polled import ModbusBus, ScpiBus
 from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.supervision.setpoints import nominal_reach
@@ -31,7 +28,7 @@ def load_examined(path: Path) -> Configuration:
     Raises:
         ConfigurationError: There are flaws; those of every kind are listed.
     """
-    return examine_text(read_text(path), path)
+    return examine_text(file.read_text(path), path)
 
 
 def examine_text(text: str, path: Path) -> Configuration:
@@ -44,8 +41,8 @@ def examine_text(text: str, path: Path) -> Configuration:
     Raises:
         ConfigurationError: There are flaws; those of every kind are listed.
     """
-    findings = find_flaws(text, path)
-    flaws = added(findings.flaws, _description_flaws(findings, path))
+    findings = file.find_flaws(text, path)
+    flaws = file.added(findings.flaws, _description_flaws(findings, path))
     if not findings.flaws:
         flaws = (*flaws, *implausible(findings.configuration))
     if flaws:
@@ -53,23 +50,23 @@ def examine_text(text: str, path: Path) -> Configuration:
     return findings.configuration
 
 
-def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
+def _description_flaws(findings: file.Findings, path: Path) -> Iterator[Flaw]:
     """Yield the errors in the files and maps that describe drive and sensors."""
     configuration, whole = findings.configuration, findings.valid >= _OF_PORT
     if whole and _leads_somewhere(findings):
-        yield from _flaws_of(lambda: build_port(configuration, now_s, path))
+        yield from _flaws_of(lambda: ports.build_port(configuration, now_s, path))
     if "sensor_bus" not in findings.valid:
         return
     demands = demands_of(configuration) if whole else NO_DEMANDS
     for number, bus in enumerate(configuration.sensor_bus):
         place = f"sensor_bus.{number}"
-        build = functools.partial(build_sensor_port, bus, place, now_s, path, demands)
+        build = functools.partial(ports.build_sensor_port, bus, place, now_s, path, demands)
         yield from _flaws_of(build)
 
 
-def _leads_somewhere(findings: Findings) -> bool:
+def _leads_somewhere(findings: file.Findings) -> bool:
     """Return whether names in `[signals]` can be looked up, which needs a valid register map."""
-    if not isinstance(findings.configuration.bus, ModbusBus | ScpiBus):
+    if not isinstance(findings.configuration.bus, polled.ModbusBus | polled.ScpiBus):
         return True
     return not any(flaw.place.startswith(("bus", "signals")) for flaw in findings.flaws)
 
@@ -98,7 +95,7 @@ def implausible(configuration: Configuration) -> Iterator[Flaw]:
     Args:
         configuration: A valid configuration.
     """
-    load = build_load(configuration)
+    load = loads.build_load(configuration)
     yield from _telemetry_flaws(configuration)
     yield from _battery_flaws(configuration)
     yield from _reach_flaws(configuration, load)
@@ -168,7 +165,9 @@ def _pace_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
             "load.model", f"no gains place the poles at load.pole = {configuration.load.pole}"
         )
         return
-    yield from _pole_flaws(configuration.load, standing_poles(settings, load, configuration.load))
+    yield from _pole_flaws(
+        configuration.load, loads.standing_poles(settings, load, configuration.load)
+    )
 
 
 def _pole_flaws(section: AnyLoad, standing: list[float]) -> Iterator[Flaw]:
@@ -177,7 +176,7 @@ def _pole_flaws(section: AnyLoad, standing: list[float]) -> Iterator[Flaw]:
         return
     problem = (
         f"{section.pole:g}: the fixed controller must keep a load stable whose parameters are "
-        f"{100.0 * MODEL_ERROR:g} % off load.model"
+        f"{100.0 * loads.MODEL_ERROR:g} % off load.model"
     )
     if standing:
         remedy = f"poles of {standing[0]:g}…{standing[-1]:g} do"

@@ -15,18 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection, LoadSection, MotorSection
-from adaptdrive.control.design.pole_placement import (
-    STABLE_RADIUS,
-    closes_stably,
-    compensator_gains,
-    discrete_model,
-)
+from adaptdrive.control.design import pole_placement
 from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads import bath, charging, motor
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.settings import ControllerSettings
 
 if TYPE_CHECKING:
@@ -47,9 +40,9 @@ def build_load(configuration: Configuration) -> Load:
     match configuration.load:
         case MotorSection(model=model):
             lag_s = short_lag_s(configuration) or model.tau_filter_s
-            return motor_load(model.gain, model.tau_motor_s, lag_s)
+            return motor.motor_load(model.gain, model.tau_motor_s, lag_s)
         case BathSection(model=model):
-            return bath_load(**dict(model))
+            return bath.bath_load(**dict(model))
         case BatterySection(model=model):
             return battery_load(
                 model.turns_ratio,
@@ -80,13 +73,13 @@ def candidate_loads(configuration: Configuration) -> list[Load]:
         return [build_load(configuration)]
     model = configuration.load.model
     lags_s = (0.0, model.lag_s or model.tau_s)
-    return [bath_load(**(dict(model) | {"lag_s": one, "delay_s": 0.0})) for one in lags_s]
+    return [bath.bath_load(**(dict(model) | {"lag_s": one, "delay_s": 0.0})) for one in lags_s]
 
 
-def _charging(battery: BatterySection) -> Charging:
+def _charging(battery: BatterySection) -> charging.Charging:
     longest_h = battery.charge.longest_h
-    return Charging(
-        **alike(Charging, battery.model, battery.charge),
+    return charging.Charging(
+        **alike(charging.Charging, battery.model, battery.charge),
         longest_s=math.inf if longest_h is None else 3600.0 * longest_h,
     )
 
@@ -144,15 +137,18 @@ def _models(settings: ControllerSettings, load: Load, period_s: float) -> list[M
     shares = itertools.product((1.0 - MODEL_ERROR, 1.0 + MODEL_ERROR), repeat=len(values))
     boxes = [[v * s for v, s in zip(values, corner, strict=True)] for corner in shares]
     return [
-        discrete_model(settings, load, *load.realise(parameters), period_s)
+        pole_placement.discrete_model(settings, load, *load.realise(parameters), period_s)
         for parameters in (values, *boxes)
     ]
 
 
 def _stands(load: Load, models: list[Model], pole: float) -> bool:
     """Return whether the gains for the first of some models keep all of them stable."""
-    gains = compensator_gains(*models[0], load.order, pole)
-    return all(closes_stably(gains, a, b, load.order, STABLE_RADIUS) for a, b in models)
+    gains = pole_placement.compensator_gains(*models[0], load.order, pole)
+    return all(
+        pole_placement.closes_stably(gains, a, b, load.order, pole_placement.STABLE_RADIUS)
+        for a, b in models
+    )
 
 
 def _poles(start: float, end: float) -> list[float]:

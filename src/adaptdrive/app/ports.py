@@ -5,8 +5,8 @@ from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.root import AnySensorBus, in_order, needed_names
+from adaptdrive.devices import description
 from adaptdrive.devices.bus import BusKind
-from adaptdrive.devices.description import NO_DEMANDS, Demands, demands_of
 from adaptdrive.devices.port import Port, SensorPort
 from adaptdrive.devices.sensors import SensorBus, SensoredPort
 from adaptdrive.runtime.accounts import sensor_report, sensor_sample
@@ -90,7 +90,7 @@ def build_whole_port(
         ConfigurationError: A bus and its signals do not fit; `examine` lists all flaws.
     """
     port = build_port(configuration, clock, source, passive=passive)
-    needed, demands = needed_names(configuration.derived), demands_of(configuration)
+    needed, demands = needed_names(configuration.derived), description.demands_of(configuration)
     buses = []
     for number, bus in enumerate(configuration.sensor_bus):
         sensors = build_sensor_port(bus, f"sensor_bus.{number}", clock, source, demands)
@@ -108,7 +108,7 @@ def build_sensor_port(
     place: str,
     clock: Callable[[], float],
     source: Path | str,
-    demands: Demands = NO_DEMANDS,
+    demands: description.Demands = description.NO_DEMANDS,
 ) -> SensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 

@@ -21,8 +21,7 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from adaptdrive.app.loads import build_load
-from adaptdrive.app.ports import bus_kind
+from adaptdrive.app import loads, ports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.polled import RtuLink
@@ -30,11 +29,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Snapshot
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.port import Port, Reading
-from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.realtime import Grant, real_time
-from adaptdrive.runtime.reports import Event, Hub, Severity
-from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
-from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.runtime import fast_loop, realtime, reports, requests, state_machine
 from adaptdrive.util.errors import AdaptdriveError
 
 # One daemon for a drive: a lock by name that all processes of a machine share.
@@ -78,7 +73,7 @@ def lock_names(configuration: Configuration) -> Iterator[str]:
         configuration: The drive.
     """
     yield f"drive {configuration.drive.name!r}"
-    yield from bus_kind(configuration.bus.type).lock_names(configuration)
+    yield from ports.bus_kind(configuration.bus.type).lock_names(configuration)
     for link in (configuration.bus, *configuration.sensor_bus):
         if isinstance(link, RtuLink):
             yield f"serial line {link.device.absolute()}"  # relative: that of this folder alone
@@ -181,10 +176,12 @@ class Rehearsal:
         self._time_s = 0.0
         self._snapshots: list[Snapshot] = []
         self._settings = daemon_settings(configuration)
-        settings, load = controller_settings(configuration), build_load(configuration)
+        settings, load = controller_settings(configuration), loads.build_load(configuration)
         self._port, self._controller = port, Controller(settings, load)
-        self._machine = Machine(self._settings.machine, self._settings.pole)
-        self._loop = FastLoop(port, self._controller, self._machine, self._settings.fast, self)
+        self._machine = state_machine.Machine(self._settings.machine, self._settings.pole)
+        self._loop = fast_loop.FastLoop(
+            port, self._controller, self._machine, self._settings.fast, self
+        )
         self._readings = 0
         self._output = _reachable_output(configuration, self._settings.machine.reach)
 
@@ -197,7 +194,7 @@ class Rehearsal:
         readings = min(_READINGS_AT_MOST, _PERIODS * self._configuration.ticks_per_period)
         self._start(readings)
         self._loop.on_deadline(self._time_s)
-        self._machine.carry_out(Disable(), self._loop.tick, math.nan, None)
+        self._machine.carry_out(requests.Disable(), self._loop.tick, math.nan, None)
         self._loop.send_safe()
         self._machine.confirm_stop()  # no drive is there to do it
         return self._loop.counts.ticks
@@ -233,14 +230,14 @@ class Rehearsal:
         for number in range(readings):
             self._read()
             if number == _READINGS_TO_RUN // 2:
-                self._carry_out(SetMode(Mode.ADAPTIVE))
-                self._carry_out(Enable())
-                self._carry_out(SetSetpoint(self._output))
+                self._carry_out(requests.SetMode(Mode.ADAPTIVE))
+                self._carry_out(requests.Enable())
+                self._carry_out(requests.SetSetpoint(self._output))
             for snapshot in tuple(self._snapshots):
                 self._snapshots.clear()
                 self._loop.deliver(snapshot, self._controller.decide(snapshot))
 
-    def _carry_out(self, request: Request) -> None:
+    def _carry_out(self, request: requests.Request) -> None:
         loop = self._loop
         self._machine.carry_out(request, loop.tick, self._output, loop.cause)
 
@@ -280,7 +277,9 @@ def _reading(
 
 
 @contextmanager
-def prepared(configuration: Configuration, rehearsal: Rehearsal, hub: Hub) -> Iterator[None]:
+def prepared(
+    configuration: Configuration, rehearsal: Rehearsal, hub: reports.Hub
+) -> Iterator[None]:
     """Rehearse, ask for what is configured, and publish an event for each answer.
 
     Args:
@@ -288,21 +287,21 @@ def prepared(configuration: Configuration, rehearsal: Rehearsal, hub: Hub) -> It
         rehearsal: Of its ticks.
         hub: Where the events go.
     """
-    grants: list[Grant] = []
+    grants: list[realtime.Grant] = []
     if configuration.realtime.warm_up:
         began_s = time.monotonic()
         ticks = rehearsal.run()
         spent_ms = (time.monotonic() - began_s) * 1e3
         meaning = f"{ticks} ticks rehearsed in {spent_ms:.0f} ms"
-        grants.append(Grant("warm_up = true", granted=True, meaning=meaning))
+        grants.append(realtime.Grant("warm_up = true", granted=True, meaning=meaning))
     grants.extend(before_frames(configuration))
-    with real_time(configuration.realtime) as answers:
+    with realtime.real_time(configuration.realtime) as answers:
         for grant in (*grants, *answers):
             hub.publish(_event(grant))
         yield
 
 
-def before_frames(configuration: Configuration) -> Iterator[Grant]:
+def before_frames(configuration: Configuration) -> Iterator[realtime.Grant]:
     """Return the work to do before each frame of the drive, and its description.
 
     Args:
@@ -314,15 +313,17 @@ def before_frames(configuration: Configuration) -> Iterator[Grant]:
         meaning = "a tick on a made-up drive before each frame keeps the CPU's caches warm"
         if polled:
             meaning = "a drive that is polled answers, and its replies must not wait for it"
-        yield Grant(f"rehearse_us = {wanted.rehearse_us:g}", granted=not polled, meaning=meaning)
+        yield realtime.Grant(
+            f"rehearse_us = {wanted.rehearse_us:g}", granted=not polled, meaning=meaning
+        )
     if wanted.spin_us > 0.0:
         before = "each deadline of the timer" if polled else "each frame and deadline"
         share = 100.0 * wanted.spin_us / tick_us
         meaning = f"busy before {before}, up to {share:.0f} % of a CPU"
-        yield Grant(f"spin_us = {wanted.spin_us:g}", granted=True, meaning=meaning)
+        yield realtime.Grant(f"spin_us = {wanted.spin_us:g}", granted=True, meaning=meaning)
 
 
-def _event(grant: Grant) -> Event:
-    severity = Severity.INFO if grant.granted else Severity.WARNING
+def _event(grant: realtime.Grant) -> reports.Event:
+    severity = reports.Severity.INFO if grant.granted else reports.Severity.WARNING
     answer = "granted" if grant.granted else "refused"
-    return Event("realtime", severity, f"{grant.asked} {answer}: {grant.meaning}", -1)
+    return reports.Event("realtime", severity, f"{grant.asked} {answer}: {grant.meaning}", -1)

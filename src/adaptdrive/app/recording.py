@@ -24,11 +24,7 @@ from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.devices.description import description_text
-from adaptdrive.recording.journal import Place, RecordingPace
-from adaptdrive.recording.journal_files import Recalled, log_folder
-from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.records import Header, Keep
-from adaptdrive.recording.session import SensorColumn, SessionInfo, sessions_directory
+from adaptdrive.recording import journal, journal_files, recorder, records, session
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import NOT_JSON, RecordingError, escaped
@@ -242,10 +238,10 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     configuration: Configuration,
     text: str,
     hub: Hub,
-    recalled: Recalled,
+    recalled: journal_files.Recalled,
     learnt: Learnt,
     start_thread: Callable[[], None],
-) -> Recorder:
+) -> recorder.Recorder:
     """Build the recorder; nothing touches the disk before it runs.
 
     Args:
@@ -261,18 +257,18 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     """
     recording = configuration.recording
     size = recording.keep_MB
-    header = Header(
+    header = records.Header(
         info=_info(configuration, learnt),
         config_text=text,
         segment_s=recording.segment_s,
-        keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
+        keep=records.Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
-    pace = RecordingPace(flush_s=recording.flush_s, start_thread=start_thread)
+    pace = journal.RecordingPace(flush_s=recording.flush_s, start_thread=start_thread)
     place = place_of(configuration)
-    return Recorder(place, header, hub, lambda: (now_s(), time.time()), pace, recalled)
+    return recorder.Recorder(place, header, hub, lambda: (now_s(), time.time()), pace, recalled)
 
 
-def place_of(configuration: Configuration) -> Place:
+def place_of(configuration: Configuration) -> journal.Place:
     """Return the folders of the log and of the sessions of a drive.
 
     Raises:
@@ -281,7 +277,7 @@ def place_of(configuration: Configuration) -> Place:
     recording = configuration.recording
     state = _absolute(state_directory())
     sessions = _sessions(recording.directory) if recording.enabled else None
-    return Place(log_folder(state, configuration.drive.name), sessions)
+    return journal.Place(journal_files.log_folder(state, configuration.drive.name), sessions)
 
 
 def state_directory() -> Path:
@@ -291,7 +287,7 @@ def state_directory() -> Path:
 
 def _sessions(configured: Path | None) -> Path:
     """Return the folder of sessions, whose name is in the log as text."""
-    sessions = _absolute(sessions_directory(configured, os.environ))
+    sessions = _absolute(session.sessions_directory(configured, os.environ))
     try:
         str(sessions).encode()
     except UnicodeEncodeError as problem:
@@ -310,15 +306,15 @@ def _absolute(path: Path) -> Path:
         return path
 
 
-def sensor_columns(configuration: Configuration) -> tuple[SensorColumn, ...]:
+def sensor_columns(configuration: Configuration) -> tuple[session.SensorColumn, ...]:
     """Return a column for each value of each sensor bus, and one for its age."""
     columns = []
     for bus in configuration.sensor_bus:
         for name, quantity in bus.signals.items():
             column, source = f"{bus.name}.{name}", f"sensor bus {bus.name}"
             about = f"last value of {name}, {quantity.signal}"
-            columns.append(SensorColumn(column, _unit(name, quantity), about, source))
-            columns.append(SensorColumn(f"{column}.age_s", "s", f"age of {name}", source))
+            columns.append(session.SensorColumn(column, _unit(name, quantity), about, source))
+            columns.append(session.SensorColumn(f"{column}.age_s", "s", f"age of {name}", source))
     return tuple(columns)
 
 
@@ -332,8 +328,8 @@ UNITS = {"V", "A", "W", "K", "S", "s", "Hz", "rad", "m", "kg", "N", "Pa", "C"}
 """Units that a name may end with; values of sensors are in SI."""
 
 
-def _info(configuration: Configuration, learnt: Learnt) -> SessionInfo:
-    return SessionInfo(
+def _info(configuration: Configuration, learnt: Learnt) -> session.SessionInfo:
+    return session.SessionInfo(
         drive=configuration.drive.name,
         version=__version__,
         started=datetime.now(UTC),

@@ -17,13 +17,9 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.file import digest_of, read_text
 from adaptdrive.mqtt.service import COMMAND_PATIENCE_S
 from adaptdrive.recording.journal_files import Recalled
-from adaptdrive.runtime.reports import Event, Keep, Report, Severity, Subscription
-from adaptdrive.runtime.requests import Reload
-from adaptdrive.runtime.tick_support import ServiceManager
-from adaptdrive.util.clock import in_thread, now_s
+from adaptdrive.runtime import reports, requests, tick_support
+from adaptdrive.util import clock, files, lines
 from adaptdrive.util.errors import ConfigurationError, RefusedError
-from adaptdrive.util.files import directory_flaw
-from adaptdrive.util.lines import Level, log
 
 # The configuration of the next run of a daemon, taken from the file between two runs.
 
@@ -96,7 +92,7 @@ class RunCourse:
         self._given = given
         return given
 
-    async def prepare(self, request: Reload) -> Callable[[], None]:
+    async def prepare(self, request: requests.Reload) -> Callable[[], None]:
         """Read the file for the next run, and return what ends the present one.
 
         Args:
@@ -107,7 +103,7 @@ class RunCourse:
         """
         try:
             async with asyncio.timeout(_LONGEST_LOOK_S):
-                reading = in_thread(functools.partial(self._read, request), "reload")
+                reading = clock.in_thread(functools.partial(self._read, request), "reload")
                 given = await asyncio.wrap_future(reading)
         except TimeoutError:
             raise RefusedError(f"{self.path} is not read within {_LONGEST_LOOK_S:g} s") from None
@@ -121,10 +117,10 @@ class RunCourse:
         asyncio.get_running_loop().call_later(ANSWER_S, self._end_run)
 
     def _end_run(self) -> None:
-        self._fed_until_s = now_s() + _LONGEST_BETWEEN_S
+        self._fed_until_s = clock.now_s() + _LONGEST_BETWEEN_S
         self.stop.set()
 
-    def _read(self, request: Reload) -> Given:
+    def _read(self, request: requests.Reload) -> Given:
         text = read_text(self.path)
         measured = request.measured is not None
         if measured and request.measured != digest_of(text):
@@ -143,10 +139,10 @@ class RunCourse:
             raise RefusedError("a changed DBC or EDS file needs a restart of the daemon")
         return Given(after, text, measured, tuple(changed))
 
-    async def feed_between(self, manager: ServiceManager) -> None:
+    async def feed_between(self, manager: tick_support.ServiceManager) -> None:
         """Feed the watchdog between two runs, in which no tick does."""
-        if now_s() < self._fed_until_s:
-            manager.feed(now_s())
+        if clock.now_s() < self._fed_until_s:
+            manager.feed(clock.now_s())
 
     async def opened(self, opened: asyncio.Event) -> None:
         """Leave the watchdog to the ticks once the bus is open."""
@@ -156,14 +152,16 @@ class RunCourse:
 
 # Events of a daemon: those that its building gives, and all of them in the log of its process.
 
-_LEVELS: dict[Severity, Level] = {
-    Severity.INFO: "info",
-    Severity.WARNING: "warning",
-    Severity.ALARM: "error",
+_LEVELS: dict[reports.Severity, lines.Level] = {
+    reports.Severity.INFO: "info",
+    reports.Severity.WARNING: "warning",
+    reports.Severity.ALARM: "error",
 }
 
 
-def news_of(given: Given, known: Event | None, recalled: Recalled) -> Iterator[Event]:
+def news_of(
+    given: Given, known: reports.Event | None, recalled: Recalled
+) -> Iterator[reports.Event]:
     """Yield the events that a run begins with.
 
     Args:
@@ -176,35 +174,41 @@ def news_of(given: Given, known: Event | None, recalled: Recalled) -> Iterator[E
     yield from map(_flaw_event, recalled.flaws)
 
 
-def _state_event(directory: Path) -> Event | None:
+def _state_event(directory: Path) -> reports.Event | None:
     """Return the event that reports an unusable state directory, None for a usable one."""
-    flaw = directory_flaw(directory)
+    flaw = files.directory_flaw(directory)
     if flaw is None:
         return None
     lost = "nothing is recorded, and replies, unsent events and estimates do not survive a restart"
-    return Event("state directory", Severity.WARNING, f"{directory}: {flaw}: {lost}", -1)
+    return reports.Event(
+        "state directory", reports.Severity.WARNING, f"{directory}: {flaw}: {lost}", -1
+    )
 
 
-def _reload_event(given: Given) -> Event | None:
+def _reload_event(given: Given) -> reports.Event | None:
     if not given.changed and not given.measured:
         return None
     changed = ", ".join(f"[{name}]" for name in given.changed) or "nothing"
-    return Event("configuration", Severity.INFO, f"reloaded; changed: {changed}", -1)
+    return reports.Event(
+        "configuration", reports.Severity.INFO, f"reloaded; changed: {changed}", -1
+    )
 
 
-def _flaw_event(flaw: str) -> Event:
+def _flaw_event(flaw: str) -> reports.Event:
     lost = "commands with ids used before may be carried out again, unsent events may be lost"
-    return Event("recording", Severity.WARNING, f"of the log of an earlier run, {flaw}: {lost}", -1)
+    return reports.Event(
+        "recording", reports.Severity.WARNING, f"of the log of an earlier run, {flaw}: {lost}", -1
+    )
 
 
-async def log_events(events: Subscription, kept: Keep) -> None:
+async def log_events(events: reports.Subscription, kept: reports.Keep) -> None:
     """Write every event to the log until cancelled, those of the last moment included.
 
     Args:
         events: Subscription to events.
         kept: Waits until they are recorded.
     """
-    taken: Iterable[Report] = ()
+    taken: Iterable[reports.Report] = ()
     try:
         while True:
             taken = await events.take()
@@ -216,7 +220,7 @@ async def log_events(events: Subscription, kept: Keep) -> None:
         _log(events.drain())
 
 
-def _log(events: Iterable[Report]) -> None:
+def _log(events: Iterable[reports.Report]) -> None:
     for event in events:
-        if isinstance(event, Event):
-            log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)
+        if isinstance(event, reports.Event):
+            lines.log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)

@@ -27,43 +27,19 @@ from typing import Any, TextIO, cast
 import msgspec
 
 from adaptdrive import __version__
-from adaptdrive.app.examine import examine_text
-from adaptdrive.app.loads import build_load
-from adaptdrive.app.ports import build_port, build_whole_port, publish_samples, sensor_reports
-from adaptdrive.app.process import (
-    VISITS_S,
-    Rehearsal,
-    lock_names,
-    locked,
-    prepared,
-    send_visitors_away,
-)
-from adaptdrive.app.recording import (
-    Keeper,
-    Learnt,
-    build_recorder,
-    checkpoint_record,
-    configuration_key,
-    is_kept,
-    place_of,
-    recall,
-)
-from adaptdrive.app.reload import FEED_S, Given, RunCourse, log_events, news_of
+from adaptdrive.app import examine, loads, ports, process, recording, reload
 from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.pure import build_name
-from adaptdrive.recording.journal_files import Recalled
+from adaptdrive.recording import journal_files, records
 from adaptdrive.recording.journal_files import recall as recall_log
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.records import Kind
+from adaptdrive.runtime import realtime, reports, tick_support
 from adaptdrive.runtime.daemon import Daemon
-from adaptdrive.runtime.realtime import helper_thread
-from adaptdrive.runtime.reports import Event, Hub
-from adaptdrive.runtime.tick_support import ServiceManager
-from adaptdrive.util.clock import now_s, repeat, uncaught_errors_end
+from adaptdrive.util import clock
 from adaptdrive.util.errors import AdaptdriveError, first_error
 from adaptdrive.util.lines import line as line_of
 from adaptdrive.util.lines import log
@@ -233,35 +209,40 @@ def run(path: Path) -> int:
             machine controls the drive.
     """
     text = read_text(path)
-    configuration = examine_text(text, path)
-    start_thread = helper_thread(configuration.realtime.priority)
+    configuration = examine.examine_text(text, path)
+    start_thread = realtime.helper_thread(configuration.realtime.priority)
     try:
         with (
             unblocked_output(start_thread),
-            locked(lock_names(configuration), os.environ) as locks,
+            process.locked(process.lock_names(configuration), os.environ) as locks,
             asyncio.Runner() as runner,
         ):
-            complete = runner.run(_serve(Given(configuration, text), path, locks, start_thread))
+            complete = runner.run(
+                _serve(reload.Given(configuration, text), path, locks, start_thread)
+            )
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0 if complete else UNRECORDED
 
 
 async def _serve(
-    given: Given,
+    given: reload.Given,
     path: Path,
     locks: Sequence[socket.socket],
     start_thread: Callable[[], None],
 ) -> bool:
     """Serve until asked to stop; False when the end of a session is not recorded."""
-    course = RunCourse(path, given)
+    course = reload.RunCourse(path, given)
     # blocking calls do not have the priority of the control thread
     helpers = ThreadPoolExecutor(thread_name_prefix="helper", initializer=start_thread)
     asyncio.get_running_loop().set_default_executor(helpers)
     _stop_on_signals(course.end)
-    feed = functools.partial(course.feed_between, ServiceManager(os.environ))
-    greet = functools.partial(send_visitors_away, locks)
-    services = [asyncio.create_task(repeat(*one)) for one in ((feed, FEED_S), (greet, VISITS_S))]
+    feed = functools.partial(course.feed_between, tick_support.ServiceManager(os.environ))
+    greet = functools.partial(process.send_visitors_away, locks)
+    services = [
+        asyncio.create_task(clock.repeat(*one))
+        for one in ((feed, reload.FEED_S), (greet, process.VISITS_S))
+    ]
     complete = True
     while (present := course.next_run()) is not None:
         complete &= await _run(present, course, start_thread)
@@ -271,27 +252,35 @@ async def _serve(
     return complete
 
 
-async def _run(given: Given, course: RunCourse, start_thread: Callable[[], None]) -> bool:
+async def _run(
+    given: reload.Given, course: reload.RunCourse, start_thread: Callable[[], None]
+) -> bool:
     """Serve until the run ends; False when the end of its session is not recorded."""
-    configuration, hub = given.configuration, Hub()
-    events = hub.subscribe(Event, size=_EVENTS_HELD)
-    port = build_whole_port(configuration, now_s, course.path)
-    settings, load = controller_settings(configuration), build_load(configuration)
-    recalled = recall_log(place_of(configuration).log, datetime.now(UTC))
-    learnt, known = recall(recalled.learnt, configuration, settings, load, measured=given.measured)
+    configuration, hub = given.configuration, reports.Hub()
+    events = hub.subscribe(reports.Event, size=_EVENTS_HELD)
+    port = ports.build_whole_port(configuration, clock.now_s, course.path)
+    settings, load = controller_settings(configuration), loads.build_load(configuration)
+    recalled = recall_log(recording.place_of(configuration).log, datetime.now(UTC))
+    learnt, known = recording.recall(
+        recalled.learnt, configuration, settings, load, measured=given.measured
+    )
     controller = Controller(settings, load, learnt.values, learnt.resolution)
-    rehearsal = Rehearsal(configuration, build_port(configuration, now_s, course.path))
-    recorder = build_recorder(configuration, given.text, hub, recalled, learnt, start_thread)
+    rehearsal = process.Rehearsal(
+        configuration, ports.build_port(configuration, clock.now_s, course.path)
+    )
+    recorder = recording.build_recorder(
+        configuration, given.text, hub, recalled, learnt, start_thread
+    )
     hub.kept = recorder.kept
-    publish_samples(port, hub.publish, now_s)
+    ports.publish_samples(port, hub.publish, clock.now_s)
     daemon = Daemon(
         port=port,
         controller=controller,
         settings=daemon_settings(configuration),
-        clock=now_s,
+        clock=clock.now_s,
         hub=hub,
-        manager=ServiceManager(os.environ),
-        sensors=sensor_reports(port, now_s),
+        manager=tick_support.ServiceManager(os.environ),
+        sensors=ports.sensor_reports(port, clock.now_s),
         rehearse=rehearsal.tick,
         recorded=lambda: not recorder.failing,
         prepare=course.prepare,
@@ -303,26 +292,31 @@ async def _run(given: Given, course: RunCourse, start_thread: Callable[[], None]
         def start(name: str, service: Coroutine[Any, Any, None]) -> None:
             ending.push_async_callback(_end, tasks.create_task(service, name=name))
 
-        start("log", log_events(events, hub.kept))
+        start("log", reload.log_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
         profile, around = operator_profile(configuration), surroundings_of(recalled, recorder)
         start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
         start("opened", course.opened(daemon.opened))
-        if is_kept(settings):
+        if recording.is_kept(settings):
             note = _note(configuration, recorder)
             if given.measured:
                 note(learnt)
-            keeper = Keeper(note, functools.partial(_learnt_by, controller), hub, now_s)
+            keeper = recording.Keeper(
+                note, functools.partial(_learnt_by, controller), hub, clock.now_s
+            )
             ending.callback(keeper.save)
             start("checkpoint", keeper.run())
-        for event in news_of(given, known, recalled):
+        for event in reload.news_of(given, known, recalled):
             hub.publish(event)
-        with uncaught_errors_end(daemon.fail), prepared(configuration, rehearsal, hub):
+        with (
+            clock.uncaught_errors_end(daemon.fail),
+            process.prepared(configuration, rehearsal, hub),
+        ):
             await daemon.run(course.stop)
     return recorder.complete
 
 
-def surroundings_of(recalled: Recalled, recorder: Recorder) -> ServiceSurroundings:
+def surroundings_of(recalled: journal_files.Recalled, recorder: Recorder) -> ServiceSurroundings:
     """Return the log as the operators' side sees it.
 
     Args:
@@ -331,14 +325,14 @@ def surroundings_of(recalled: Recalled, recorder: Recorder) -> ServiceSurroundin
     """
 
     def note_reply(identity: str, body: bytes) -> None:
-        recorder.note(Kind.REPLY, msgspec.msgpack.encode((identity, body)))
+        recorder.note(records.Kind.REPLY, msgspec.msgpack.encode((identity, body)))
 
     return ServiceSurroundings(
         replies=recalled.replies,
         events=[(row.time, row.event) for row in recalled.unsent],
         trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.detail),
         note_reply=note_reply,
-        note_sent=lambda: recorder.note(Kind.SENT, b""),
+        note_sent=lambda: recorder.note(records.Kind.SENT, b""),
         kept=recorder.kept,
     )
 
@@ -357,15 +351,15 @@ def _stop_on_signals(end: Callable[[], None]) -> None:
             loop.add_signal_handler(number, end)
 
 
-def _learnt_by(controller: Controller) -> Learnt:
-    return Learnt(controller.trusted, controller.resolution)
+def _learnt_by(controller: Controller) -> recording.Learnt:
+    return recording.Learnt(controller.trusted, controller.resolution)
 
 
-def _note(configuration: Configuration, recorder: Recorder) -> Callable[[Learnt], None]:
+def _note(configuration: Configuration, recorder: Recorder) -> Callable[[recording.Learnt], None]:
     """Return what has the log keep estimates of a configuration."""
-    key, names = configuration_key(configuration), build_load(configuration).names
+    key, names = recording.configuration_key(configuration), loads.build_load(configuration).names
 
-    def note(learnt: Learnt) -> None:
-        recorder.note(Kind.LEARNT, checkpoint_record(key, names, learnt))
+    def note(learnt: recording.Learnt) -> None:
+        recorder.note(records.Kind.LEARNT, recording.checkpoint_record(key, names, learnt))
 
     return note

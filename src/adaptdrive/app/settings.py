@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from adaptdrive import __version__
 from adaptdrive.app.loads import alike, build_load, pole_range, short_lag_s
-from adaptdrive.config import Configuration
-from adaptdrive.config.consistency import absent_names
+from adaptdrive.config import Configuration, consistency, root
 from adaptdrive.config.load import (
     ERROR_SHARE,
     FORGETTING,
@@ -16,7 +15,7 @@ from adaptdrive.config.load import (
     BatterySection,
     MotorSection,
 )
-from adaptdrive.config.root import moved_inputs
+from adaptdrive.control import signals, thresholds, voltage_loop
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.loads.load import Load, to_input
@@ -28,20 +27,10 @@ from adaptdrive.control.settings import (
     Probing,
     Rates,
 )
-from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervision.setpoints import nominal_reach
-from adaptdrive.control.thresholds import NOISE_FLOOR, UNKNOWN
-from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.mqtt.contract import Output, Profile
-from adaptdrive.runtime.capacitor import CapacitorLimits
-from adaptdrive.runtime.frame_rate import verdict_ticks
+from adaptdrive.runtime import capacitor, frame_rate, plausibility
 from adaptdrive.runtime.interlocks import CommandLimits, Limits, Watch
-from adaptdrive.runtime.plausibility import (
-    Response,
-    ResponseLimits,
-    StillnessLimits,
-    StillnessWatch,
-)
 from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, MachineLimits
 
 # The interlocks that a configuration asks for: trip levels, and watches over the output.
@@ -59,16 +48,16 @@ def trip_limits(configuration: Configuration) -> Limits:
     return Limits(
         **alike(Limits, *sections, but=("output_min",)),
         output_min=_output_min(configuration),
-        absent=absent_names(configuration),
+        absent=consistency.absent_names(configuration),
     )
 
 
-def capacitor_limits(configuration: Configuration) -> CapacitorLimits | None:
+def capacitor_limits(configuration: Configuration) -> capacitor.CapacitorLimits | None:
     """Return the boost capacitor that the daemon charges, None where the drive does by itself."""
     drive = configuration.drive
     if configuration.voltage_loop.where == "drive":
         return None
-    return CapacitorLimits(
+    return capacitor.CapacitorLimits(
         capacitance_F=drive.boost_capacitance_F,
         highest_V=configuration.interlocks.boost_voltage_max_V,
         largest_W=drive.limits.current_scale_max_S * drive.line_voltage_V**2,
@@ -82,9 +71,9 @@ def watches(configuration: Configuration) -> tuple[Callable[[], Watch], ...]:
 
 def _watches(configuration: Configuration) -> Iterator[Callable[[], Watch]]:
     if (stillness := stillness_limits(configuration)) is not None:
-        yield functools.partial(StillnessWatch, stillness)
+        yield functools.partial(plausibility.StillnessWatch, stillness)
     if (response := response_limits(configuration)) is not None:
-        yield functools.partial(Response, response)
+        yield functools.partial(plausibility.Response, response)
 
 
 def _output_min(configuration: Configuration) -> float:
@@ -95,7 +84,7 @@ def _output_min(configuration: Configuration) -> float:
     return min(0.0, load.reference_min) - _BELOW_RANGE * (load.reference_max - load.reference_min)
 
 
-def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
+def stillness_limits(configuration: Configuration) -> plausibility.StillnessLimits | None:
     """Return when the output is stuck, None for never."""
     interlocks, section = configuration.interlocks, configuration.load
     if not interlocks.stuck_distance and not interlocks.stuck_s:
@@ -104,12 +93,12 @@ def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
     distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
     if section.traits.charges:  # takes no current at all below its own voltage
         distance = 0.0
-    return StillnessLimits(
-        **alike(StillnessLimits, load, section),
+    return plausibility.StillnessLimits(
+        **alike(plausibility.StillnessLimits, load, section),
         lags_s=_lags_s(load),
         distance=distance or math.inf,
         longest_s=interlocks.stuck_s or math.inf,
-        inputs=moved_inputs("output", configuration.derived),
+        inputs=root.moved_inputs("output", configuration.derived),
     )
 
 
@@ -118,15 +107,15 @@ def _lags_s(load: Load) -> tuple[float, ...]:
     return (load.lag_s / load.order,) * load.order
 
 
-def response_limits(configuration: Configuration) -> ResponseLimits | None:
+def response_limits(configuration: Configuration) -> plausibility.ResponseLimits | None:
     """Return when the output is below what the load must give, None for never."""
     factor, section = configuration.interlocks.response_factor, configuration.load
     if not factor:
         return None
     load, highest_V = build_load(configuration), configuration.drive.limits.boost_reference_max_V
     reference_range = section.reference_max - section.reference_min
-    limits = ResponseLimits(
-        **alike(ResponseLimits, load, section),
+    limits = plausibility.ResponseLimits(
+        **alike(plausibility.ResponseLimits, load, section),
         input_max=to_input(highest_V, load.input_gain, load.input_exponent),
         lags_s=_lags_s(load),
         factor=factor,
@@ -153,7 +142,7 @@ _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
 """Smallest peak that counts as a swing, as a share of the range of set-points."""
 
-_OPEN = UNKNOWN * UNKNOWN / NOISE_FLOOR
+_OPEN = thresholds.UNKNOWN * thresholds.UNKNOWN / thresholds.NOISE_FLOOR
 """P[0] of the exact design, over σ²: nothing is known of any parameter, at the smallest σ."""
 
 PAPER_COVARIANCE = 1.0e4
@@ -204,7 +193,7 @@ def tick_s(configuration: Configuration) -> float:
 def _lag_ticks(configuration: Configuration) -> float:
     """Mean delay of the loop that holds the boost voltage; a drive's own may have another."""
     lag_s = configuration.voltage_loop.lag_s
-    return LAG_TICKS if lag_s is None else lag_s / tick_s(configuration)
+    return voltage_loop.LAG_TICKS if lag_s is None else lag_s / tick_s(configuration)
 
 
 def _power_stage(configuration: Configuration) -> PowerStage:
@@ -332,7 +321,9 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
         slew_V_per_s=drive.limits.manual_slew_V_per_s,
         boost_needs_bridge=drive.enable_bit == "bridge-and-boost",
         starting_ticks=round(patience_s / tick),
-        rate_s=max(patience_s, tick * verdict_ticks(configuration.bus.ticks_per_reading)),
+        rate_s=max(
+            patience_s, tick * frame_rate.verdict_ticks(configuration.bus.ticks_per_reading)
+        ),
         tick_s=tick,
         reach=nominal_reach(model, settings.stage),
     )
@@ -388,6 +379,6 @@ def operator_profile(configuration: Configuration) -> Profile:
             "boost_trip_V": (None, trips.boost_voltage_max_V),
             "power_W": (None, drive.load_power_max_W),
         },
-        modes=tuple(Mode),
+        modes=tuple(signals.Mode),
         version=__version__,
     )

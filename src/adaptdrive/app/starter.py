@@ -13,9 +13,9 @@ from importlib import resources
 from typing import Literal
 
 from adaptdrive.app.described import quoted
+from adaptdrive.config import services
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.section import si_unit
-from adaptdrive.config.services import LONGEST_STALE_S
 from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen", "scpi"]
@@ -230,7 +230,7 @@ def _with_output_unit(section: str, bus_part: str) -> str:
 def _with_stale_limit(section: str, bus_text: str, stride: int) -> str:
     """Return `[interlocks]` and what follows, with the stale limit that fits the bus."""
     if stride > _LONG_STRIDE:
-        limit = f"{min(stride * _THREE_TICKS_S, LONGEST_STALE_S):.4g}"
+        limit = f"{min(stride * _THREE_TICKS_S, services.LONGEST_STALE_S):.4g}"
         return _with(section, "stale_s", limit, "three readings")
     stated = re.search(r"(?m)^stale_s = .*$", bus_text)
     return re.sub(r"(?m)^stale_s = .*$", stated[0], section) if stated else section

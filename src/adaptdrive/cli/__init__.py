@@ -4,17 +4,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from adaptdrive.cli.standard_files import (
-    FAILED,
-    UNUSABLE,
-    complain,
-    flushed,
-    heed_signals,
-    lay_out_help,
-    open_standard_files,
-    reader_has_ended,
-    unwritten,
-)
+from adaptdrive.cli import standard_files
 from adaptdrive.util.errors import AdaptdriveError, ConfigurationError
 
 INTERRUPTED = 130
@@ -30,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit status: 0 done or accepted, 1 failed or refused, 2 unusable arguments or
         configuration, 3 no answer, 4 the end of a session is not recorded, 130 interrupted.
     """
-    heed_signals()
+    standard_files.heed_signals()
     words = sys.argv[1:] if arguments is None else list(arguments)
     return carry_out("adaptdrive", _daemon(words) or _understood(words), words)
 
@@ -39,7 +29,7 @@ def carry_out(
     program: str,
     command: Callable[[], object],
     arguments: Sequence[str],
-    unusable: int = UNUSABLE,
+    unusable: int = standard_files.UNUSABLE,
 ) -> int:
     """Run one command of a program, and return its exit status.
 
@@ -49,22 +39,24 @@ def carry_out(
         arguments: Words after the program's name.
         unusable: Status where its configuration cannot be used.
     """
-    open_standard_files()
-    lay_out_help(arguments)
+    standard_files.open_standard_files()
+    standard_files.lay_out_help(arguments)
     try:
         outcome = command()
     except AdaptdriveError as problem:
         configured = isinstance(problem, ConfigurationError)
-        return complain(program, str(problem), unusable if configured else FAILED)
+        return standard_files.complain(
+            program, str(problem), unusable if configured else standard_files.FAILED
+        )
     except KeyboardInterrupt:
         return INTERRUPTED
     except SystemExit as end:
-        if not reader_has_ended(end):
+        if not standard_files.reader_has_ended(end):
             raise
         return 0
     except OSError as problem:
-        return unwritten(problem, program)
-    return flushed(outcome if isinstance(outcome, int) else 0, program)
+        return standard_files.unwritten(problem, program)
+    return standard_files.flushed(outcome if isinstance(outcome, int) else 0, program)
 
 
 def _daemon(words: Sequence[str]) -> Callable[[], object] | None:

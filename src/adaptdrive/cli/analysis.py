@@ -12,16 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from adaptdrive.cli.options import (
-    Contact,
-    DriveName,
-    Flag,
-    Json,
-    Second,
-    Settings,
-    extra,
-    refuse_unwritable,
-)
+from adaptdrive.cli import options
 from adaptdrive.cli.sessions import find
 from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive.util.files import replace_result
@@ -47,16 +38,16 @@ class SessionView:
         as_json: Print JSON, for programs.
     """
 
-    begin: Annotated[Second, Parameter(name="--from")] = None
-    end: Annotated[Second, Parameter(name="--to")] = None
+    begin: Annotated[options.Second, Parameter(name="--from")] = None
+    end: Annotated[options.Second, Parameter(name="--to")] = None
     into: Path | None = None
-    show: Annotated[Flag, Parameter(name="--open")] = False
-    as_json: Json = False
+    show: Annotated[options.Flag, Parameter(name="--open")] = False
+    as_json: options.Json = False
 
     def folder(self, session: Path) -> Path:
         """Return the folder for the files; refuse one that cannot be written."""
         folder = session if self.into is None else self.into
-        refuse_unwritable(folder)
+        options.refuse_unwritable(folder)
         return folder
 
     def present(self, text: str, content: object, result: Path) -> int:
@@ -78,7 +69,7 @@ def plot(session: str | None = None, /, *, view: SessionView = _WHOLE) -> int:
             when left out.
         view: Part of the session, and the form of the result.
     """
-    with extra("analysis"):
+    with options.needing("analysis"):
         from adaptdrive.analysis.figure import plot as plot_session  # noqa: PLC0415 - it is large
     path = _find(session)
     figure, report = plot_session(path, view.begin, view.end, view.folder(path))
@@ -132,7 +123,7 @@ def identify(
         columns: How a CSV file is read.
         view: Part of the record, and the form of the result.
     """
-    with extra("analysis"):
+    with options.needing("analysis"):
         from adaptdrive.analysis import load_report  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.record import RecordView  # noqa: PLC0415
         from adaptdrive.analysis.record_load import identify_source  # noqa: PLC0415
@@ -149,7 +140,7 @@ def whatif(
     session: str | None = None,
     /,
     *,
-    settings: Settings = (),
+    settings: options.Settings = (),
     view: SessionView = _WHOLE,
 ) -> int:
     """Run a session again in closed loop, against the load identified from it.
@@ -164,7 +155,7 @@ def whatif(
         settings: KEY=VALUE, such as load.pole=0.8; may be repeated.
         view: Part of the session, and the form of the result.
     """
-    with extra("analysis"):
+    with options.needing("analysis"):
         from adaptdrive.analysis import whatif  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
     path = _find(session)
@@ -183,7 +174,7 @@ def export(
     *,
     to: Literal["csv", "parquet", "mat", "mdf4", "mcap"],
     into: Path | None = None,
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> int:
     """Write a session for another program: CSV, Parquet, MATLAB, MDF 4 or MCAP.
 
@@ -193,7 +184,7 @@ def export(
         into: Folder for the files; the present one when left out.
         as_json: Print JSON: the paths of the files.
     """
-    with extra("export"):
+    with options.needing("export"):
         from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
 
         files = export_session(_find(session), to, Path() if into is None else into)
@@ -214,7 +205,7 @@ def _find(name: str | None) -> Path:
 
 # The guided experiment on an unknown load.
 
-_HERE = Contact()
+_HERE = options.Contact()
 _PLACES = (Path(), Path("/etc/adaptdrive"))
 _STANDBY_S = 5.0
 _LARGEST_MOVE = 30.0
@@ -231,17 +222,17 @@ def _check_patience(_: object, patience: float | None) -> None:
 
 
 def commission(  # noqa: PLR0913 - the words of the command line
-    drive: DriveName,
+    drive: options.DriveName,
     /,
     *,
     config: Path | None = None,
     move: Annotated[float, Parameter(validator=_check_move)] = 5.0,
     patience: Annotated[float | None, Parameter(validator=_check_patience)] = None,
     into: Path = Path(),
-    write: Flag = False,
-    apply: Flag = False,
-    yes: Flag = False,
-    contact: Contact = _HERE,
+    write: options.Flag = False,
+    apply: options.Flag = False,
+    yes: options.Flag = False,
+    contact: options.Contact = _HERE,
 ) -> int:
     """Measure an unknown load on its drive, propose the settings, and put them to use.
 
@@ -260,12 +251,12 @@ def commission(  # noqa: PLR0913 - the words of the command line
         contact: Broker.
     """
     path = _configuration(drive, config)
-    with extra("analysis"):
+    with options.needing("analysis"):
         from adaptdrive.commissioning import report, run  # noqa: PLC0415 - it is large
     wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
     if not yes and not _agreed(run.announcement(wanted, drive)):
         return 1
-    refuse_unwritable(into)
+    options.refuse_unwritable(into)
     contact = replace(contact, config=path)
     with run.alone(drive, contact.settings):
         if write or apply:
@@ -295,7 +286,9 @@ def _write(path: Path, commissioned: Commissioned) -> str:
     return digest
 
 
-def _put_to_use(drive: str, commissioned: Commissioned, digest: str, contact: Contact) -> None:
+def _put_to_use(
+    drive: str, commissioned: Commissioned, digest: str, contact: options.Contact
+) -> None:
     from adaptdrive.commissioning.run import put_to_use, reached  # noqa: PLC0415
 
     setpoint, unit = reached(commissioned), commissioned.before.load.output_unit

@@ -28,14 +28,7 @@ from cyclopts import Parameter, validators
 
 from adaptdrive.cli.options import Contact, Flag, Integer
 from adaptdrive.config import Configuration
-from adaptdrive.processes.owned import (
-    BROKER,
-    HOST,
-    Household,
-    Ports,
-    ProcessDiedError,
-    is_listening,
-)
+from adaptdrive.processes import owned
 from adaptdrive.tui.terminal import ended_once, tell_last
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
@@ -44,7 +37,7 @@ from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, Flaw, fi
 
 COMMISSION_KEY = "c"
 _CLI = "adaptdrive.cli"
-_LOOPBACK = {HOST, "localhost"}
+_LOOPBACK = {owned.HOST, "localhost"}
 _PAGE, _WEBSOCKET = 8088, 8083
 """Ports of the panel and of a broker's WebSocket listener, as `adaptdrive panel` expects them."""
 
@@ -99,7 +92,7 @@ def _closed(runner: asyncio.Runner, desk: _Desk) -> Iterator[None]:
     """End all processes at the end, and show the last lines of one that has ended by itself."""
     try:
         yield
-    except* ProcessDiedError as problems:
+    except* owned.ProcessDiedError as problems:
         tail = "\n".join(f"  {line}" for line in first_error(problems).tail)
         raise AdaptdriveError(f"{first_error(problems)}\n{tail}") from None
     except* EOFError:
@@ -131,7 +124,7 @@ class _Desk:
         """
         self._path, self._contact = path, contact
         self._broker, self._drive = configuration.mqtt, configuration.drive.name
-        self._household, self._ports = Household(os.environ), Ports()
+        self._household, self._ports = owned.Household(os.environ), owned.Ports()
         self._said: list[str] = []
 
     @property
@@ -149,7 +142,7 @@ class _Desk:
             AdaptdriveError: One of them cannot be had.
         """
         websocket = _WEBSOCKET
-        if not is_listening(self._broker.host, self._broker.port):
+        if not owned.is_listening(self._broker.host, self._broker.port):
             websocket = await self._start_broker()
         if simulate is not None:
             words = ["device", str(simulate), f"--broker={self._broker.host}:{self._broker.port}"]
@@ -213,15 +206,15 @@ class _Desk:
             raise AdaptdriveError(f"no broker answers at {place}: {remedy}")
         websocket = self._ports.take(usual=_WEBSOCKET)
         self._say(f"broker: none answered at {place}; an embedded one serves this machine only")
-        listeners = [f"{HOST}:{broker.port}", f"{HOST}:{websocket}"]
-        child = await self._household.start("broker", BROKER, listeners, self._log("broker"))
+        listeners = [f"{owned.HOST}:{broker.port}", f"{owned.HOST}:{websocket}"]
+        child = await self._household.start("broker", owned.BROKER, listeners, self._log("broker"))
         await child.until_listening(broker.port)
         return websocket
 
     async def _start_panel(self, websocket: int) -> None:
 
         host = self._broker.host
-        if not is_listening(host, websocket):
+        if not owned.is_listening(host, websocket):
             self._say(f"panel: none, as the broker has no WebSocket listener at {host}:{websocket}")
             return
         page, address = self._ports.take(usual=_PAGE), f"ws://{host}:{websocket}/mqtt"

@@ -5,15 +5,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from adaptdrive.mqtt import commands
 from adaptdrive.mqtt.client import LIVE_S, DriveStatus
-from adaptdrive.mqtt.commands import (
-    given_in,
-    number,
-    part,
-    printable,
-    quantity_and_unit,
-    unconfirmed_stop,
-)
 from adaptdrive.runtime.trips import remedy
 from adaptdrive.util.quantity import Given
 
@@ -32,8 +25,8 @@ def describe(drive: str, status: DriveStatus) -> str:
         drive: Name of the drive.
         status: The messages that it published.
     """
-    lines = [f"{drive} is {_SILENT if status.silent else printable(status.availability)}"]
-    unit, given = _unit(status.state or {}), given_in(status.state or {})
+    lines = [f"{drive} is {_SILENT if status.silent else commands.printable(status.availability)}"]
+    unit, given = _unit(status.state or {}), commands.given_in(status.state or {})
     if status.state is not None:
         lines += _state(status.state, unit, live=status.online and status.live)
     if "load" in status.telemetry:
@@ -56,13 +49,13 @@ def site_table(site: Mapping[str, DriveStatus]) -> str:
     lines = [_columns(row, widths) for row in rows]
     lines += [f"{name} is {_SILENT}" for name in ordered if site[name].silent]
     advice = ((name, _advice(site[name].state or {})) for name in ordered)
-    lines += [f"{name}: what to do: {printable(text)}" for name, text in advice if text]
+    lines += [f"{name}: what to do: {commands.printable(text)}" for name, text in advice if text]
     return "\n".join(lines)
 
 
 def _advice(state: dict[str, Any]) -> str:
     """Return the remedy of the trip in force, empty where there is none."""
-    last = part(state, "last_trip")
+    last = commands.part(state, "last_trip")
     return str(last.get("remedy") or "") if state.get("trip") else ""
 
 
@@ -79,19 +72,19 @@ def refusal_advice(reason: str) -> str:
 
 def _columns(row: tuple[str, ...], widths: list[int]) -> str:
     cells = zip(row, widths, strict=True)
-    return "  ".join(printable(text).ljust(width) for text, width in cells).rstrip()
+    return "  ".join(commands.printable(text).ljust(width) for text, width in cells).rstrip()
 
 
 def _unit(state: dict[str, Any]) -> str:
     """Return the unit of the output."""
-    return str(part(state, "output").get("unit") or "")
+    return str(commands.part(state, "output").get("unit") or "")
 
 
 def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
     state, live = status.state or {}, status.online and status.live
     unit = _unit(state)
     fast = status.telemetry.get("drive", {})
-    output, fresh = fast.get("output"), live and number(fast.get("age_s")) <= LIVE_S
+    output, fresh = fast.get("output"), live and commands.number(fast.get("age_s")) <= LIVE_S
     return (
         name,
         _site_state(state, status),
@@ -106,7 +99,7 @@ def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
 def _site_state(state: dict[str, Any], status: DriveStatus) -> str:
     if not status.online:
         return str(status.availability)
-    word = unconfirmed_stop(state)
+    word = commands.unconfirmed_stop(state)
     text = f"{state.get('state')}, stop {word}" if word else str(state.get("state"))
     return text if status.live else f"{text} (last known)"
 
@@ -127,13 +120,13 @@ def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
 
 def _stop(state: dict[str, Any]) -> list[tuple[str, str]]:
     """Return that the drive may be energised although it is commanded off."""
-    word = unconfirmed_stop(state)
+    word = commands.unconfirmed_stop(state)
     return [("stop", f"{word}: the drive has not reported its bridge off")] if word else []
 
 
 def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the latched trip with its remedy, or the last one of this run of the daemon."""
-    last = part(state, "last_trip")
+    last = commands.part(state, "last_trip")
     if not last and not state.get("trip"):
         return []
     row = ("last trip", f"{_moment(last.get('time'))}: {last.get('text')}")
@@ -143,9 +136,11 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _load(load: dict[str, Any], unit: str, given: Given) -> list[str]:
-    found = part(load, "estimates")
+    found = commands.part(load, "estimates")
     units = unit, given.unit
-    estimates = ", ".join(_estimate(name, part(found, name), found, units) for name in found)
+    estimates = ", ".join(
+        _estimate(name, commands.part(found, name), found, units) for name in found
+    )
     voltages = (
         f"asked {_number(load.get('boost_reference_V'), given.unit)}, "
         f"applied {_number(load.get('applied_V'), given.unit)}"
@@ -174,7 +169,7 @@ def _controller(state: dict[str, Any]) -> str:
 
 
 def _setpoint(state: dict[str, Any], unit: str) -> str:
-    wave = part(state, "waveform")
+    wave = commands.part(state, "waveform")
     if not wave:
         return _number(state.get("setpoint"), unit)
     return (
@@ -187,8 +182,8 @@ def _estimate(
     name: str, estimate: dict[str, Any], names: Mapping[str, Any], units: tuple[str, str]
 ) -> str:
     """Return an estimate with its standard deviation and its unit."""
-    quantity, unit = quantity_and_unit(name, names, *units)
-    spread = number(estimate.get("std"))
+    quantity, unit = commands.quantity_and_unit(name, names, *units)
+    spread = commands.number(estimate.get("std"))
     doubt = "" if math.isnan(spread) else f" ± {spread:.2g}"
     return f"{quantity} {_number(estimate.get('value'))}{doubt} {unit}".rstrip()
 
@@ -199,14 +194,14 @@ def _moment(time: object) -> str:
 
 
 def _milliseconds(time_s: object) -> str:
-    milliseconds = 1e3 * number(time_s)
+    milliseconds = 1e3 * commands.number(time_s)
     return "unknown" if math.isnan(milliseconds) else f"{milliseconds:.1f} ms"
 
 
 def _number(value: object, unit: str = "") -> str:
-    found = number(value)
+    found = commands.number(value)
     return "unknown" if math.isnan(found) else f"{found:.5g} {unit}".rstrip()
 
 
 def _row(name: str, text: str) -> str:
-    return f"  {printable(name):<11} {printable(text)}"
+    return f"  {commands.printable(name):<11} {commands.printable(text)}"

@@ -12,16 +12,16 @@ from typing import Literal
 
 from msgspec.structs import asdict as asdict_of
 
-from adaptdrive.cli.display import describe, refusal_advice, site_table
-from adaptdrive.cli.options import Contact, DriveName, Number
-from adaptdrive.cli.standard_files import UNUSABLE, discard_output
+from adaptdrive.cli import display, options, standard_files
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 
 ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
-_HERE = Contact()
+_HERE = options.Contact()
 
 
-def setpoint(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
+def setpoint(
+    drive: options.DriveName, value: options.Number, /, *, contact: options.Contact = _HERE
+) -> int:
     """Hold a constant set-point.
 
     Args:
@@ -33,15 +33,15 @@ def setpoint(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) ->
 
 
 def waveform(  # noqa: PLR0913 - the words of the command line
-    drive: DriveName,
+    drive: options.DriveName,
     shape: Literal["square", "sine", "triangle", "off"],
-    low: Number | None = None,
-    high: Number | None = None,
-    period: Number | None = None,
+    low: options.Number | None = None,
+    high: options.Number | None = None,
+    period: options.Number | None = None,
     /,
     *,
     preview: bool = False,
-    contact: Contact = _HERE,
+    contact: options.Contact = _HERE,
 ) -> int:
     """Follow a periodic set-point, or stop following it.
 
@@ -58,16 +58,18 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     if shape == "off":
         if any(number is not None for number in numbers.values()):
             print("adaptdrive: waveform off takes no values", file=sys.stderr)
-            return UNUSABLE
+            return standard_files.UNUSABLE
         return _ask(drive, "waveform", None, contact)
     if None in numbers.values():
         print(f"adaptdrive: waveform {shape} needs LOW, HIGH and PERIOD", file=sys.stderr)
-        return UNUSABLE
+        return standard_files.UNUSABLE
     value = {"shape": shape, **numbers}
     return _ask(drive, "waveform", value, contact, preview=preview)
 
 
-def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
+def pole(
+    drive: options.DriveName, value: options.Number, /, *, contact: options.Contact = _HERE
+) -> int:
     """Choose the closed-loop pole of the load loop.
 
     Args:
@@ -79,7 +81,11 @@ def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int
 
 
 def mode(
-    drive: DriveName, value: Literal["fixed", "adaptive", "manual"], /, *, contact: Contact = _HERE
+    drive: options.DriveName,
+    value: Literal["fixed", "adaptive", "manual"],
+    /,
+    *,
+    contact: options.Contact = _HERE,
 ) -> int:
     """Choose the fixed or the adaptive controller, or manual.
 
@@ -91,7 +97,7 @@ def mode(
     return _ask(drive, "mode", value, contact)
 
 
-def manual(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+def manual(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
     """Hold the present V_c until the command voltage.
 
     Args:
@@ -102,12 +108,12 @@ def manual(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
 
 
 def voltage(
-    drive: DriveName,
-    value: Number,
+    drive: options.DriveName,
+    value: options.Number,
     /,
     *,
-    hold: Number | None = None,
-    contact: Contact = _HERE,
+    hold: options.Number | None = None,
+    contact: options.Contact = _HERE,
 ) -> int:
     """Set V_c in mode manual.
 
@@ -120,7 +126,7 @@ def voltage(
     return _ask(drive, "voltage", value, contact, hold_s=hold)
 
 
-def enable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+def enable(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
     """Energise the drive and hold the present output.
 
     Args:
@@ -130,7 +136,7 @@ def enable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     return _ask(drive, "enable", None, contact)
 
 
-def disable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+def disable(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
     """Bring the drive into its safe state.
 
     Args:
@@ -140,7 +146,7 @@ def disable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     return _ask(drive, "disable", None, contact)
 
 
-def reset(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+def reset(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
     """Leave a trip whose cause is gone.
 
     Args:
@@ -151,11 +157,11 @@ def reset(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
 
 
 def reload(
-    drive: DriveName,
+    drive: options.DriveName,
     /,
     *,
     measured: Path | None = None,
-    contact: Contact = _HERE,
+    contact: options.Contact = _HERE,
 ) -> int:
     """Take the load and the limits of the file, between two runs.
 
@@ -171,7 +177,7 @@ def reload(
     return _ask(drive, "reload", None, contact, measured=digest)
 
 
-def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+def status(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
     """Show the state and the telemetry of a drive.
 
     Args:
@@ -185,11 +191,13 @@ def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
         found = asyncio.run(read_status(contact.settings, drive, contact.timeout))
     except NoAnswerError as problem:
         return no_answer(problem)
-    print(json.dumps(asdict(found), indent=2) if contact.as_json else describe(drive, found))
+    print(
+        json.dumps(asdict(found), indent=2) if contact.as_json else display.describe(drive, found)
+    )
     return ACCEPTED if found.online and found.live else NO_ANSWER
 
 
-def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: object) -> int:
+def _ask(drive: str, verb: str, value: object, contact: options.Contact, **fields: object) -> int:
     try:
         sending = send_command(contact.settings, drive, verb, value, contact.timeout, **fields)
         reply = asyncio.run(sending)
@@ -202,7 +210,7 @@ def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: objec
         _tell(f"{drive}: {verb} accepted, {reply.state}")
         return ACCEPTED
     print(f"adaptdrive: {drive} refused {verb}: {reply.reason}", file=sys.stderr)
-    if advice := refusal_advice(reply.reason):
+    if advice := display.refusal_advice(reply.reason):
         print(f"adaptdrive: what to do: {advice}", file=sys.stderr)
     return REFUSED
 
@@ -212,7 +220,7 @@ def _tell(answer: str) -> None:
     try:
         print(answer, flush=True)
     except OSError as problem:
-        discard_output()
+        standard_files.discard_output()
         unwritable = f"standard output cannot be written: {problem.strerror}"
         print(f"adaptdrive: {answer} ({unwritable})", file=sys.stderr)
 
@@ -223,7 +231,7 @@ def no_answer(problem: NoAnswerError) -> int:
     return NO_ANSWER
 
 
-def list_drives(*, contact: Contact = _HERE) -> int:
+def list_drives(*, contact: options.Contact = _HERE) -> int:
     """List the drives that have published to the broker, with state, output and trip.
 
     Args:
@@ -239,14 +247,14 @@ def list_drives(*, contact: Contact = _HERE) -> int:
     if contact.as_json:
         print(json.dumps({name: asdict(status) for name, status in found.items()}, indent=2))
     elif found:
-        print(site_table(found))
+        print(display.site_table(found))
     else:
         broker = contact.settings
         print(f"adaptdrive: no drive is on {broker.host}:{broker.port}", file=sys.stderr)
     return ACCEPTED if found else NO_ANSWER
 
 
-def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+def watch(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
     """Show a drive live in the terminal, with keys for the commands.
 
     Args:
@@ -261,7 +269,7 @@ def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
 
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         print("adaptdrive: watch needs a terminal; in a pipe use status --json", file=sys.stderr)
-        return UNUSABLE
+        return standard_files.UNUSABLE
     refuse_dumb_terminal()
     answered = asyncio.run(watch_drive(contact.settings, drive, contact.timeout))
     return ACCEPTED if answered else NO_ANSWER

@@ -50,7 +50,7 @@ def print_json(content: object) -> None:
 
 
 @contextmanager
-def extra(name: str) -> Iterator[None]:
+def needing(name: str) -> Iterator[None]:
     """End the command where a library is missing that belongs to an extra of the package.
 
     Args:

@@ -14,9 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.app.examine import load_examined
-from adaptdrive.app.ports import build_whole_port, sensor_reports
-from adaptdrive.app.process import lock_names, locked
+from adaptdrive.app import examine, ports, process
 from adaptdrive.cli.options import Json
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import SAFE_COMMAND
@@ -78,12 +76,12 @@ def probe(config: Path, /, *, safe_command: bool = False, as_json: Json = False)
             drive that the safe command is for.
         OSError: Standard output cannot be written.
     """
-    configuration = load_examined(config)
-    locks = lock_names(configuration) if safe_command else ()
+    configuration = examine.load_examined(config)
+    locks = process.lock_names(configuration) if safe_command else ()
     show = _show_json if as_json else _show_text
     remark = _say_aside if as_json else _say
     try:
-        with locked(locks, os.environ):
+        with process.locked(locks, os.environ):
             asyncio.run(_listen(configuration, config, (show, remark), safe_command=safe_command))
     except* (AdaptdriveError, OSError) as group:  # standard output may be one that is full
         raise first_error(group) from None
@@ -94,7 +92,7 @@ async def _listen(
     configuration: Configuration, path: Path, voices: tuple[Show, Remark], *, safe_command: bool
 ) -> None:
     show, remark = voices
-    port = build_whole_port(configuration, now_s, path, passive=not safe_command)
+    port = ports.build_whole_port(configuration, now_s, path, passive=not safe_command)
     listener = _Probe()
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(port.run(listener, lambda: remark(port.description)))
@@ -109,7 +107,7 @@ def _show_text(
     configuration: Configuration, port: Port, reading: Reading | None, number: int
 ) -> None:
     _say(_line(configuration, port, reading))
-    for report in sensor_reports(port, now_s)():
+    for report in ports.sensor_reports(port, now_s)():
         _say(_sensor_line(report))
     if number % _DETAILS_EVERY == 1:
         _say("".join(f"  {line}\n" for line in port.details()), end="")
@@ -127,7 +125,7 @@ def _show_json(
         "output": {"name": configuration.load.output_name, "unit": configuration.load.output_unit},
         "manipulated": configuration.drive.given,
         "frames": port.statistics,
-        "sensors": sensor_reports(port, now_s)(),
+        "sensors": ports.sensor_reports(port, now_s)(),
         "refused": list(port.details()),
     }
     _say(msgspec.json.encode(shown).decode())

@@ -12,7 +12,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.recording.reader import read_session
+from adaptdrive.recording import reader
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.recording.replay import replay as run_again
 from adaptdrive.recording.session import SessionInfo
@@ -36,7 +36,7 @@ def replay(session: str | None = None, /, *, settings: Settings = (), as_json: J
         AdaptdriveError: There is no such session, or a setting is not valid.
     """
     path = find(session)
-    record = read_session(path)
+    record = reader.read_session(path)
     configuration = reconfigured(record.config_text, path / "config.toml", settings)
     report = run_again(record, controller_at_start(record.info, configuration))
     if record.damage:

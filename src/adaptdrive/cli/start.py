@@ -25,15 +25,7 @@ from adaptdrive.app.starter import (
 from adaptdrive.cli.options import Flag
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.root import DriveSection
-from adaptdrive.devices.description import (
-    NO_PROPOSAL,
-    OUTPUTS,
-    QUANTITIES,
-    Candidate,
-    Wanted,
-    is_doubtful,
-    propose,
-)
+from adaptdrive.devices import description
 from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive.util.files import replace_regular
 
@@ -146,7 +138,7 @@ def _described(
         found = list(kind.candidates(database))
         return can_part(database, _place(dbc, directory), _choose(load, found, ask=ask))
     if eds is not None:
-        from adaptdrive.devices.canopen.mapping import candidates  # noqa: PLC0415 - an extra
+        from adaptdrive.devices.canopen.mapping import candidates  # noqa: PLC0415 - an needing
 
         found = list(candidates(eds, _NODE_ID))
         if any(one.reference == _TARGET_TORQUE for one in found):
@@ -167,9 +159,16 @@ def _place(file: Path, directory: Path) -> str:
 
 
 def _choose(
-    load: LoadName, known: list[Candidate], without: Collection[str] = (), *, ask: bool | None
+    load: LoadName,
+    known: list[description.Candidate],
+    without: Collection[str] = (),
+    *,
+    ask: bool | None,
 ) -> Choices:
-    wanted = {"output": OUTPUTS.get(load, NO_PROPOSAL), **QUANTITIES}
+    wanted = {
+        "output": description.OUTPUTS.get(load, description.NO_PROPOSAL),
+        **description.QUANTITIES,
+    }
     chosen = {
         quantity: _confirm(quantity, _proposed(quantity, one, known, ask=ask), known, ask=bool(ask))
         for quantity, one in wanted.items()
@@ -182,11 +181,15 @@ def _choose(
 
 
 def _proposed(
-    quantity: str, wanted: Wanted, known: list[Candidate], *, ask: bool | None
-) -> tuple[Candidate, ...]:
+    quantity: str,
+    wanted: description.Wanted,
+    known: list[description.Candidate],
+    *,
+    ask: bool | None,
+) -> tuple[description.Candidate, ...]:
     """Return the proposals of a quantity, the likeliest first; refuse a doubt nobody is asked."""
-    proposed = propose(wanted, known)
-    if ask is None and is_doubtful(wanted, proposed):
+    proposed = description.propose(wanted, known)
+    if ask is None and description.is_doubtful(wanted, proposed):
         first, second = (one.reference for one in proposed[:2])
         flaw = Flaw(quantity, f"{first} or {second}? leave out --yes, and choose")
         raise ConfigurationError("init", [flaw])
@@ -194,8 +197,12 @@ def _proposed(
 
 
 def _confirm(
-    quantity: str, proposed: tuple[Candidate, ...], known: list[Candidate], *, ask: bool
-) -> Candidate | None:
+    quantity: str,
+    proposed: tuple[description.Candidate, ...],
+    known: list[description.Candidate],
+    *,
+    ask: bool,
+) -> description.Candidate | None:
     if not ask:
         return proposed[0] if proposed else None
     choices = {str(number): one for number, one in enumerate(proposed[:_SHOWN], start=1)}

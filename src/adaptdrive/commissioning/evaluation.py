@@ -18,9 +18,9 @@ from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.control.signals import Mode, Order, Stage
+from adaptdrive.identification import result
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.identify import identify, identify_any
-from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.util.errors import CommissionError
 
 # The load that an experiment shows.
@@ -39,7 +39,7 @@ _LONGEST_DELAY = 1
 """Longest dead time in samples: a tenth of a second is longer than any bus takes."""
 
 
-def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> IdentifiedLoad:
+def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> result.IdentifiedLoad:
     """Identify the load from the samples of an experiment.
 
     Args:
@@ -69,7 +69,7 @@ def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> IdentifiedLoa
     return found
 
 
-def _determined(name: str, found: IdentifiedLoad) -> bool:
+def _determined(name: str, found: result.IdentifiedLoad) -> bool:
     """Return whether a parameter is known well enough to control the load with it.
 
     The product of two lags vanishes where the load has a single one. It is then known where the
@@ -214,7 +214,7 @@ class Prediction:
 
 
 def predict(
-    identified: IdentifiedLoad, configuration: Configuration, rest_V: float, move: float
+    identified: result.IdentifiedLoad, configuration: Configuration, rest_V: float, move: float
 ) -> Prediction:
     """Run the fixed controller on the identified load over a step of the set-point.
 

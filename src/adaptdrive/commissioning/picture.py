@@ -13,13 +13,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.commissioning.client import FastReading, Guide
-from adaptdrive.commissioning.course import Phase
+from adaptdrive.commissioning import client, course
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.target import Target
-from adaptdrive.tui.record import Mark, PlotPoint, plot
-from adaptdrive.tui.terminal import QUIT, draw, ended_once, pressed_keys, tell
-from adaptdrive.tui.view import DIM, cut, figure, titled
+from adaptdrive.tui import record, terminal, view
 from adaptdrive.util.errors import CommissionError
 
 KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
@@ -27,12 +24,12 @@ _POINTS = 6000
 _SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
 _HEADER_ROWS, _BAR_WIDTH = 2, 20
 _SHORT = {
-    Phase.REST: "rest",
-    Phase.ONSET: "onset",
-    Phase.CLIMB: "climb",
-    Phase.RETREAT: "back",
-    Phase.TEST: "test",
-    Phase.DONE: "done",
+    course.Phase.REST: "rest",
+    course.Phase.ONSET: "onset",
+    course.Phase.CLIMB: "climb",
+    course.Phase.RETREAT: "back",
+    course.Phase.TEST: "test",
+    course.Phase.DONE: "done",
 }
 
 
@@ -53,22 +50,24 @@ class Picture:
 
     drive: str
     target: Target
-    phase: Phase | None = None
+    phase: course.Phase | None = None
     progress: float = 0.0
     remaining_s: float = math.nan
     voltage_V: float = math.nan
-    points: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=_POINTS))
-    marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=50))
+    points: deque[record.PlotPoint] = field(default_factory=lambda: deque(maxlen=_POINTS))
+    marks: deque[record.Mark] = field(default_factory=lambda: deque(maxlen=50))
 
-    def take(self, experiment: LoadExperiment, reading: FastReading, voltage_V: float) -> None:
+    def take(
+        self, experiment: LoadExperiment, reading: client.FastReading, voltage_V: float
+    ) -> None:
         """Take a reading and the voltage that follows from it."""
         if experiment.course.phase is not self.phase:
-            self.marks.append(Mark(reading.time_s, _SHORT[experiment.course.phase]))
+            self.marks.append(record.Mark(reading.time_s, _SHORT[experiment.course.phase]))
         self.phase, self.progress = experiment.course.phase, experiment.course.progress
         self.voltage_V, self.remaining_s = voltage_V, experiment.course.remaining_s
         outcome = experiment.outcome
         rest = reading.output if outcome is None else outcome.rest
-        self.points.append(PlotPoint(reading.time_s, rest, reading.output, "manual"))
+        self.points.append(record.PlotPoint(reading.time_s, rest, reading.output, "manual"))
 
 
 def screen(picture: Picture, size: tuple[int, int]) -> Layout:
@@ -85,24 +84,24 @@ def screen(picture: Picture, size: tuple[int, int]) -> Layout:
     window_s = min(max(since_s, _SHORTEST_WINDOW_S), _LONGEST_WINDOW_S)
     canvas = (width - 1, height - _HEADER_ROWS - 2)
     target = picture.target
-    content = plot(points, list(picture.marks), now_s, window_s, canvas)
+    content = record.plot(points, list(picture.marks), now_s, window_s, canvas)
     layout = Layout()
     layout.split_column(
         Layout(_header(picture, points), size=_HEADER_ROWS),
-        Layout(titled(Text(f"{target.name} in {target.unit or '1'}"), content)),
-        Layout(cut(Text(f" {KEYS}", DIM)), size=1),
+        Layout(view.titled(Text(f"{target.name} in {target.unit or '1'}"), content)),
+        Layout(view.cut(Text(f" {KEYS}", view.DIM)), size=1),
     )
     return layout
 
 
-def _header(picture: Picture, points: list[PlotPoint]) -> Table:
+def _header(picture: Picture, points: list[record.PlotPoint]) -> Table:
     phase = "the drive starts" if picture.phase is None else str(picture.phase)
     output = points[-1].output if points else math.nan
     given = picture.target.given
-    asked = f"{given.symbol} {figure(picture.voltage_V)} {given.unit}"
-    values = f"{asked}   {picture.target.name} {figure(output)}"
+    asked = f"{given.symbol} {view.figure(picture.voltage_V)} {given.unit}"
+    values = f"{asked}   {picture.target.name} {view.figure(output)}"
     grid = Table.grid(expand=True)
-    grid.add_row(cut(Text.assemble((f" {picture.drive} ", "bold reverse"), f" {phase}")))
+    grid.add_row(view.cut(Text.assemble((f" {picture.drive} ", "bold reverse"), f" {phase}")))
     line = Table.grid(padding=(0, 1))
     bar = ProgressBar(total=1.0, completed=picture.progress, width=_BAR_WIDTH)
     line.add_row("", bar, Text(f"{_ahead(picture)}   {values} {picture.target.unit}"))
@@ -119,7 +118,7 @@ def _ahead(picture: Picture) -> str:
     return f"{share}, {minutes}:{seconds:02d} left"
 
 
-async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:
+async def carry_out(guide: client.Guide, experiment: LoadExperiment, picture: Picture) -> None:
     """Run an experiment and show it: as a picture where a terminal takes one, else by lines.
 
     Args:
@@ -131,7 +130,7 @@ async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) 
         AdaptdriveError: The experiment cannot continue, or was ended.
     """
     try:
-        with ended_once():
+        with terminal.ended_once():
             if sys.stdin.isatty() and sys.stdout.isatty():
                 await _with_picture(guide, experiment, picture)
             else:
@@ -141,26 +140,26 @@ async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) 
             sys.stderr.write(f"adaptdrive: {guide.unstopped}\n")
 
 
-async def _with_picture(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:
+async def _with_picture(guide: client.Guide, experiment: LoadExperiment, picture: Picture) -> None:
     lines = PhaseLines(experiment)
 
-    def show(reading: FastReading, voltage_V: float) -> None:
+    def show(reading: client.FastReading, voltage_V: float) -> None:
         picture.take(experiment, reading, voltage_V)
         if drawing.done():
             lines(reading, voltage_V)
 
     work = asyncio.create_task(guide.carry_out(experiment, show))
-    drawing = asyncio.create_task(draw(functools.partial(screen, picture)))
+    drawing = asyncio.create_task(terminal.draw(functools.partial(screen, picture)))
     drawing.add_done_callback(_explain)
     pressed = asyncio.Event()
 
     def on_keys(keys: str) -> None:
-        if QUIT in keys:
+        if terminal.QUIT in keys:
             pressed.set()
             work.cancel()
 
     try:
-        with pressed_keys(on_keys):
+        with terminal.pressed_keys(on_keys):
             await work
     except asyncio.CancelledError:
         if pressed.is_set():
@@ -176,7 +175,7 @@ def _explain(drawing: asyncio.Task[NoReturn]) -> None:
     """Tell why there is no picture any more."""
     if not drawing.cancelled():
         why = " ".join(str(drawing.exception()).split())
-        tell(f"adaptdrive: no picture, each phase is a line: {why}")
+        terminal.tell(f"adaptdrive: no picture, each phase is a line: {why}")
 
 
 class PhaseLines:
@@ -184,9 +183,9 @@ class PhaseLines:
 
     def __init__(self, experiment: LoadExperiment) -> None:
         self._experiment = experiment
-        self._phase: Phase | None = None
+        self._phase: course.Phase | None = None
 
-    def __call__(self, reading: FastReading, voltage_V: float) -> None:
+    def __call__(self, reading: client.FastReading, voltage_V: float) -> None:
         """Take a reading and the voltage that follows from it."""
         phase = self._experiment.course.phase
         if phase is not self._phase:
@@ -195,4 +194,4 @@ class PhaseLines:
             left_s = self._experiment.course.remaining_s
             left = "" if math.isnan(left_s) else f" for {left_s:.0f} s"
             given = self._experiment.course.target.given
-            tell(f"{given.symbol} {given.text(voltage_V)}  {output}  {phase}{left}")
+            terminal.tell(f"{given.symbol} {given.text(voltage_V)}  {output}  {phase}{left}")

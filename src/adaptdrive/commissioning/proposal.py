@@ -12,11 +12,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.load import LoadTraits
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.design.pole_placement import (
-    closed_loop_polynomial,
-    compensator_gains,
-    discrete_model,
-)
+from adaptdrive.control.design import pole_placement
 from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.identify import proposed_model
@@ -86,8 +82,8 @@ def margins_of(configuration: Configuration) -> Margins:
     load, section = build_load(configuration), configuration.load
     settings = controller_settings(configuration)
     numerator, denominator = list(load.numerator), list(load.denominator)
-    a, b = discrete_model(settings, load, numerator, denominator, section.period_s)
-    gains = compensator_gains(a, b, load.order, section.pole)
+    a, b = pole_placement.discrete_model(settings, load, numerator, denominator, section.period_s)
+    gains = pole_placement.compensator_gains(a, b, load.order, section.pole)
     taps = len(gains) - load.order - 1
     r, s = [1.0, *gains[:taps]], gains[taps:]
     omega = np.linspace(math.pi / _FREQUENCIES, math.pi, _FREQUENCIES)
@@ -123,7 +119,7 @@ def _delay_margin(loop: NDArray[np.complex128], omega: Array) -> float:
 
 def _effort(a: list[float], b: list[float], r: list[float], s: list[float]) -> float:
     """Return the largest input after a unit step of the set-point."""
-    closed = closed_loop_polynomial(a, b, r, s)
+    closed = pole_placement.closed_loop_polynomial(a, b, r, s)
     inputs = lfilter(sum(s) * np.array(a), closed, np.ones(_STEPS))
     return float(np.abs(inputs).max())
 

@@ -8,22 +8,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from adaptdrive.analysis import style
-from adaptdrive.analysis.closed_loop import Plant, advanced, at_own_step
+from adaptdrive.analysis import closed_loop, load_report, style
 from adaptdrive.analysis.figure import as_png
-from adaptdrive.analysis.load_report import checks, warnings
-from adaptdrive.app.examine import examine_text
-from adaptdrive.app.loads import build_load, candidate_loads
-from adaptdrive.app.settings import tick_s
-from adaptdrive.commissioning.course import Outcome, Samples
-from adaptdrive.commissioning.evaluation import (
-    Prediction,
-    SensorState,
-    evaluate,
-    judge_sensor,
-    predict,
-    rest_voltage,
-)
+from adaptdrive.app import examine, loads, settings
+from adaptdrive.commissioning import course, evaluation
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.commissioning.target import build_target
@@ -49,11 +37,11 @@ class Commissioned:
         refusal: Why the settings are not to be put to use, empty where they are.
     """
 
-    sensor: SensorState
-    outcome: Outcome
+    sensor: evaluation.SensorState
+    outcome: course.Outcome
     load: IdentifiedLoad
     proposal: Proposal
-    prediction: Prediction
+    prediction: evaluation.Prediction
     before: Configuration
     refusal: str = ""
 
@@ -72,8 +60,8 @@ def _checks(found: Commissioned) -> Iterator[str]:
         f"test            {given.symbol} {outcome.low_V:.4g}…{given.text(outcome.high_V)} from "
         f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
     )
-    yield from checks(load, unit)
-    yield from warnings(load)
+    yield from load_report.checks(load, unit)
+    yield from load_report.warnings(load)
 
 
 def _settings(found: Commissioned) -> Iterator[str]:
@@ -134,7 +122,11 @@ def draw(found: Commissioned) -> bytes:
 
 
 def judged(
-    sensor: SensorState, experiment: LoadExperiment, present: Configuration, text: str, path: Path
+    sensor: evaluation.SensorState,
+    experiment: LoadExperiment,
+    present: Configuration,
+    text: str,
+    path: Path,
 ) -> Commissioned:
     """Return all results of an experiment.
 
@@ -151,12 +143,12 @@ def judged(
     outcome = experiment.outcome
     if outcome is None:
         raise CommissionError("the experiment is not complete")
-    load = build_load(present)
-    identified = evaluate(experiment, candidate_loads(present))
+    load = loads.build_load(present)
+    identified = evaluation.evaluate(experiment, loads.candidate_loads(present))
     proposal = propose(identified, text, path, experiment.course.record.coarseness())
-    rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
+    rest_V = evaluation.rest_voltage(outcome.low_V, outcome.high_V, load)
     proposed, now = (
-        predict(identified, one, rest_V, experiment.course.target.move)
+        evaluation.predict(identified, one, rest_V, experiment.course.target.move)
         for one in (proposal.configuration, present)
     )
     refusal = proposed.refusal(now)
@@ -178,9 +170,9 @@ _LONGEST_S = 30 * 86400.0
 class _Rig:
     """A plant behind a boost stage, sampled as telemetry is."""
 
-    def __init__(self, plant: Plant, configuration: Configuration) -> None:
-        self._plant = at_own_step(plant)
-        self._step_s = tick_s(configuration) * configuration.bus.ticks_per_reading
+    def __init__(self, plant: closed_loop.Plant, configuration: Configuration) -> None:
+        self._plant = closed_loop.at_own_step(plant)
+        self._step_s = settings.tick_s(configuration) * configuration.bus.ticks_per_reading
         self._count = max(1, round(_SAMPLE_S / self._step_s))
         self._share = -math.expm1(-self._step_s / _LAG_S)
         self._taken = 0
@@ -194,14 +186,14 @@ class _Rig:
             before_V = self.boost_V
             self.boost_V += self._share * (wanted_V - before_V)
             mean_V = 0.5 * (before_V + self.boost_V)
-            output, _ = advanced(self._plant, mean_V, self._step_s, self._taken)
+            output, _ = closed_loop.advanced(self._plant, mean_V, self._step_s, self._taken)
             self._taken += 1
         self.time_s = self._taken * self._step_s
         return self.time_s, self.boost_V, output
 
 
 def commission_plant(
-    path: Path, plant: Plant, move_share: float, patience_s: float | None
+    path: Path, plant: closed_loop.Plant, move_share: float, patience_s: float | None
 ) -> Commissioned:
     """Run the experiment on a plant and evaluate it.
 
@@ -215,12 +207,12 @@ def commission_plant(
         AdaptdriveError: The experiment cannot continue, or does not show the load.
     """
     text = read_text(path)
-    configuration = examine_text(text, path)
+    configuration = examine.examine_text(text, path)
     target = build_target(configuration, move_share, patience_s)
-    rig, standby = _Rig(plant, configuration), Samples()
+    rig, standby = _Rig(plant, configuration), course.Samples()
     while rig.time_s < _WATCHED_S:
         standby.append(*rig.sample(target.low_V))
-    sensor = judge_sensor(standby, configuration, target.move)
+    sensor = evaluation.judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
     while not experiment.done:
         experiment.take(*rig.sample(experiment.course.voltage_V))

@@ -18,15 +18,11 @@ from tomlkit.exceptions import TOMLKitError
 
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.process import LockedError, locked
-from adaptdrive.commissioning.client import HOLD_S, Guide
-from adaptdrive.commissioning.evaluation import judge_sensor
+from adaptdrive.commissioning import client, evaluation, picture, report
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.commissioning.picture import Picture, carry_out
-from adaptdrive.commissioning.report import Commissioned, judged
 from adaptdrive.commissioning.target import build_target
+from adaptdrive.config import root, services
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
-from adaptdrive.config.root import Configuration
-from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, read_status, send_command
 from adaptdrive.tui.terminal import ended_once, tell, whole
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
@@ -151,7 +147,7 @@ _GAP_S = 0.3
 
 
 async def put_to_use(
-    broker: Mqtt, drive: str, digest: str, setpoint: float, timeout_s: float
+    broker: services.Mqtt, drive: str, digest: str, setpoint: float, timeout_s: float
 ) -> float:
     """Have the daemon take the measured load of its file, and hold a set-point in mode adaptive.
 
@@ -183,7 +179,7 @@ async def put_to_use(
     return time.monotonic() - began_s
 
 
-async def _stop(broker: Mqtt, drive: str, timeout_s: float) -> None:
+async def _stop(broker: services.Mqtt, drive: str, timeout_s: float) -> None:
     try:
         await send_command(broker, drive, "disable", None, timeout_s)
     except NoAnswerError as silence:
@@ -194,7 +190,7 @@ async def _stop(broker: Mqtt, drive: str, timeout_s: float) -> None:
 
 
 async def _once(
-    broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float, **more: object
+    broker: services.Mqtt, drive: str, verb: str, value: object, timeout_s: float, **more: object
 ) -> None:
     """Send a command, and end where it is refused."""
     reply = await send_command(broker, drive, verb, value, timeout_s, **more)
@@ -202,7 +198,7 @@ async def _once(
         raise CommissionError(f"{drive} refused {verb}: {reply.reason}")
 
 
-async def _measuring(broker: Mqtt, drive: str, timeout_s: float) -> None:
+async def _measuring(broker: services.Mqtt, drive: str, timeout_s: float) -> None:
     """Wait until the new run has a measurement, without which it refuses `enable`."""
     end_s = time.monotonic() + LONGEST_S
     while True:
@@ -215,7 +211,9 @@ async def _measuring(broker: Mqtt, drive: str, timeout_s: float) -> None:
         await asyncio.sleep(_GAP_S)
 
 
-async def _accepted(broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float) -> None:
+async def _accepted(
+    broker: services.Mqtt, drive: str, verb: str, value: object, timeout_s: float
+) -> None:
     """Send a command until it is accepted: the daemon begins another run."""
     end_s = time.monotonic() + LONGEST_S
     while True:
@@ -232,7 +230,7 @@ async def _accepted(broker: Mqtt, drive: str, verb: str, value: object, timeout_
         await asyncio.sleep(_GAP_S)
 
 
-async def _in_force(broker: Mqtt, drive: str, timeout_s: float) -> None:
+async def _in_force(broker: services.Mqtt, drive: str, timeout_s: float) -> None:
     """Wait until the adaptive controller runs the drive."""
     end_s = time.monotonic() + LONGEST_S
     while True:
@@ -267,7 +265,7 @@ class CommissionRequest:
 
 
 @contextmanager
-def alone(drive: str, broker: Mqtt) -> Iterator[None]:
+def alone(drive: str, broker: services.Mqtt) -> Iterator[None]:
     """Keep other experiments off a drive until the block ends.
 
     Args:
@@ -299,13 +297,13 @@ def announcement(wanted: CommissionRequest, drive: str) -> str:
         f"{given.text(target.low_V, 'g')}{onset} until {target.name} has moved by "
         f"{target.move:.3g} {target.unit}, then switches between the two for many minutes. The key "
         "q ends it, as do Ctrl-C, disable, a trip, and "
-        f"{HOLD_S:g} s without this program; the drive is then off."
+        f"{client.HOLD_S:g} s without this program; the drive is then off."
     )
 
 
 async def commission(
-    wanted: CommissionRequest, drive: str, broker: Mqtt, timeout_s: float
-) -> Commissioned:
+    wanted: CommissionRequest, drive: str, broker: services.Mqtt, timeout_s: float
+) -> report.Commissioned:
     """Run the experiment on a drive and evaluate it.
 
     Args:
@@ -320,15 +318,15 @@ async def commission(
     text = read_text(wanted.path)
     configuration = _configuration_of(drive, text, wanted.path)
     target = build_target(configuration, wanted.move_share, wanted.patience_s)
-    guide = Guide(broker, drive, timeout_s)
+    guide = client.Guide(broker, drive, timeout_s)
     standby = await guide.watch_standby(wanted.standby_s)
-    sensor = judge_sensor(standby, configuration, target.move)
+    sensor = evaluation.judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
-    await carry_out(guide, experiment, Picture(drive, target))
-    return judged(sensor, experiment, configuration, text, wanted.path)
+    await picture.carry_out(guide, experiment, picture.Picture(drive, target))
+    return report.judged(sensor, experiment, configuration, text, wanted.path)
 
 
-def _configuration_of(drive: str, text: str, path: Path) -> Configuration:
+def _configuration_of(drive: str, text: str, path: Path) -> root.Configuration:
     """Return the configuration of a drive; the limits of another one do not hold for it."""
     configuration = examine_text(text, path)
     if configuration.drive.name != drive:
@@ -337,7 +335,7 @@ def _configuration_of(drive: str, text: str, path: Path) -> Configuration:
     return configuration
 
 
-def write(path: Path, commissioned: Commissioned) -> tuple[Path, str]:
+def write(path: Path, commissioned: report.Commissioned) -> tuple[Path, str]:
     """Write the proposed settings to the configuration.
 
     Returns:
@@ -357,7 +355,7 @@ def write(path: Path, commissioned: Commissioned) -> tuple[Path, str]:
     return write_values(path, proposed), digest_of(proposed)
 
 
-def reached(commissioned: Commissioned) -> float:
+def reached(commissioned: report.Commissioned) -> float:
     """Return an output to hold next: one that the experiment has led the load to."""
     outcome, load = commissioned.outcome, commissioned.before.load
     reached = float(f"{outcome.rest + outcome.moved:.4g}")

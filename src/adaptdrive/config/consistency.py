@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from graphlib import CycleError
 from operator import attrgetter
 
+from adaptdrive.config import references, root, section, timing
 from adaptdrive.config.bus import (
     MEASURED,
     WORDS,
@@ -20,24 +21,10 @@ from adaptdrive.config.polled import (
     ModbusLink,
     RtuLink,
 )
-from adaptdrive.config.references import DAY_S, reference_flaws
-from adaptdrive.config.root import (
-    PAIRS,
-    VOLTAGE_TICKS,
-    Configuration,
-    in_order,
-    needed_names,
-)
-from adaptdrive.config.section import (
-    WANTED,
-    misfit,
-    stated_problem,
-)
-from adaptdrive.config.timing import LATE_READINGS
 from adaptdrive.util.errors import Flaw
 
 
-def pace_flaws(whole: Configuration) -> Iterator[Flaw]:
+def pace_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     """Yield what does not fit a drive that gives a reading every so many half cycles.
 
     Args:
@@ -45,21 +32,25 @@ def pace_flaws(whole: Configuration) -> Iterator[Flaw]:
     """
     bus, stride = whole.bus, whole.bus.ticks_per_reading
     reading_s = stride * whole.drive.half_cycle_s
-    late_s = LATE_READINGS * reading_s
+    late_s = timing.LATE_READINGS * reading_s
     if isinstance(bus, PolledBus):
         reading = f"one poll of bus.poll_ticks = {stride} half cycles"
         poll = f"{reading} ({reading_s * 1e3:.4g} ms)"
-        yield from misfit("bus.timeout_s", bus.timeout_s, "below", reading_s, poll)
+        yield from section.misfit("bus.timeout_s", bus.timeout_s, "below", reading_s, poll)
     elif isinstance(bus, CanBus):
         reading = f"bus.clock_ticks = {stride}"
     else:
         reading = "a half cycle, from one SYNC to the next"
         yield from _heartbeat_flaws(bus, late_s)
-    latest = f"{late_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
-    yield from misfit("interlocks.stale_s", whole.interlocks.stale_s, "at least", late_s, latest)
+    latest = f"{late_s:.4g} s, {timing.LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
+    yield from section.misfit(
+        "interlocks.stale_s", whole.interlocks.stale_s, "at least", late_s, latest
+    )
     if not isinstance(bus, CanOpenBus) and bus.command_timeout_s is not None:
         stops = f"{latest}: the drive would stop between two commands"
-        yield from misfit("bus.command_timeout_s", bus.command_timeout_s, "at least", late_s, stops)
+        yield from section.misfit(
+            "bus.command_timeout_s", bus.command_timeout_s, "at least", late_s, stops
+        )
     yield from _loop_flaws(whole, reading)
     if isinstance(bus, ModbusBus):
         yield from _write_flaws(bus, whole, late_s)
@@ -68,12 +59,15 @@ def pace_flaws(whole: Configuration) -> Iterator[Flaw]:
 def _heartbeat_flaws(bus: CanOpenBus, late_s: float) -> Iterator[Flaw]:
     """The heartbeat after a lost one, and after a command that is late, comes in time."""
     least_s = bus.heartbeat_s + max(bus.heartbeat_s, late_s)
-    rule = f"at least 2 times bus.heartbeat_s = {bus.heartbeat_s}, and {LATE_READINGS} half cycles"
+    rule = f"at least 2 times bus.heartbeat_s = {bus.heartbeat_s}, "
+    rule += f"and {timing.LATE_READINGS} half cycles"
     why = f"{least_s:.4g} s, {rule} more than it: heartbeats come with commands"
-    yield from misfit("bus.heartbeat_timeout_s", bus.heartbeat_timeout_s, "at least", least_s, why)
+    yield from section.misfit(
+        "bus.heartbeat_timeout_s", bus.heartbeat_timeout_s, "at least", least_s, why
+    )
 
 
-def _loop_flaws(whole: Configuration, reading: str) -> Iterator[Flaw]:
+def _loop_flaws(whole: root.Configuration, reading: str) -> Iterator[Flaw]:
     """The loops of the daemon act with the readings of the drive."""
     stride, signals, load = whole.bus.ticks_per_reading, whole.signals, whole.load
     polled = isinstance(whole.bus, PolledBus)
@@ -95,12 +89,12 @@ def _loop_flaws(whole: Configuration, reading: str) -> Iterator[Flaw]:
             yield Flaw(f"load.{name}", f"{wanted}: a decision reaches the drive with a command")
 
 
-def _write_flaws(bus: ModbusBus, whole: Configuration, late_s: float) -> Iterator[Flaw]:
+def _write_flaws(bus: ModbusBus, whole: root.Configuration, late_s: float) -> Iterator[Flaw]:
     """Yield why a command that is not written with each poll would not do."""
     place, interval_s = "bus.command_interval_s", bus.command_interval_s
     longest_s = max(0.0, (bus.command_timeout_s or math.inf) - late_s)
     in_time = f"{longest_s:.4g} s, that the drive sees a command in time"
-    yield from misfit(place, interval_s, "at most", longest_s, in_time)
+    yield from section.misfit(place, interval_s, "at most", longest_s, in_time)
     places = [place] if interval_s else []
     for name, register in bus.registers.items():
         if register.write_limit is not None:
@@ -111,7 +105,7 @@ def _write_flaws(bus: ModbusBus, whole: Configuration, late_s: float) -> Iterato
         yield from (Flaw(place, problem) for place in places)
 
 
-def _limit_flaws(place: str, name: str, limit: int, whole: Configuration) -> Iterator[Flaw]:
+def _limit_flaws(place: str, name: str, limit: int, whole: root.Configuration) -> Iterator[Flaw]:
     """Yield why a register that wears out is written too often, or too late."""
     if whole.bus.command_timeout_s is not None:
         yield Flaw(place, "bus.command_timeout_s is the time-out of a drive that needs writes")
@@ -120,7 +114,7 @@ def _limit_flaws(place: str, name: str, limit: int, whole: Configuration) -> Ite
     if holds_back and reference is not None and reference.signal == name:
         why = "delays what holds V_c back for the power of the load or the voltage of a battery"
         yield Flaw(place, why)
-    least_s = DAY_S / limit
+    least_s = references.DAY_S / limit
     if whole.load.period_s < least_s:
         longer = f"let load.period_s be {least_s:.4g} s or longer"
         yield Flaw(place, f"{limit} writes a day are one in {least_s:.4g} s: {longer}")
@@ -129,15 +123,15 @@ def _limit_flaws(place: str, name: str, limit: int, whole: Configuration) -> Ite
 _DRIVE = (*MEASURED, *WORDS, "heartbeat")
 
 
-def _derived_flaws(whole: Configuration, given: Collection[str]) -> Iterator[Flaw]:
+def _derived_flaws(whole: root.Configuration, given: Collection[str]) -> Iterator[Flaw]:
     """Yield units and rules that do not fit, and values made of nothing or of themselves."""
     unit = whole.drive.manipulated.unit
-    wanted = {**WANTED, "boost_voltage_V": unit, "output": whole.load.output_unit}
+    wanted = {**section.WANTED, "boost_voltage_V": unit, "output": whole.load.output_unit}
     for name, one in whole.derived.items():
         place = f"derived.{name}"
-        if problem := stated_problem(one, wanted.get(name, "")):
+        if problem := section.stated_problem(one, wanted.get(name, "")):
             yield Flaw(place, problem)
-        if one.rule in PAIRS and len(one.of) != 2:
+        if one.rule in root.PAIRS and len(one.of) != 2:
             yield Flaw(f"{place}.of", f"{one.rule!r} takes two values, not {len(one.of)}")
         for part in one.follows or ():
             if part not in one.of:
@@ -146,13 +140,13 @@ def _derived_flaws(whole: Configuration, given: Collection[str]) -> Iterator[Fla
             if part not in given:
                 yield Flaw(f"{place}.of", f"no source gives {part!r}")
     try:
-        in_order(whole.derived)
+        root.in_order(whole.derived)
     except CycleError as cycle:
         names = cycle.args[1]
         yield Flaw(f"derived.{names[-1]}.of", f"is made of itself: {' from '.join(names[::-1])}")
 
 
-def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
+def supply_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     """Yield the names that are given twice, needed and not given, or derived from nothing.
 
     Args:
@@ -176,13 +170,15 @@ def supply_flaws(whole: Configuration) -> Iterator[Flaw]:
     period_s = whole.load.period_s
     for number, bus in enumerate(whole.sensor_bus):
         place, period = f"sensor_bus.{number}", f"load.period_s = {period_s}"
-        yield from misfit(f"{place}.cycle_s", bus.cycle_s, "at most", period_s, period)
+        yield from section.misfit(f"{place}.cycle_s", bus.cycle_s, "at most", period_s, period)
         if isinstance(bus, ModbusLink):
             cycle = f"cycle_s = {bus.cycle_s}"
-            yield from misfit(f"{place}.timeout_s", bus.timeout_s, "below", bus.cycle_s, cycle)
+            yield from section.misfit(
+                f"{place}.timeout_s", bus.timeout_s, "below", bus.cycle_s, cycle
+            )
 
 
-def _optional(whole: Configuration) -> tuple[str, ...]:
+def _optional(whole: root.Configuration) -> tuple[str, ...]:
     """Return the quantities that nobody needs to give."""
     if whole.voltage_loop.where == "daemon":
         return ()
@@ -190,7 +186,7 @@ def _optional(whole: Configuration) -> tuple[str, ...]:
     return ("line_voltage_V",) if battery else MEASURED[:-1]
 
 
-def absent_names(whole: Configuration) -> frozenset[str]:
+def absent_names(whole: root.Configuration) -> frozenset[str]:
     """Return the quantities that nobody gives.
 
     Args:
@@ -199,7 +195,7 @@ def absent_names(whole: Configuration) -> frozenset[str]:
     return frozenset(MEASURED) - {name for name, _ in _givers(whole)}
 
 
-def voltage_flaws(whole: Configuration) -> Iterator[Flaw]:
+def voltage_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     """Yield the sensor buses whose v_bst is too old for a voltage loop in the daemon.
 
     Args:
@@ -207,21 +203,24 @@ def voltage_flaws(whole: Configuration) -> Iterator[Flaw]:
     """
     if whole.voltage_loop.where == "drive":
         return
-    parts, stale_s = needed_names(whole.derived, ("boost_voltage_V",)), whole.interlocks.stale_s
-    longest_s = VOLTAGE_TICKS * whole.drive.half_cycle_s
+    parts, stale_s = (
+        root.needed_names(whole.derived, ("boost_voltage_V",)),
+        whole.interlocks.stale_s,
+    )
+    longest_s = root.VOLTAGE_TICKS * whole.drive.half_cycle_s
     problem = "is too long for boost_voltage_V with voltage_loop.where = 'daemon': at most"
     for number, bus in enumerate(whole.sensor_bus):
         if parts.isdisjoint(bus.signals):
             continue
         if bus.cycle_s > longest_s:
-            limit = f"{longest_s:.4g} s, {VOLTAGE_TICKS:g} half cycles"
+            limit = f"{longest_s:.4g} s, {root.VOLTAGE_TICKS:g} half cycles"
             yield Flaw(f"sensor_bus.{number}.cycle_s", f"{bus.cycle_s:g} s {problem} {limit}")
         elif bus.oldest_s > stale_s:
             limit = f"interlocks.stale_s = {stale_s:g} s"
             yield Flaw(f"sensor_bus.{number}.stale_s", f"{bus.oldest_s:.4g} s {problem} {limit}")
 
 
-def _givers(whole: Configuration) -> Iterator[tuple[str, str]]:
+def _givers(whole: root.Configuration) -> Iterator[tuple[str, str]]:
     """Name and place of every value that is given."""
     signals = whole.signals
     for name in MEASURED:
@@ -237,7 +236,7 @@ def _givers(whole: Configuration) -> Iterator[tuple[str, str]]:
         yield from ((name, f"{place}.{name}") for name in table)
 
 
-def link_flaws(whole: Configuration) -> Iterator[Flaw]:
+def link_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     """Yield the names and the serial lines that another bus has already: a line has one master.
 
     Args:
@@ -260,7 +259,7 @@ def _repeated(given: Iterable[tuple[object, str]], key: str, told: str) -> Itera
             yield Flaw(f"{place}{key}", f"'{one}' is {told.format(seen[one])}")
 
 
-def _rate_flaws(whole: Configuration) -> Iterator[Flaw]:
+def _rate_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     load, ticks = whole.load, whole.ticks_per_period
     half_cycle_s = whole.drive.half_cycle_s
     if ticks < 1 or not math.isclose(load.period_s, ticks * half_cycle_s, rel_tol=1e-6):
@@ -269,10 +268,10 @@ def _rate_flaws(whole: Configuration) -> Iterator[Flaw]:
     period = f"the {ticks} ticks of one period"
     if load.samples > ticks:
         yield Flaw("load.samples", f"{load.samples} exceeds {period}")
-    yield from misfit("load.latency_ticks", load.latency_ticks, "below", ticks, period)
+    yield from section.misfit("load.latency_ticks", load.latency_ticks, "below", ticks, period)
 
 
-def _command_flaws(whole: Configuration) -> Iterator[Flaw]:
+def _command_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     where = whole.voltage_loop.where
     needed = ["current_scale_S" if where == "daemon" else "boost_reference_V"]
     one_bit = whole.drive.enable_bit == "bridge-and-boost"
@@ -287,7 +286,7 @@ def _command_flaws(whole: Configuration) -> Iterator[Flaw]:
             yield Flaw(f"signals.command.{name}", f"is missing: {why}")
 
 
-def _lowest_flaws(whole: Configuration) -> Iterator[Flaw]:
+def _lowest_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     """The lowest V_c is one that the stage can make, and the load bears."""
     unit = whole.drive.manipulated.unit
     if whole.voltage_loop.where == "daemon" and unit != "V":
@@ -302,7 +301,7 @@ def _lowest_flaws(whole: Configuration) -> Iterator[Flaw]:
         yield Flaw(place, f"{lowest_V} must not be below 0: a {kind} has no direction")
 
 
-def _lag_flaws(whole: Configuration) -> Iterator[Flaw]:
+def _lag_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     lag_s, period_s = whole.voltage_loop.lag_s, whole.load.period_s
     if lag_s is None:
         return
@@ -311,13 +310,13 @@ def _lag_flaws(whole: Configuration) -> Iterator[Flaw]:
         yield Flaw("voltage_loop.lag_s", problem)
     else:
         longest = f"load.period_s = {period_s} s: choose a longer period"
-        yield from misfit("voltage_loop.lag_s", lag_s, "at most", period_s, longest)
+        yield from section.misfit("voltage_loop.lag_s", lag_s, "at most", period_s, longest)
     impulse = isinstance(whole.load, MotorSection) and whole.load.boost_course == "impulse"
     if impulse and lag_s > 0.25 * period_s:
         yield Flaw("load.boost_course", f"'impulse' needs voltage_loop.lag_s = {lag_s} s shorter")
 
 
-def _trip_flaws(whole: Configuration) -> Iterator[Flaw]:
+def _trip_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     for place, relation, limit in (
         ("interlocks.boost_voltage_max_V", "above", "drive.limits.boost_reference_max_V"),
         ("interlocks.output_max", "above", "load.reference_max"),
@@ -325,12 +324,12 @@ def _trip_flaws(whole: Configuration) -> Iterator[Flaw]:
     ):
         trip, highest = attrgetter(place)(whole), attrgetter(limit)(whole)
         if trip is not None:
-            yield from misfit(place, trip, relation, highest, f"{limit} = {highest}")
+            yield from section.misfit(place, trip, relation, highest, f"{limit} = {highest}")
 
 
-_CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
+_CHECKS: dict[Callable[[root.Configuration], Iterator[Flaw]], str] = {
     _rate_flaws: "drive load",
-    lambda whole: reference_flaws(whole.bus, whole.signals): "bus signals",
+    lambda whole: references.reference_flaws(whole.bus, whole.signals): "bus signals",
     link_flaws: "bus sensor_bus",
     pace_flaws: "drive bus signals load interlocks voltage_loop",
     supply_flaws: "drive bus signals sensor_bus derived load voltage_loop",
@@ -343,7 +342,7 @@ _CHECKS: dict[Callable[[Configuration], Iterator[Flaw]], str] = {
 """Checks between sections, and the sections that each one reads."""
 
 
-def consistency_flaws(configuration: Configuration, valid: Collection[str]) -> Iterator[Flaw]:
+def consistency_flaws(configuration: root.Configuration, valid: Collection[str]) -> Iterator[Flaw]:
     """Find what contradicts each other between sections.
 
     Args:

@@ -9,20 +9,12 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from adaptdrive.config.section import (
-    Duration,
-    FiniteFloat,
-    Fraction,
-    NonNegativeFloat,
-    PositiveFloat,
-    Section,
-    key,
-)
+from adaptdrive.config import section
 from adaptdrive.util.errors import Flaw
 
 LoadName = Literal["motor", "bath", "battery"]
 
-Period = Annotated[PositiveFloat, Field(le=3600.0)]
+Period = Annotated[section.PositiveFloat, Field(le=3600.0)]
 
 NOISE_SHARE = 0.04
 """`load.noise_V` where it is left out, as a share of the range of V_c."""
@@ -59,27 +51,27 @@ class LoadTraits:
     paper_method: str | None = None
 
 
-class LoadSection(Section):
+class LoadSection(section.Section):
     """Keys of `[load]` for every type of load."""
 
     traits: ClassVar[LoadTraits] = LoadTraits()
     rising: ClassVar = ("reference_min", "reference_max")
 
     period_s: Period = 1.0
-    pole: Fraction = 0.70
-    pole_min: Fraction = 0.50
-    pole_max: Fraction = 0.98
+    pole: section.Fraction = 0.70
+    pole_min: section.Fraction = 0.50
+    pole_max: section.Fraction = 0.98
     design: Literal["exact", "paper"] = "exact"
-    samples: int = key(90, ge=1)
-    clip: float = key(5.0, ge=0.0)
-    resolution: NonNegativeFloat = 0.0
-    noise_V: NonNegativeFloat | None = None
-    latency_ticks: int = key(2, ge=1)
-    reference_min: FiniteFloat = 0.0
-    reference_max: FiniteFloat
+    samples: int = section.key(90, ge=1)
+    clip: float = section.key(5.0, ge=0.0)
+    resolution: section.NonNegativeFloat = 0.0
+    noise_V: section.NonNegativeFloat | None = None
+    latency_ticks: int = section.key(2, ge=1)
+    reference_min: section.FiniteFloat = 0.0
+    reference_max: section.FiniteFloat
     govern: bool = False
-    probe_share: float = key(0.0, span=(0.0, 0.1))
-    probe_s: Annotated[PositiveFloat, Field(le=1e6)] = 300.0
+    probe_share: float = section.key(0.0, span=(0.0, 0.1))
+    probe_s: Annotated[section.PositiveFloat, Field(le=1e6)] = 300.0
     output_name: str = "output"
     output_unit: str = ""
 
@@ -91,12 +83,12 @@ class LoadSection(Section):
             yield Flaw("", f"pole = {self.pole} must lie in {span}")
 
 
-class MotorModel(Section):
+class MotorModel(section.Section):
     """`[load.model]` of a motor: what the fixed controller is designed for."""
 
-    gain: PositiveFloat
-    tau_motor_s: PositiveFloat
-    tau_filter_s: PositiveFloat
+    gain: section.PositiveFloat
+    tau_motor_s: section.PositiveFloat
+    tau_filter_s: section.PositiveFloat
 
 
 class MotorSection(LoadSection):
@@ -119,16 +111,16 @@ class MotorSection(LoadSection):
             yield Flaw("boost_course", "'impulse' needs load.design 'paper'")
 
 
-class BathModel(Section):
+class BathModel(section.Section):
     """`[load.model]` of a bath: what the fixed controller is designed for."""
 
-    resistance_K_per_W: PositiveFloat
-    tau_s: PositiveFloat
-    lag_s: NonNegativeFloat = 0.0
-    delay_s: Annotated[NonNegativeFloat, Field(le=600.0)] = 0.0
-    turns_ratio: PositiveFloat
-    droop_Ohm: FiniteFloat = Field(ge=0.0)
-    heater_Ohm: PositiveFloat
+    resistance_K_per_W: section.PositiveFloat
+    tau_s: section.PositiveFloat
+    lag_s: section.NonNegativeFloat = 0.0
+    delay_s: Annotated[section.NonNegativeFloat, Field(le=600.0)] = 0.0
+    turns_ratio: section.PositiveFloat
+    droop_Ohm: section.FiniteFloat = Field(ge=0.0)
+    heater_Ohm: section.PositiveFloat
 
 
 class BathSection(LoadSection):
@@ -146,8 +138,8 @@ class BathSection(LoadSection):
 
     type: Literal["bath"]
     period_s: Period = 20.0
-    pole: Fraction = 0.80
-    samples: int = key(600, ge=1)
+    pole: section.Fraction = 0.80
+    samples: int = section.key(600, ge=1)
     output_name: str = "temperature"
     output_unit: str = "K"
     model: BathModel
@@ -161,22 +153,22 @@ class BathSection(LoadSection):
                 yield Flaw(f"model.{name}", problem)
 
 
-class BatteryModel(Section):
+class BatteryModel(section.Section):
     """`[load.model]` of a battery: what the fixed controller is designed for."""
 
-    turns_ratio: PositiveFloat
-    droop_Ohm: FiniteFloat = Field(ge=0.0)
-    internal_Ohm: PositiveFloat
-    relaxation_Ohm: PositiveFloat
-    relaxation_s: PositiveFloat
+    turns_ratio: section.PositiveFloat
+    droop_Ohm: section.FiniteFloat = Field(ge=0.0)
+    internal_Ohm: section.PositiveFloat
+    relaxation_Ohm: section.PositiveFloat
+    relaxation_s: section.PositiveFloat
 
 
-class Charge(Section):
+class Charge(section.Section):
     """`[load.charge]`: constant current, then constant voltage, then the end."""
 
-    voltage_max_V: PositiveFloat
-    end_current_A: PositiveFloat
-    longest_h: PositiveFloat | None = None
+    voltage_max_V: section.PositiveFloat
+    end_current_A: section.PositiveFloat
+    longest_h: section.PositiveFloat | None = None
 
 
 class BatterySection(LoadSection):
@@ -194,43 +186,43 @@ class BatterySection(LoadSection):
 AnyLoad = MotorSection | BathSection | BatterySection
 
 
-class Estimator(Section):
+class Estimator(section.Section):
     """`[estimator]`: the recursive least squares that learn the load."""
 
     method: Literal["lm-rls", "rls"] = "lm-rls"
-    forgetting: float | None = key(None, gt=0.5, le=1.0)
-    tau_lambda_s: PositiveFloat = 10.0
-    dead_band: float = key(0.0, ge=0.0)
-    initial_covariance: PositiveFloat | None = None
-    gate: float = key(1.2, ge=0.0)
-    covariance_max: float = key(1.0e6, ge=0.0)
+    forgetting: float | None = section.key(None, gt=0.5, le=1.0)
+    tau_lambda_s: section.PositiveFloat = 10.0
+    dead_band: float = section.key(0.0, ge=0.0)
+    initial_covariance: section.PositiveFloat | None = None
+    gate: float = section.key(1.2, ge=0.0)
+    covariance_max: float = section.key(1.0e6, ge=0.0)
     alert: bool = True
     bias: bool = True
     initial_state: bool = True
-    settle_s: Duration = 30.0
+    settle_s: section.Duration = 30.0
 
 
-class Supervisor(Section):
+class Supervisor(section.Section):
     """`[supervisor]`: what estimates, and the loop, must satisfy (`exact` only but `warm_up_s`)."""
 
-    warm_up_s: Duration = 90.0
-    ratio_min: Fraction = 0.2
-    ratio_max: float = key(6.0, gt=1.0, allow_inf_nan=False)
-    damping_min: NonNegativeFloat = 0.9
-    spread_max: NonNegativeFloat = 0.05
-    residual_margin: NonNegativeFloat = 1.5
-    confidence: NonNegativeFloat = 2.0
-    dwell_periods: int = key(7, span=(1, 10_000))
-    patience_periods: int = key(0, span=(0, 10_000))
-    blend_periods: int = key(5, span=(1, 10_000))
-    saturated_s: Duration = 240.0
-    gain_slew: float = key(1.0, gt=0.0, le=1.0)
-    error_limit: NonNegativeFloat | None = None
-    response_s: Duration = 120.0
-    response_distance: NonNegativeFloat = 0.02
+    warm_up_s: section.Duration = 90.0
+    ratio_min: section.Fraction = 0.2
+    ratio_max: float = section.key(6.0, gt=1.0, allow_inf_nan=False)
+    damping_min: section.NonNegativeFloat = 0.9
+    spread_max: section.NonNegativeFloat = 0.05
+    residual_margin: section.NonNegativeFloat = 1.5
+    confidence: section.NonNegativeFloat = 2.0
+    dwell_periods: int = section.key(7, span=(1, 10_000))
+    patience_periods: int = section.key(0, span=(0, 10_000))
+    blend_periods: int = section.key(5, span=(1, 10_000))
+    saturated_s: section.Duration = 240.0
+    gain_slew: float = section.key(1.0, gt=0.0, le=1.0)
+    error_limit: section.NonNegativeFloat | None = None
+    response_s: section.Duration = 120.0
+    response_distance: section.NonNegativeFloat = 0.02
 
 
-class SimulatorSection(Section):
+class SimulatorSection(section.Section):
     """`[simulation]`: the load of `adaptdrive-sim device`; the daemon does not use it."""
 
-    parameters: dict[str, FiniteFloat] = key({})
+    parameters: dict[str, section.FiniteFloat] = section.key({})

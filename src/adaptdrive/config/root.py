@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from adaptdrive.config import polled, references, section, services
 from adaptdrive.config.bus import (
     MEASURED,
     CanBus,
@@ -21,26 +22,6 @@ from adaptdrive.config.load import (
     SimulatorSection,
     Supervisor,
 )
-from adaptdrive.config.polled import (
-    ModbusLink,
-    ModbusRtu,
-    ModbusTcp,
-    Register,
-    RtuLink,
-    ScpiBus,
-    TcpLink,
-)
-from adaptdrive.config.references import map_flaws, unknown_flaws
-from adaptdrive.config.section import (
-    Converted,
-    FiniteFloat,
-    NonNegativeFloat,
-    PositiveFloat,
-    Section,
-    key,
-    misfit,
-)
-from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.timing import Timing
 from adaptdrive.util.errors import Flaw
 from adaptdrive.util.quantity import BOOST_VOLTAGE, Given
@@ -51,29 +32,29 @@ BROKER_USERS = frozenset({"operator", "viewer"})
 """Users of `deploy/mosquitto/adaptdrive.acl` that are operators, not drives."""
 
 
-class DriveLimits(Section):
+class DriveLimits(section.Section):
     """`[drive.limits]`: what the drive may be asked for."""
 
     rising: ClassVar = ("boost_reference_min_V", "boost_reference_max_V")
 
-    boost_reference_min_V: FiniteFloat = 200.0
-    boost_reference_max_V: PositiveFloat = 400.0
-    current_scale_max_S: PositiveFloat = 0.15
-    regeneration_scale_max_S: PositiveFloat | None = None
-    current_scale_slew_S: PositiveFloat = 0.15
+    boost_reference_min_V: section.FiniteFloat = 200.0
+    boost_reference_max_V: section.PositiveFloat = 400.0
+    current_scale_max_S: section.PositiveFloat = 0.15
+    regeneration_scale_max_S: section.PositiveFloat | None = None
+    current_scale_slew_S: section.PositiveFloat = 0.15
 
-    manual_slew_V_per_s: PositiveFloat = 100.0
-    load_power_max_W: PositiveFloat = 1500.0
+    manual_slew_V_per_s: section.PositiveFloat = 100.0
+    load_power_max_W: section.PositiveFloat = 1500.0
 
 
-class Manipulated(Section):
+class Manipulated(section.Section):
     """`[drive.manipulated]`: what a drive is commanded, and gives, where that is no voltage.
 
     All keys and topics that end in `_V` are then in its unit.
     """
 
-    name: str = key(BOOST_VOLTAGE, pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$")
-    unit: str = key("V", max_length=16)
+    name: str = section.key(BOOST_VOLTAGE, pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$")
+    unit: str = section.key("V", max_length=16)
 
     @property
     def given(self) -> Given:
@@ -81,14 +62,14 @@ class Manipulated(Section):
         return Given(self.name, self.unit)
 
 
-class DriveSection(Section):
+class DriveSection(section.Section):
     """`[drive]`: the power-electronic drive."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$")
     kind: Literal["unidirectional", "bidirectional"] = "unidirectional"
     line_frequency_Hz: Literal[50, 60] = 60
-    line_voltage_V: PositiveFloat = 120.0
-    boost_capacitance_F: PositiveFloat = 1.0e-3
+    line_voltage_V: section.PositiveFloat = 120.0
+    boost_capacitance_F: section.PositiveFloat = 1.0e-3
     enable_bit: Literal["bridge", "bridge-and-boost"] = "bridge"
     limits: DriveLimits = Field(default_factory=DriveLimits)
     manipulated: Manipulated = Field(default_factory=Manipulated)
@@ -120,12 +101,12 @@ class DriveSection(Section):
             yield Flaw("", "limits.regeneration_scale_max_S needs kind = 'bidirectional'")
 
 
-class VoltageLoop(Section):
+class VoltageLoop(section.Section):
     """`[voltage_loop]`: the fast loop that makes v_bst follow V_c."""
 
     where: Literal["daemon", "drive"] = "daemon"
     feed_forward: bool = True
-    lag_s: NonNegativeFloat | None = None
+    lag_s: section.NonNegativeFloat | None = None
 
 
 # `[[sensor_bus]]`: sensors on other buses than the drive, each with its cycle time.
@@ -144,18 +125,18 @@ LONGEST_STALE_S = 10.0
 """Age at which a value is old however seldom it comes, but for the two cycles that may be lost."""
 
 
-class SensorRegister(Register):
+class SensorRegister(polled.Register):
     """`[sensor_bus.registers.NAME]`: one value of a module's register map."""
 
-    device_id: int | None = key(None, span=(1, 255))
+    device_id: int | None = section.key(None, span=(1, 255))
 
 
-class SensorBusSection(Section):
+class SensorBusSection(section.Section):
     """Keys of `[[sensor_bus]]` for every kind of bus."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$")
-    cycle_s: PositiveFloat = Field(ge=1e-3)
-    stale_s: PositiveFloat | None = None
+    cycle_s: section.PositiveFloat = Field(ge=1e-3)
+    stale_s: section.PositiveFloat | None = None
     signals: dict[str, Quantity]
 
     @property
@@ -168,7 +149,7 @@ class SensorBusSection(Section):
         yield from super().flaws()
         cycle_s, oldest_s = self.cycle_s, self.oldest_s
         lowest = f"{STALE_CYCLES * cycle_s:.4g} s, {STALE_CYCLES} times cycle_s"
-        yield from misfit("stale_s", oldest_s, "at least", STALE_CYCLES * cycle_s, lowest)
+        yield from section.misfit("stale_s", oldest_s, "at least", STALE_CYCLES * cycle_s, lowest)
         rare_s = max(LONGEST_STALE_S, DEFAULT_STALE_CYCLES * cycle_s)
         highest_s = min(MOST_STALE_CYCLES * cycle_s, rare_s)
         if oldest_s > highest_s:
@@ -177,10 +158,10 @@ class SensorBusSection(Section):
             yield Flaw("stale_s", f"{problem} {DEFAULT_STALE_CYCLES:g} times cycle_s")
 
 
-class ModbusSensorSection(SensorBusSection, ModbusLink):
+class ModbusSensorSection(SensorBusSection, polled.ModbusLink):
     """Keys of `[[sensor_bus]]` for every kind of Modbus."""
 
-    registers: dict[str, SensorRegister] = key({})
+    registers: dict[str, SensorRegister] = section.key({})
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield what is wrong in the register maps, and with names in them."""
@@ -189,18 +170,20 @@ class ModbusSensorSection(SensorBusSection, ModbusLink):
             registers = {
                 name: one for name, one in self.registers.items() if one.device_id == device
             }
-            yield from map_flaws("registers", registers, zero_based=self.zero_based)
+            yield from references.map_flaws("registers", registers, zero_based=self.zero_based)
         named = [(f"signals.{name}.signal", one.signal) for name, one in self.signals.items()]
-        yield from unknown_flaws(named, self.registers, "[sensor_bus.registers] has no register")
+        yield from references.unknown_flaws(
+            named, self.registers, "[sensor_bus.registers] has no register"
+        )
 
 
-class ModbusTcpSensors(ModbusSensorSection, TcpLink):
+class ModbusTcpSensors(ModbusSensorSection, polled.TcpLink):
     """`[[sensor_bus]]` with `type = "modbus-tcp"`."""
 
     type: Literal["modbus-tcp"]
 
 
-class ModbusRtuSensors(ModbusSensorSection, RtuLink):
+class ModbusRtuSensors(ModbusSensorSection, polled.RtuLink):
     """`[[sensor_bus]]` with `type = "modbus-rtu"`."""
 
     type: Literal["modbus-rtu"]
@@ -227,7 +210,7 @@ Rule = Literal["sum", "mean", "difference", "product", "ratio", "smallest", "lar
 PAIRS = ("difference", "ratio")
 
 
-class Derived(Converted):
+class Derived(section.Converted):
     """`[derived.NAME]`: a quantity of `[signals]`, or any other name, from measured values."""
 
     rule: Rule
@@ -280,12 +263,12 @@ def needed_names(derived: Mapping[str, Derived], names: Iterable[str] = MEASURED
 
 # The whole configuration of one drive.
 
-AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu | ScpiBus
+AnyBus = CanBus | CanOpenBus | polled.ModbusTcp | polled.ModbusRtu | polled.ScpiBus
 
 SensorBus = Annotated[AnySensorBus, Field(discriminator="type")]
 
 
-class Configuration(Section):
+class Configuration(section.Section):
     """One TOML file, one drive; `consistency_flaws` compares the sections with each other."""
 
     drive: DriveSection
@@ -297,10 +280,10 @@ class Configuration(Section):
     load: AnyLoad = Field(discriminator="type")
     estimator: Estimator = Field(default_factory=Estimator)
     supervisor: Supervisor = Field(default_factory=Supervisor)
-    interlocks: InterlocksSection
-    mqtt: Mqtt = Field(default_factory=Mqtt)
-    recording: Recording = Field(default_factory=Recording)
-    realtime: Realtime = Field(default_factory=Realtime)
+    interlocks: services.InterlocksSection
+    mqtt: services.Mqtt = Field(default_factory=services.Mqtt)
+    recording: services.Recording = Field(default_factory=services.Recording)
+    realtime: services.Realtime = Field(default_factory=services.Realtime)
     simulation: SimulatorSection = Field(default_factory=SimulatorSection)
 
     @property

@@ -8,14 +8,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from adaptdrive.config.section import (
-    FilePath,
-    FiniteFloat,
-    NonNegativeFloat,
-    PositiveFloat,
-    Section,
-    key,
-)
+from adaptdrive.config import section
 from adaptdrive.util.errors import Flaw
 
 LONGEST_STALE_S = 2.0
@@ -49,20 +42,20 @@ def check_host(host: str) -> str:
     return host
 
 
-class InterlocksSection(Section):
+class InterlocksSection(section.Section):
     """`[interlocks]`: limits that trip the drive; a trip is latched until `reset`."""
 
-    stale_s: PositiveFloat = key(0.05, le=LONGEST_STALE_S)
-    boost_voltage_max_V: PositiveFloat = 430.0
-    output_max: FiniteFloat
-    output_min: FiniteFloat | None = None
-    stuck_distance: float = key(0.05, span=(0.0, 1.0))
-    stuck_s: NonNegativeFloat = key(0.0, le=3600.0)
-    response_factor: float = key(4.0, span=(0.0, 100.0))
-    precharge_timeout_s: PositiveFloat = key(5.0, le=600.0)
-    start_s: PositiveFloat | None = key(None, le=5.0)
-    stop_s: float = key(0.5, gt=0.0, le=5.0)
-    refused_share: float = key(0.0, span=(0.0, 1.0))
+    stale_s: section.PositiveFloat = section.key(0.05, le=LONGEST_STALE_S)
+    boost_voltage_max_V: section.PositiveFloat = 430.0
+    output_max: section.FiniteFloat
+    output_min: section.FiniteFloat | None = None
+    stuck_distance: float = section.key(0.05, span=(0.0, 1.0))
+    stuck_s: section.NonNegativeFloat = section.key(0.0, le=3600.0)
+    response_factor: float = section.key(4.0, span=(0.0, 100.0))
+    precharge_timeout_s: section.PositiveFloat = section.key(5.0, le=600.0)
+    start_s: section.PositiveFloat | None = section.key(None, le=5.0)
+    stop_s: float = section.key(0.5, gt=0.0, le=5.0)
+    refused_share: float = section.key(0.0, span=(0.0, 1.0))
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield a factor that lets a healthy load trip."""
@@ -70,17 +63,17 @@ class InterlocksSection(Section):
             yield Flaw("response_factor", f"{self.response_factor:g} must be 0, or at least 1")
 
 
-class Mqtt(Section):
+class Mqtt(section.Section):
     """`[mqtt]`: the broker that carries state, telemetry and commands."""
 
     host: Annotated[str, AfterValidator(check_host)] = "127.0.0.1"
-    port: int = key(1883, span=(1, 65535))
+    port: int = section.key(1883, span=(1, 65535))
     tls: bool = False
-    ca_file: FilePath | None = None
+    ca_file: section.FilePath | None = None
     username: str | None = None
-    password_file: FilePath | None = None
-    telemetry_Hz: float = key(10.0, span=(0.01, 10.0))
-    home_assistant: str | None = key(None, pattern="^[A-Za-z0-9_/-]+$")
+    password_file: section.FilePath | None = None
+    telemetry_Hz: float = section.key(10.0, span=(0.01, 10.0))
+    home_assistant: str | None = section.key(None, pattern="^[A-Za-z0-9_/-]+$")
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield an authority that nothing asks."""
@@ -90,31 +83,31 @@ class Mqtt(Section):
             yield Flaw("", f"ca_file = {str(self.ca_file)!r} without tls: {problem}; {remedy}")
 
 
-class Recording(Section):
+class Recording(section.Section):
     """`[recording]`: what is kept of a session."""
 
     enabled: bool = True
-    directory: FilePath | None = None
-    flush_s: float = key(0.2, span=(0.1, 60.0))
-    segment_s: float = key(3600.0, span=(1.0, 86_400.0))
-    keep_days: PositiveFloat | None = None
-    keep_MB: PositiveFloat | None = None
+    directory: section.FilePath | None = None
+    flush_s: float = section.key(0.2, span=(0.1, 60.0))
+    segment_s: float = section.key(3600.0, span=(1.0, 86_400.0))
+    keep_days: section.PositiveFloat | None = None
+    keep_MB: section.PositiveFloat | None = None
 
 
-class Realtime(Section):
+class Realtime(section.Section):
     """`[realtime]`: how hard the fast loop is protected from the rest of the machine."""
 
     timer_standin: bool = True
-    late_fraction: float = key(0.5, gt=0.0, lt=1.0)
-    priority: int | None = key(None, span=(1, 98))
-    cpus: list[Annotated[int, Field(ge=0)]] = key([])
-    cpu_latency_us: int | None = key(None, span=(0, 10_000))
+    late_fraction: float = section.key(0.5, gt=0.0, lt=1.0)
+    priority: int | None = section.key(None, span=(1, 98))
+    cpus: list[Annotated[int, Field(ge=0)]] = section.key([])
+    cpu_latency_us: int | None = section.key(None, span=(0, 10_000))
     lock_memory: bool = False
     freeze_gc: bool = True
     warm_up: bool = True
-    rehearse_us: float = key(0.0, span=(0.0, 3000.0))
-    spin_us: float = key(0.0, span=(0.0, 1000.0))
-    late_us: PositiveFloat = key(2000.0, span=(10.0, 1e6))
+    rehearse_us: float = section.key(0.0, span=(0.0, 3000.0))
+    spin_us: float = section.key(0.0, span=(0.0, 1000.0))
+    late_us: section.PositiveFloat = section.key(2000.0, span=(10.0, 1e6))
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield a wait without time for the rehearsal before it."""

@@ -10,12 +10,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from adaptdrive.control import fast
+from adaptdrive.control import fast, signals, slow, voltage_loop
 from adaptdrive.control.design.reference import AHEAD
-from adaptdrive.control.estimation.estimator import start_from
-from adaptdrive.control.estimation.filters import remembered_grid, step_found
-from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.estimation.regression import SlowSample
+from adaptdrive.control.estimation import estimator, filters, methods, regression
 from adaptdrive.control.loads.charging import (
     Charging,
     highest_boost_voltage,
@@ -27,23 +24,8 @@ from adaptdrive.control.loads.charging import (
 )
 from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.signals import (
-    SAFE_COMMAND,
-    Command,
-    Decision,
-    Estimate,
-    Measurement,
-    Mode,
-    Order,
-    Snapshot,
-    Stage,
-    heard,
-)
-from adaptdrive.control.slow import slow_step
-from adaptdrive.control.supervision.monitor import Fallback
-from adaptdrive.control.supervision.setpoints import estimated_reach, nominal_reach
+from adaptdrive.control.supervision import monitor, setpoints
 from adaptdrive.control.supervision.state import SlowState, new_slow_state, reason
-from adaptdrive.control.voltage_loop import initial_sum
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 _DISCONNECTED = "no current: the current has left in one step: is the battery disconnected?"
@@ -54,9 +36,9 @@ _TOO_LONG = (
 _CYCLING = "limit cycle: the fixed controller drives V_c from limit to limit"
 
 # found at once by compiled code
-_OFF: Final[Stage] = Stage.OFF
-_RUN: Final[Stage] = Stage.RUN
-_MANUAL: Final[Mode] = Mode.MANUAL
+_OFF: Final[signals.Stage] = signals.Stage.OFF
+_RUN: Final[signals.Stage] = signals.Stage.RUN
+_MANUAL: Final[signals.Mode] = signals.Mode.MANUAL
 
 
 class Controller:
@@ -79,21 +61,21 @@ class Controller:
                 trusted. A method whose θ is not physical ignores them.
             resolution: Step of the output that an earlier run has found in its samples, 0 for none.
         """
-        self._prior = prior if METHODS[settings.learning.method].physical else None
+        self._prior = prior if methods.METHODS[settings.learning.method].physical else None
         self._settings = settings if self._prior is None else _recalling(settings)
         self._trusted: tuple[float, ...] | None = None
         self._proposed: dict[int, tuple[float, ...]] = {}
         self._learnt: tuple[float, ...] | None = None
         self._load = load
-        self._stage = Stage.OFF
+        self._stage = signals.Stage.OFF
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
         self._bank = self._new_bank(settings.rates.nominal_tick_s, 0.0, 0.0)
-        self._bank.grid = remembered_grid(resolution)
+        self._bank.grid = filters.remembered_grid(resolution)
         self._slow = new_slow_state(settings, load, 0.0, 0.0)
-        self._reach = nominal_reach(load, settings.stage)
-        self._snapshot: Snapshot | None = None
+        self._reach = setpoints.nominal_reach(load, settings.stage)
+        self._snapshot: signals.Snapshot | None = None
 
-    def tick(self, measurement: Measurement, order: Order) -> Command:
+    def tick(self, measurement: signals.Measurement, order: signals.Order) -> signals.Command:
         """Run the fast half for one half line cycle.
 
         Args:
@@ -106,7 +88,7 @@ class Controller:
         if order.stage is not self._stage:
             self._enter(order.stage, measurement)
         if order.stage is _OFF:
-            return SAFE_COMMAND
+            return signals.SAFE_COMMAND
         if order.stage is _RUN:
             if order.mode is _MANUAL:
                 self._set_by_hand(measurement, order)
@@ -114,22 +96,22 @@ class Controller:
         bridge = order.stage is _RUN or self._settings.stage.boost_needs_bridge
         return self._drive(measurement, bridge)
 
-    def take_snapshot(self) -> Snapshot | None:
+    def take_snapshot(self) -> signals.Snapshot | None:
         """The snapshot made in the last tick, if any; only once."""
         snapshot, self._snapshot = self._snapshot, None
         return snapshot
 
-    def decide(self, snapshot: Snapshot) -> Decision:
+    def decide(self, snapshot: signals.Snapshot) -> signals.Decision:
         """Run the slow half on a snapshot."""
         state, settings, charging = self._slow, self._settings, self._load.charging
-        load_input = slow_step(settings, self._load, state, self._sample(snapshot))
+        load_input = slow.slow_step(settings, self._load, state, self._sample(snapshot))
         voltage = to_voltage(load_input, self._load.input_gain, self._load.input_exponent)
-        if state.accepted and state.watch.fallback == Fallback.NONE:
+        if state.accepted and state.watch.fallback == monitor.Fallback.NONE:
             self._trusted = self._proposed[snapshot.k] = tuple(state.values)
         self._note_reach()
         taps = len(state.inputs)
         gains = state.adaptive_gains if state.adaptive else state.fixed_gains
-        return Decision(
+        return signals.Decision(
             k=snapshot.k,
             boost_reference_V=voltage,
             controller=_in_force(snapshot.order.mode, adaptive=state.adaptive),
@@ -158,9 +140,9 @@ class Controller:
         """
         settings, load, state = self._settings, self._load, self._slow
         if state.accepted:
-            self._reach = estimated_reach(settings.learning, load, settings.stage, state)
+            self._reach = setpoints.estimated_reach(settings.learning, load, settings.stage, state)
         elif not state.supervisor.trusted:
-            self._reach = nominal_reach(load, settings.stage)
+            self._reach = setpoints.nominal_reach(load, settings.stage)
 
     @property
     def trusted(self) -> tuple[float, ...] | None:
@@ -170,15 +152,15 @@ class Controller:
     @property
     def resolution(self) -> float:
         """The step of the output that was found in its samples; 0 while none is known."""
-        return step_found(self._bank.grid, self._settings.learning.output_scale)
+        return filters.step_found(self._bank.grid, self._settings.learning.output_scale)
 
-    def apply(self, decision: Decision) -> None:
+    def apply(self, decision: signals.Decision) -> None:
         """Let a decision take effect from the next tick on.
 
         V_c stays where the operator has set it since: the decision is older.
         """
-        if self._stage is Stage.RUN:
-            if decision.controller is not Mode.MANUAL and not self._fast.by_hand:
+        if self._stage is signals.Stage.RUN:
+            if decision.controller is not signals.Mode.MANUAL and not self._fast.by_hand:
                 self._fast.boost_reference_V = decision.boost_reference_V
             self._learn(decision.k)
 
@@ -198,24 +180,26 @@ class Controller:
             self._prior = self._learnt
             self._settings = _recalling(settings)
 
-    def _enter(self, stage: Stage, measurement: Measurement) -> None:
+    def _enter(self, stage: signals.Stage, measurement: signals.Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
-        fed = self._stage is not Stage.PRECHARGE  # until now the load had little input or none
+        fed = (
+            self._stage is not signals.Stage.PRECHARGE
+        )  # until now the load had little input or none
         self._stage = stage
         self._snapshot = None
         limits = self._settings.stage
         output, voltage = measurement.output, measurement.boost_voltage_V
-        unfed = stage is Stage.RUN and not fed
+        unfed = stage is signals.Stage.RUN and not fed
         held = self._held_voltage(output, voltage) if unfed else voltage
         reference = min(max(held, limits.boost_reference_min_V), limits.boost_reference_max_V)
-        if stage is Stage.PRECHARGE:
+        if stage is signals.Stage.PRECHARGE:
             reference = max(limits.boost_reference_min_V, 0.0)
         self._fast = fast.FastState(
             tick=measurement.tick,
             boost_reference_V=reference,
-            error_sum=initial_sum(held),
+            error_sum=voltage_loop.initial_sum(held),
         )
-        if stage is Stage.RUN:
+        if stage is signals.Stage.RUN:
             self._recall()
             at_rest = voltage if fed else self._resting_voltage(output, voltage)
             grid = self._bank.grid  # the sensor is the same in every run
@@ -223,10 +207,10 @@ class Controller:
             self._bank.grid = grid
             first = held if self._load.charging is None else voltage
             self._slow = new_slow_state(self._settings, self._load, output, first)
-            self._reach = nominal_reach(self._load, limits)
+            self._reach = setpoints.nominal_reach(self._load, limits)
             if self._prior is not None:
                 learning, values = self._settings.learning, list(self._prior)
-                start_from(self._slow.estimator, learning, self._load, values)
+                estimator.start_from(self._slow.estimator, learning, self._load, values)
                 self._slow.recalled = True
 
     def _held_voltage(self, output: float, voltage: float) -> float:
@@ -256,20 +240,22 @@ class Controller:
         tau = self._settings.learning.tau_lambda_s
         return fast.new_filter_bank(self._load, tick_period_s, tau, output, voltage)
 
-    def _run_filters(self, measurement: Measurement, order: Order) -> None:
+    def _run_filters(self, measurement: signals.Measurement, order: signals.Order) -> None:
         rates = self._settings.rates
         if fast.take_in(self._settings, self._load, self._fast, self._bank, measurement):
             k = measurement.tick // rates.ticks_per_period
             self._snapshot = self._take(measurement, order, k)
 
-    def _take(self, measurement: Measurement, order: Order, k: int) -> Snapshot:
+    def _take(
+        self, measurement: signals.Measurement, order: signals.Order, k: int
+    ) -> signals.Snapshot:
         rates, learning, order_m = self._settings.rates, self._settings.learning, self._load.order
         held_V = self._fast.boost_reference_V if self._fast.by_hand else math.nan
         means = fast.take_means(self._bank)
         applied_V, followed, held = fast.close_period(self._fast, self._settings)
         resolution, rounding = fast.take_rounding(self._settings, self._bank)
         fast.tune_filters(self._bank, measurement.tick_period_s, learning.tau_lambda_s)
-        return Snapshot(
+        return signals.Snapshot(
             k=k,
             tick=measurement.tick,
             period_s=rates.ticks_per_period * measurement.tick_period_s,
@@ -290,23 +276,23 @@ class Controller:
         """Return the set-points of the slow periods to come, none where they are not known."""
         if not told:
             return ()
-        (waveform, begin), rates = heard(told), self._settings.rates
+        (waveform, begin), rates = signals.heard(told), self._settings.rates
         ticks = [tick + i * rates.ticks_per_period for i in range(1, AHEAD)]
         asked = [waveform.value((later - begin) * rates.nominal_tick_s) for later in ticks]
         return tuple(map(self._reach.nearest, asked) if self._settings.govern else asked)
 
-    def _set_by_hand(self, measurement: Measurement, order: Order) -> None:
+    def _set_by_hand(self, measurement: signals.Measurement, order: signals.Order) -> None:
         """Set V_c to the operator's value; a battery's terminals stay at their limit."""
         highest_V = self._bearable(measurement, highest_boost_voltage)
         fast.set_by_hand(self._fast, self._settings.stage, order.manual_V, highest_V)
 
-    def _drive(self, measurement: Measurement, bridge: bool) -> Command:
+    def _drive(self, measurement: signals.Measurement, bridge: bool) -> signals.Command:
         highest_V = self._bearable(measurement, voltage_limit)
         scale, reference = fast.drive(self._fast, self._settings.stage, measurement, highest_V)
-        return Command(scale, reference, bridge)
+        return signals.Command(scale, reference, bridge)
 
     def _bearable(
-        self, measurement: Measurement, limit: Callable[[Charging, float], float]
+        self, measurement: signals.Measurement, limit: Callable[[Charging, float], float]
     ) -> float:
         """Return the V_c that a battery bears; infinite for a load that bears any."""
         charging, voltage_V = self._load.charging, measurement.boost_voltage_V
@@ -315,11 +301,11 @@ class Controller:
         power_W = measurement.load_power_W
         return limit(charging, proven_current(charging, measurement.output, voltage_V, power_W))
 
-    def _sample(self, snapshot: Snapshot) -> SlowSample:
+    def _sample(self, snapshot: signals.Snapshot) -> regression.SlowSample:
         load, stage = self._load, self._settings.stage
         gain, exponent = load.input_gain, load.input_exponent
         applied = to_input(snapshot.applied_V, gain, exponent)
-        return SlowSample(
+        return regression.SlowSample(
             period_s=snapshot.period_s,
             output=snapshot.output,
             output_filtered=list(snapshot.output_filtered),
@@ -328,11 +314,11 @@ class Controller:
             followed=snapshot.followed,
             held_share=snapshot.held_ticks / self._settings.rates.ticks_per_period,
             reference=snapshot.order.reference,
-            adaptive=snapshot.order.mode is Mode.ADAPTIVE,
+            adaptive=snapshot.order.mode is signals.Mode.ADAPTIVE,
             pole=snapshot.order.pole,
             low=to_input(stage.boost_reference_min_V, gain, exponent),
             high=to_input(stage.boost_reference_max_V, gain, exponent),
-            manual=snapshot.order.mode is Mode.MANUAL,
+            manual=snapshot.order.mode is signals.Mode.MANUAL,
             held=to_input(snapshot.held_V, gain, exponent),
             steady=snapshot.order.steady,
             lowest=self._reach.low,
@@ -341,7 +327,7 @@ class Controller:
             upcoming=list(snapshot.upcoming),
         )
 
-    def _estimates(self) -> dict[str, Estimate]:
+    def _estimates(self) -> dict[str, signals.Estimate]:
         state, load, learning = self._slow, self._load, self._settings.learning
         deviations = [math.nan] * len(load.names)
         if math.isfinite(state.values[0]):
@@ -349,20 +335,20 @@ class Controller:
                 state.estimator, learning, load, state.values
             )
         estimates = {
-            name: Estimate(value, deviation)
+            name: signals.Estimate(value, deviation)
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)
         }
         if learning.bias:
             offset = state.estimator.method.input_offset(state.estimator, learning, load)
-            estimates["input_offset"] = Estimate(offset, math.nan)
+            estimates["input_offset"] = signals.Estimate(offset, math.nan)
         return estimates
 
 
-def _in_force(mode: Mode, *, adaptive: bool) -> Mode:
+def _in_force(mode: signals.Mode, *, adaptive: bool) -> signals.Mode:
     """Return the source of V_c: the operator, or the law in force."""
-    if mode is Mode.MANUAL:
+    if mode is signals.Mode.MANUAL:
         return mode
-    return Mode.ADAPTIVE if adaptive else Mode.FIXED
+    return signals.Mode.ADAPTIVE if adaptive else signals.Mode.FIXED
 
 
 def _recalling(settings: ControllerSettings) -> ControllerSettings:

@@ -8,26 +8,10 @@ map), not V_c: the lag of the voltage loop would otherwise be taken for the load
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control import voltage_loop
-from adaptdrive.control.estimation.filters import (
-    WIDE,
-    Grid,
-    Screen,
-    advance,
-    chain_decay,
-    close_share,
-    note_sample,
-    pass_sample,
-    ramp_gains,
-    rounding_error,
-    step_found,
-    step_gains,
-)
+from adaptdrive.control import signals, thresholds, vectors, voltage_loop
+from adaptdrive.control.estimation import filters
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings, PowerStage
-from adaptdrive.control.signals import Measurement
-from adaptdrive.control.thresholds import NOISE_FLOOR
-from adaptdrive.control.vectors import Vector, copy_into
 
 _CEILING_RISE = 1.002
 """Rise of the ceiling of V_c for each reading: slow, so that the power limit does not oscillate."""
@@ -35,7 +19,7 @@ _CEILING_RISE = 1.002
 _LOWEST_CEILING = 0.01
 """Lowest ceiling of V_c, as a share of the largest V_c: from 0 it would not rise again."""
 
-_LEAST_DEVIATION = math.sqrt(NOISE_FLOOR)
+_LEAST_DEVIATION = math.sqrt(thresholds.NOISE_FLOOR)
 """Least deviation of the output in the screen, as a share of its scale."""
 
 _LIMITED_SHARE = 0.25
@@ -63,20 +47,20 @@ class FilterBank:
         grid: What is known of the resolution of the output.
     """
 
-    decay: Vector
-    held: Vector
-    ramp: Vector
-    outputs: Vector
-    inputs: Vector
+    decay: vectors.Vector
+    held: vectors.Vector
+    ramp: vectors.Vector
+    outputs: vectors.Vector
+    inputs: vectors.Vector
     output: float
     load_input: float
     fed: float
-    late: Vector
+    late: vectors.Vector
     oldest: int
-    sums: Vector
+    sums: vectors.Vector
     count: int
-    screen: Screen
-    grid: Grid
+    screen: filters.Screen
+    grid: filters.Grid
 
 
 @dataclass(slots=True)
@@ -134,8 +118,8 @@ def new_filter_bank(
         oldest=0,
         sums=[0.0] * (2 * order + 2),
         count=0,
-        screen=Screen(output, 0.0, WIDE * max(abs(output), abs(expected))),
-        grid=Grid(output),
+        screen=filters.Screen(output, 0.0, filters.WIDE * max(abs(output), abs(expected))),
+        grid=filters.Grid(output),
     )
     tune_filters(bank, tick_period_s, tau_lambda_s)
     return bank
@@ -144,9 +128,9 @@ def new_filter_bank(
 def tune_filters(bank: FilterBank, tick_period_s: float, tau_lambda_s: float) -> None:
     """Set the coefficients of the chains for a tick length."""
     order = len(bank.decay)
-    bank.decay[:] = chain_decay(order, tick_period_s, tau_lambda_s)
-    bank.held[:] = step_gains(order, tick_period_s, tau_lambda_s)
-    bank.ramp[:] = ramp_gains(order, tick_period_s, tau_lambda_s)
+    bank.decay[:] = filters.chain_decay(order, tick_period_s, tau_lambda_s)
+    bank.held[:] = filters.step_gains(order, tick_period_s, tau_lambda_s)
+    bank.ramp[:] = filters.ramp_gains(order, tick_period_s, tau_lambda_s)
 
 
 def take_in(
@@ -154,7 +138,7 @@ def take_in(
     load: Load,
     state: FastState,
     bank: FilterBank,
-    measurement: Measurement,
+    measurement: signals.Measurement,
 ) -> bool:
     """Filter one measurement and keep the books.
 
@@ -175,11 +159,11 @@ def take_in(
     counted = min(max(elapsed, 1), rates.ticks_per_period)
     if elapsed > 0:
         output = measurement.output
-        note_sample(bank.grid, output, settings.learning.output_scale, counted)
+        filters.note_sample(bank.grid, output, settings.learning.output_scale, counted)
         if rates.clip > 0.0:
             learning = settings.learning
             least = max(_LEAST_DEVIATION * learning.output_scale, learning.resolution)
-            output = pass_sample(bank.screen, output, rates.clip, elapsed, least)
+            output = filters.pass_sample(bank.screen, output, rates.clip, elapsed, least)
         filter_sample(bank, output, load_input, counted)
     count_tick(state, measurement.boost_voltage_V, measurement.fresh, counted)
     if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:
@@ -195,8 +179,8 @@ def filter_sample(bank: FilterBank, output: float, load_input: float, ticks: int
         y1 = bank.output + (output - bank.output) * (i + 1) / ticks
         u0 = bank.load_input
         bank.load_input = _delayed(bank, bank.fed + (load_input - bank.fed) * (i + 1) / ticks)
-        advance(bank.outputs, bank.decay, bank.held, bank.ramp, y0, y1)
-        advance(bank.inputs, bank.decay, bank.held, bank.ramp, u0, bank.load_input)
+        filters.advance(bank.outputs, bank.decay, bank.held, bank.ramp, y0, y1)
+        filters.advance(bank.inputs, bank.decay, bank.held, bank.ramp, u0, bank.load_input)
     bank.output = output
     bank.fed = load_input
 
@@ -220,12 +204,12 @@ def accumulate(bank: FilterBank) -> None:
     bank.count += 1
 
 
-def take_means(bank: FilterBank) -> Vector:
+def take_means(bank: FilterBank) -> vectors.Vector:
     """The means over the window, which starts again empty; the last sample if it was empty."""
     if bank.count == 0:
         accumulate(bank)
     means = [value / bank.count for value in bank.sums]
-    copy_into(bank.sums, [0.0] * len(bank.sums))
+    vectors.copy_into(bank.sums, [0.0] * len(bank.sums))
     bank.count = 0
     return means
 
@@ -238,17 +222,20 @@ def take_rounding(settings: ControllerSettings, bank: FilterBank) -> tuple[float
         bank: Overwritten: its count of changes begins again.
     """
     learning, grid = settings.learning, bank.grid
-    close_share(grid, settings.rates.ticks_per_period)
+    filters.close_share(grid, settings.rates.ticks_per_period)
     if not settings.exact:
         return 0.0, 0.0
     step = learning.resolution
     if not step > 0.0:
-        step = step_found(grid, learning.output_scale)
-    return step, rounding_error(step, grid.share)
+        step = filters.step_found(grid, learning.output_scale)
+    return step, filters.rounding_error(step, grid.share)
 
 
 def drive(
-    state: FastState, stage: PowerStage, measurement: Measurement, highest_V: float = math.inf
+    state: FastState,
+    stage: PowerStage,
+    measurement: signals.Measurement,
+    highest_V: float = math.inf,
 ) -> tuple[float, float]:
     """Return the command for the drive: current scale k in siemens, and V_c in force in volts.
 

@@ -18,11 +18,8 @@ on the history that both laws share.
 
 import math
 
-from adaptdrive.control.design.pole_placement import (
-    compensator_gains,
-    discrete_model,
-    reference_lead,
-)
+from adaptdrive.control import thresholds, vectors
+from adaptdrive.control.design import pole_placement
 from adaptdrive.control.design.reference import (
     condition_reference,
     filter_reference,
@@ -38,24 +35,16 @@ from adaptdrive.control.estimation.rls import predict
 from adaptdrive.control.loads.charging import begin_anew, taper, terminal_voltage
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
+from adaptdrive.control.supervision import monitor, redesign, setpoints
 from adaptdrive.control.supervision import supervisor as sup
-from adaptdrive.control.supervision.monitor import (
-    Fallback,
-    latch_fallback,
-    watch_cycling,
-    watch_loop,
-    watch_response,
-)
-from adaptdrive.control.supervision.redesign import adapt
-from adaptdrive.control.supervision.setpoints import distance_from_rest, probe
 from adaptdrive.control.supervision.state import SlowState
-from adaptdrive.control.thresholds import NOISE_FLOOR
-from adaptdrive.control.vectors import Vector, copy_into, shift_in, total
 
 # The load loop's control law, on a history that every law shares.
 
 
-def control_law(gains: Vector, inputs: Vector, outputs: Vector, reference: float) -> float:
+def control_law(
+    gains: vectors.Vector, inputs: vectors.Vector, outputs: vectors.Vector, reference: float
+) -> float:
     """u[k] before limits.
 
     Args:
@@ -85,7 +74,7 @@ def lead_reference(reference: float, last_reference: float, lead: float) -> floa
 
 # The slow half of the controller: one call per slow period T_k.
 
-_RETUNE = math.sqrt(NOISE_FLOOR)
+_RETUNE = math.sqrt(thresholds.NOISE_FLOOR)
 """Relative drift of the slow period from which the fixed gains are made again: less moves the
 output by less than the least noise."""
 
@@ -111,11 +100,11 @@ def slow_step(
     _take_sample(settings, load, state, sample)
     jacket = settings.jacket
     _design_fixed(settings, load, state, sample)
-    adapt(settings, load, state, sample)
+    redesign.adapt(settings, load, state, sample)
     governed = _governed_reference(load, state, sample)
-    reference = probe(settings.probing, load, state, sample, governed)
+    reference = setpoints.probe(settings.probing, load, state, sample, governed)
     _look_at_loop(settings, load, state, sample, reference)
-    lead = reference_lead(settings, load)
+    lead = pole_placement.reference_lead(settings, load)
     led = lead_reference(reference, state.reference, lead)
     planned = _look_ahead(settings, load, state, sample, reference, lead)
     state.reference = reference
@@ -181,7 +170,7 @@ def _note_applied(state: SlowState, sample: SlowSample) -> None:
 def _condition(state: SlowState, shortage: float) -> None:
     """Let the reference filter continue from an input that is short of what its law decided."""
     if state.blend >= 1.0:
-        gain = total(state.adaptive_gains[len(state.inputs) :])
+        gain = vectors.total(state.adaptive_gains[len(state.inputs) :])
         condition_reference(state.reference_filter, shortage, gain)
 
 
@@ -192,8 +181,8 @@ def _follow_hand(state: SlowState, sample: SlowSample) -> float:
     """
     state.adaptive, state.blend, state.handover_step = False, 0.0, math.nan
     state.sent = sample.held
-    shift_in(state.inputs, sample.held)
-    shift_in(state.reference_filter.course, sample.output)
+    vectors.shift_in(state.inputs, sample.held)
+    vectors.shift_in(state.reference_filter.course, sample.output)
     return sample.held
 
 
@@ -217,7 +206,7 @@ def _take_sample(
         fixed = learnt.target - predict(state.nominal_theta, learnt.regressor)
         own = learn.own_residual(estimator, learning)
         sup.compare_residuals(state.supervisor, own, fixed)
-    shift_in(state.outputs, sample.output)
+    vectors.shift_in(state.outputs, sample.output)
 
 
 def _design_fixed(
@@ -227,8 +216,10 @@ def _design_fixed(
     if not drifted and sample.pole == state.pole:
         return
     numerator, denominator = list(load.numerator), list(load.denominator)
-    a, b = discrete_model(settings, load, numerator, denominator, sample.period_s)
-    copy_into(state.fixed_gains, compensator_gains(a, b, load.order, sample.pole))
+    a, b = pole_placement.discrete_model(settings, load, numerator, denominator, sample.period_s)
+    vectors.copy_into(
+        state.fixed_gains, pole_placement.compensator_gains(a, b, load.order, sample.pole)
+    )
     state.period_s, state.pole = sample.period_s, sample.pole
 
 
@@ -256,18 +247,20 @@ def _look_at_loop(
     jacket, watch, saturated = settings.jacket, state.watch, state.saturated
     error = reference - sample.output
     strayed = _expected_output(state, sample, reference) - sample.output
-    distance = distance_from_rest(settings.learning, load, state, sample.output)
-    reason = watch_loop(
+    distance = setpoints.distance_from_rest(settings.learning, load, state, sample.output)
+    reason = monitor.watch_loop(
         watch, jacket, error, strayed, distance, sample.pole, sample.held_share, saturated
     )
-    latch_fallback(watch, reason, sample.adaptive)
+    monitor.latch_fallback(watch, reason, sample.adaptive)
     _look_for_cycle(jacket, state, sample)
     if load.charging is not None and state.sent < sample.high:
         saturated = False  # below its own voltage a battery answers no input
     expected = load.gain * state.sent
     lag_periods = load.lag_s / sample.period_s
     output = sample.output
-    state.unresponsive = watch_response(watch, jacket, expected, lag_periods, output, saturated)
+    state.unresponsive = monitor.watch_response(
+        watch, jacket, expected, lag_periods, output, saturated
+    )
 
 
 def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> None:
@@ -277,7 +270,7 @@ def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> Non
     better = sup.moves_better_than_nominal(state.supervisor)
     fixed = not (state.adaptive or sample.manual)
     reference = sample.reference + state.probe.shift
-    state.cycling = watch_cycling(
+    state.cycling = monitor.watch_cycling(
         state.cycles, position, reference, jacket.swing_min, better, fixed
     )
 
@@ -317,13 +310,13 @@ def _act(
     highest: float,
 ) -> float:
     """Both laws on the shared history; what is sent is limited and remembered."""
-    sound = state.supervisor.trusted and state.watch.fallback == Fallback.NONE
+    sound = state.supervisor.trusted and state.watch.fallback == monitor.Fallback.NONE
     state.adaptive = sample.adaptive and sound
     fixed = control_law(state.fixed_gains, state.inputs, state.outputs, reference)
     filtered = filter_reference(state.reference_filter, reference, planned)
     quiet = control_law(state.adaptive_gains, state.inputs, state.outputs, filtered)
     other = _fast_law(state, quiet)
-    ready = total(state.adaptive_gains) != 0.0
+    ready = vectors.total(state.adaptive_gains) != 0.0
     step = fixed - other if state.adaptive else other - fixed
     state.handover_step = step if ready else math.nan
     wanted = _blended(jacket, state, fixed, other)
@@ -337,7 +330,7 @@ def _act(
 
 def _fast_law(state: SlowState, quiet: float) -> float:
     """Return u[k] of the fast adaptive law, before limits; the quiet one before a design."""
-    if total(state.fast_loop) == 0.0:
+    if vectors.total(state.fast_loop) == 0.0:
         return quiet
     filtered = reference_of(state.fast_loop, state.reference_filter.course)
     return control_law(state.fast_gains, state.inputs, state.outputs, filtered)
@@ -357,7 +350,7 @@ def _remember(
     beyond = share * state.input_noise
     _condition(state, min(max(quiet, lowest - beyond), highest + beyond) - quiet)
     beyond = share * max(state.input_noise, state.fast_noise)
-    shift_in(state.inputs, min(max(wanted, lowest - beyond), highest + beyond))
+    vectors.shift_in(state.inputs, min(max(wanted, lowest - beyond), highest + beyond))
 
 
 def _blended(jacket: Jacket, state: SlowState, fixed: float, other: float) -> float:

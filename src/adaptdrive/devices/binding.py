@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, TypeVar
 
+from adaptdrive.config import root, section
 from adaptdrive.config.bus import (
     CODE,
     COMMANDED,
@@ -25,11 +26,8 @@ from adaptdrive.config.bus import (
     SignalSource,
     SwitchSource,
 )
-from adaptdrive.config.root import SensorBusSection
-from adaptdrive.config.section import unit_caution, unit_problem
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.description import NO_DEMANDS, Demands
-from adaptdrive.devices.faults import FaultWord
+from adaptdrive.devices import description, faults
 from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import Flaw, nearest
 
@@ -69,12 +67,12 @@ def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
     )
 
 
-def watched_words(sources: Iterable[Source[Any]]) -> dict[str, FaultWord]:
+def watched_words(sources: Iterable[Source[Any]]) -> dict[str, faults.FaultWord]:
     """Return the words of faults and warnings among sources, by quantity."""
     return {one.quantity: one.word for one in sources if one.word is not None}
 
 
-def sensor_entries(bus: SensorBusSection, place: str) -> Iterator[Given]:
+def sensor_entries(bus: root.SensorBusSection, place: str) -> Iterator[Given]:
     """Yield every quantity that sensors send."""
     return ((name, given, f"{place}.signals.{name}") for name, given in bus.signals.items())
 
@@ -101,7 +99,7 @@ class Source(Generic[Item]):
     offset: float
     on: float | None
     place: str
-    word: FaultWord | None = None
+    word: faults.FaultWord | None = None
 
 
 @dataclass(slots=True)
@@ -213,7 +211,9 @@ class Catalogue(ABC, Generic[Item]):
             more = len(self._remarks) - _MOST_REMARKS
             self.cautions.append(Flaw(place, f"{more} more lines have such flaws"))
 
-    def sources(self, given: Iterable[Given], demands: Demands = NO_DEMANDS) -> list[Source[Item]]:
+    def sources(
+        self, given: Iterable[Given], demands: description.Demands = description.NO_DEMANDS
+    ) -> list[Source[Item]]:
         """Find the source of each quantity; what does not fit is collected.
 
         Args:
@@ -227,7 +227,9 @@ class Catalogue(ABC, Generic[Item]):
                 found.append(self._source((quantity, entry, place), item, demands))
         return found
 
-    def sinks(self, command: CommandSignals, demands: Demands = NO_DEMANDS) -> list[Sink[Item]]:
+    def sinks(
+        self, command: CommandSignals, demands: description.Demands = description.NO_DEMANDS
+    ) -> list[Sink[Item]]:
         """Find the destination of each part of the command; what does not fit is collected.
 
         Args:
@@ -279,7 +281,7 @@ class Catalogue(ABC, Generic[Item]):
         self.note(place, f"the value table of {field.name!r} {problem}{hint}")
         return None
 
-    def _source(self, given: Given, item: Item, demands: Demands) -> Source[Item]:
+    def _source(self, given: Given, item: Item, demands: description.Demands) -> Source[Item]:
         quantity, entry, place = given
         use: Use = "word" if is_word(quantity) else "measured"
         field, on, word = self.field(item, "state" if quantity == BRIDGE else use), None, None
@@ -293,20 +295,20 @@ class Catalogue(ABC, Generic[Item]):
             word = self._watched(quantity, entry, field, place)
         elif quantity.endswith(CODE):
             label, of = self._label(entry), quantity.removesuffix(CODE)
-            word = FaultWord(label, -1, field.names, code_of=of)
+            word = faults.FaultWord(label, -1, field.names, code_of=of)
         if isinstance(entry, SwitchSource):
             on = self._on(entry, field, f"{place}.on")
         return Source(quantity, item, field, entry.scale, entry.offset, on, place, word)
 
     def check_unit(self, entry: SignalSource, field: Field, wanted: str, place: str) -> None:
         """Collect what is wrong with the unit of an entry, which should lead to the wanted one."""
-        problem = unit_problem(entry, field.unit, wanted)
+        problem = section.unit_problem(entry, field.unit, wanted)
         self.note(place, problem and f"{entry.signal}: {problem}")
-        caution = unit_caution(entry, field.unit) if wanted else None
+        caution = section.unit_caution(entry, field.unit) if wanted else None
         if caution and not problem:
             self.cautions.append(Flaw(place, f"{entry.signal}: {caution}"))
 
-    def _check_trip(self, given: Given, field: Field, demands: Demands) -> None:
+    def _check_trip(self, given: Given, field: Field, demands: description.Demands) -> None:
         """Refuse a value without room above what trips: it could never be seen there."""
         quantity, entry, place = given
         key, limit = demands.trips.get(quantity, ("", -math.inf))
@@ -325,7 +327,9 @@ class Catalogue(ABC, Generic[Item]):
             problem = problem or f"{field.name!r} must be an integer with factor 1 and offset 0"
         self.note(place, problem)
 
-    def _watched(self, quantity: str, entry: FaultSource, field: Field, place: str) -> FaultWord:
+    def _watched(
+        self, quantity: str, entry: FaultSource, field: Field, place: str
+    ) -> faults.FaultWord:
         """Return a watched word.
 
         Refuse a healthy value without a name, a state 0 that would have to be a fault, and bits
@@ -340,7 +344,7 @@ class Catalogue(ABC, Generic[Item]):
             if bits.bit_length() - 1 > highest:
                 problem = f"{field.name!r} has no bit {bits.bit_length() - 1}"
                 self.note(f"{place}.{key}", f"{problem}: its highest is {highest}")
-        return FaultWord(
+        return faults.FaultWord(
             self._label(entry),
             entry.bits,
             {**field.names, **entry.named},
@@ -389,7 +393,9 @@ class Catalogue(ABC, Generic[Item]):
         if self._is_sent(field, off, place) and self._is_sent(field, on, place):
             yield Sink(name, item, field, off, on - off)
 
-    def _value(self, name: str, entry: SignalSource, item: Item, demands: Demands) -> Sink[Item]:
+    def _value(
+        self, name: str, entry: SignalSource, item: Item, demands: description.Demands
+    ) -> Sink[Item]:
         """Return where a value goes; one that cannot be 0, or what the limits allow, is a flaw."""
         place, field = f"{_COMMAND}.{name}", self.field(item, "command")
         sink = Sink(name, item, field, -entry.offset / entry.scale, 1.0 / entry.scale)

@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices.binding import Sink
-from adaptdrive.devices.description import Demands
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.port import Port, PortStatistics, SensorPort
 from adaptdrive.util.clock import look_up
 from adaptdrive.util.errors import Flaw
@@ -39,7 +38,9 @@ Nothing is opened yet. It raises `ConfigurationError` with every flaw where bus 
 fit.
 """
 
-BuildSensors = Callable[[Any, str, Callable[[], float], Path | str, Demands], SensorPort]
+BuildSensors = Callable[
+    [Any, str, Callable[[], float], Path | str, description.Demands], SensorPort
+]
 """Builds the port of an entry of `[[sensor_bus]]` from it, its place, clock, source and demands."""
 
 
@@ -225,7 +226,7 @@ _LEAST_S = 0.1
 """Shortest time of a level: drives look at such a bit every few milliseconds."""
 
 
-async def pulse_reset(sinks: Iterable[Sink[Any]], reading_s: float) -> None:
+async def pulse_reset(sinks: Iterable[binding.Sink[Any]], reading_s: float) -> None:
     """Switch the reset of a fault on and off with the next commands; nothing where there is none.
 
     Args:

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from adaptdrive.config.load import AnyLoad, BathModel, BathSection, BatterySection, MotorSection
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.excerpt import Blocks, Excerpt, blocks_of, lost_of
-from adaptdrive.identification.fit import Fitted, Problem, require_excitation, scan, settle, split
-from adaptdrive.identification.result import IdentifiedLoad, autoregression, result_of
+from adaptdrive.identification import excerpt, fit, result
 from adaptdrive.util.errors import IdentificationError
 
 # Identification of a load from records, in closed loop too: values, deviations, and checks.
@@ -32,12 +30,12 @@ _ROUNDS = 3
 
 
 def identify(
-    excerpts: Sequence[Excerpt],
+    excerpts: Sequence[excerpt.Excerpt],
     load: Load,
     *,
     block: int = 1,
     longest_delay: int | None = None,
-) -> IdentifiedLoad:
+) -> result.IdentifiedLoad:
     """Identify a load by prediction errors, and by a simulation next to them.
 
     Args:
@@ -51,29 +49,29 @@ def identify(
         IdentificationError: The data do not determine the load; the reason is the message.
     """
     lead = _LONGEST_DELAY * block if longest_delay is None else longest_delay
-    counts = [(len(one.output) - lost_of(one, block, lead)) // block for one in excerpts]
+    counts = [(len(one.output) - excerpt.lost_of(one, block, lead)) // block for one in excerpts]
     used = tuple(place for place, count in enumerate(counts) if count >= _FEWEST_IN_PART)
     usable = [excerpts[place] for place in used]
     _require_data(usable, sum(counts[place] for place in used), block, len(excerpts))
-    problem = _problem(blocks_of(usable, load, block, lead), load)
-    fitted = simulation = scan(problem)
-    require_excitation(fitted.problem, fitted.solution)
+    problem = _problem(excerpt.blocks_of(usable, load, block, lead), load)
+    fitted = simulation = fit.scan(problem)
+    fit.require_excitation(fitted.problem, fitted.solution)
     for number in range(_ROUNDS):
         noise, drift = _noise(fitted), _drift(fitted)
         if len(noise) == len(fitted.problem.noise) == 1 and not drift:
             break
-        search = settle if number else scan
+        search = fit.settle if number else fit.scan
         changed = replace(fitted.problem, noise=noise, drift=drift)
         fitted = search(changed, fitted.solution.logarithms)
-    fitted = settle(fitted.problem, fitted.solution.logarithms)
+    fitted = fit.settle(fitted.problem, fitted.solution.logarithms)
     white = replace(simulation.problem, drift=fitted.problem.drift)
-    simulation = settle(white, simulation.solution.logarithms)
-    return replace(result_of(load, fitted, simulation, usable[0].period_s), used=used)
+    simulation = fit.settle(white, simulation.solution.logarithms)
+    return replace(result.result_of(load, fitted, simulation, usable[0].period_s), used=used)
 
 
 def identify_any(
-    excerpts: Sequence[Excerpt], loads: Sequence[Load], *, block: int = 1
-) -> IdentifiedLoad:
+    excerpts: Sequence[excerpt.Excerpt], loads: Sequence[Load], *, block: int = 1
+) -> result.IdentifiedLoad:
     """Identify a load of one of several structures: that of least Bayesian information criterion.
 
     Args:
@@ -87,20 +85,20 @@ def identify_any(
     return min((identify(excerpts, load, block=block) for load in loads), key=_criterion)
 
 
-def _criterion(load: IdentifiedLoad) -> float:
+def _criterion(load: result.IdentifiedLoad) -> float:
     """Return the criterion, for each error."""
     count = sum(map(len, load.errors))
     fitted = len(load.denominator) + len(load.noise)
     return 2.0 * math.log(load.noise_std) + math.log(count) / count * fitted
 
 
-def _noise(fitted: Fitted) -> Array:
+def _noise(fitted: fit.Fitted) -> Array:
     """Return the noise model of what the fit leaves."""
     problem = fitted.problem
-    return autoregression(split(problem, problem.targets - fitted.solution.simulated))
+    return result.autoregression(fit.split(problem, problem.targets - fitted.solution.simulated))
 
 
-def _drift(fitted: Fitted) -> tuple[float, ...]:
+def _drift(fitted: fit.Fitted) -> tuple[float, ...]:
     """Return the fitted numerator for the charge, where it acts."""
     problem = fitted.problem
     if not problem.drift:
@@ -109,14 +107,14 @@ def _drift(fitted: Fitted) -> tuple[float, ...]:
     return tuple((numerator / np.abs(numerator).max()).tolist())
 
 
-def _problem(parts: list[Blocks], load: Load) -> Problem:
+def _problem(parts: list[excerpt.Blocks], load: Load) -> fit.Problem:
     drift: tuple[float, ...] = ()
     if load.charging is not None:
         drift = tuple(1.0 if power == load.order else 0.0 for power in load.input_powers)
-    return Problem(parts, load.order, load.input_powers, drift, noise=np.ones(1))
+    return fit.Problem(parts, load.order, load.input_powers, drift, noise=np.ones(1))
 
 
-def _require_data(excerpts: Sequence[Excerpt], count: int, block: int, parts: int) -> None:
+def _require_data(excerpts: Sequence[excerpt.Excerpt], count: int, block: int, parts: int) -> None:
     if count < _FEWEST_BLOCKS:
         raise IdentificationError(
             f"{count} uninterrupted blocks of {block} samples in {len(excerpts)} of {parts} parts; "
@@ -136,7 +134,7 @@ _SHOWN = 3.0
 _STEP = 1e-6
 
 
-def proposed_model(identified: IdentifiedLoad, section: AnyLoad) -> dict[str, Estimate]:
+def proposed_model(identified: result.IdentifiedLoad, section: AnyLoad) -> dict[str, Estimate]:
     """Return the keys of `[load.model]` that a record determines; the others stay.
 
     Args:
@@ -156,7 +154,7 @@ def proposed_model(identified: IdentifiedLoad, section: AnyLoad) -> dict[str, Es
             return dict(identified.parameters)
 
 
-def _bath(identified: IdentifiedLoad, model: BathModel) -> dict[str, Estimate]:
+def _bath(identified: result.IdentifiedLoad, model: BathModel) -> dict[str, Estimate]:
     """Return resistance and time constant, and what the record shows of a sensor that lags."""
     gain, *taus_s = time_constants(identified).values()
     found = dict(zip(("resistance_K_per_W", "tau_s", "lag_s"), (gain, *taus_s), strict=False))
@@ -166,7 +164,7 @@ def _bath(identified: IdentifiedLoad, model: BathModel) -> dict[str, Estimate]:
     return found | dict.fromkeys(gone, Estimate(0.0, 0.0))
 
 
-def time_constants(identified: IdentifiedLoad) -> dict[str, Estimate]:
+def time_constants(identified: result.IdentifiedLoad) -> dict[str, Estimate]:
     """Return gain and time constants of a load of one or two lags, the longer one first."""
     if "tau_product_s2" not in identified.parameters:
         return dict(identified.parameters)
@@ -175,7 +173,7 @@ def time_constants(identified: IdentifiedLoad) -> dict[str, Estimate]:
 
 
 def _motor(
-    identified: IdentifiedLoad, tau_motor_s: float, tau_filter_s: float
+    identified: result.IdentifiedLoad, tau_motor_s: float, tau_filter_s: float
 ) -> dict[str, Estimate]:
     """Return the gain and both time constants; equal ones where the pair is complex."""
     total, product = (identified.parameters[name] for name in ("tau_sum_s", "tau_product_s2"))
@@ -197,7 +195,7 @@ def _motor(
 
 
 def _battery(
-    identified: IdentifiedLoad, turns_ratio: float, droop_Ohm: float
+    identified: result.IdentifiedLoad, turns_ratio: float, droop_Ohm: float
 ) -> dict[str, Estimate]:
     def resistances(admittances: Array) -> Array:
         direct_S, gain_S, tau_s = admittances
@@ -213,7 +211,9 @@ def _battery(
     }
 
 
-def _mapped(function: Callable[[Array], Array], identified: IdentifiedLoad) -> tuple[Array, Array]:
+def _mapped(
+    function: Callable[[Array], Array], identified: result.IdentifiedLoad
+) -> tuple[Array, Array]:
     """Return a function of the parameters, and its deviations to first order."""
     values = np.array([one.value for one in identified.parameters.values()])
     slopes = np.column_stack(

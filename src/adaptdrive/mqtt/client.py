@@ -18,18 +18,8 @@ import msgspec
 from aiomqtt import Client, Message, MqttError, ProtocolVersion
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt.commands import LONGEST_USER, PING, STOP
+from adaptdrive.mqtt import commands, contract
 from adaptdrive.mqtt.connection import connection
-from adaptdrive.mqtt.contract import (
-    DISTURB,
-    ONLINE,
-    REPLY,
-    TRUTH,
-    DeviceReply,
-    Reply,
-    Topics,
-    simulator_topic,
-)
 from adaptdrive.util.errors import NOT_JSON, AdaptdriveError
 
 # A conversation of an operator with one drive: the connection, its errors, the payloads.
@@ -134,7 +124,7 @@ class DriveStatus:
     @property
     def online(self) -> bool:
         """True if the broker says that the daemon is there; it can have kept that, too."""
-        return self.availability == ONLINE.decode()
+        return self.availability == contract.ONLINE.decode()
 
     @property
     def silent(self) -> bool:
@@ -153,7 +143,7 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
     Raises:
         NoAnswerError: No state in time, or no broker.
     """
-    topics, status, end_s = Topics(drive), DriveStatus(), end_of(timeout_s)
+    topics, status, end_s = contract.Topics(drive), DriveStatus(), end_of(timeout_s)
     async with conversation(broker, drive, end_s) as client:
         async with asyncio.timeout_at(end_s):
             await client.subscribe([(topics.availability, 1), (topics.state, 1)])
@@ -176,7 +166,7 @@ async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[
     Raises:
         NoAnswerError: The broker cannot be reached, or closed the connection.
     """
-    topics = Topics(drive)
+    topics = contract.Topics(drive)
     async with conversation(broker, drive) as client:
         await client.subscribe(_telemetry_of(topics))
         async for message in client.messages:
@@ -199,7 +189,7 @@ async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
     site: dict[str, DriveStatus] = {}
     end_s = end_of(timeout_s)
     async with conversation(broker, "all drives", end_s) as client:
-        every = Topics("+")
+        every = contract.Topics("+")
         retained = (every.availability, every.state, every.load_telemetry)
         async with asyncio.timeout_at(end_s):
             await client.subscribe([(topic, 1) for topic in (*retained, every.drive_telemetry)])
@@ -235,12 +225,12 @@ async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str
     Raises:
         NoAnswerError: The broker cannot be reached, or closed the connection.
     """
-    topics = Topics(drive)
+    topics = contract.Topics(drive)
     names = (topics.state, topics.load_telemetry, topics.drive_telemetry, topics.event)
     async with conversation(broker, drive) as client:
         await client.subscribe([(name, 1) for name in (*names, topics.history)])
         await client.subscribe(topics.availability, qos=1)
-        truth = simulator_topic(drive, TRUTH)
+        truth = contract.simulator_topic(drive, contract.TRUTH)
         await client.subscribe(truth)
         await client.publish(topics.ask_history, b"", qos=1)
         async for message in client.messages:
@@ -255,7 +245,7 @@ async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str
                 yield name, content
 
 
-def _telemetry_of(topics: Topics) -> list[tuple[str, int]]:
+def _telemetry_of(topics: contract.Topics) -> list[tuple[str, int]]:
     return [(topics.load_telemetry, 0), (topics.drive_telemetry, 0)]
 
 
@@ -279,7 +269,7 @@ def _note(message: Message, site: dict[str, DriveStatus]) -> None:
     _, drive, *_ = topic.split("/")
     if _DRIVE.fullmatch(drive) is None:
         return
-    topics, status = Topics(drive), site.setdefault(drive, DriveStatus())
+    topics, status = contract.Topics(drive), site.setdefault(drive, DriveStatus())
     if topic == topics.availability:
         status.availability = payload.decode("utf-8", "replace")
     elif (content := json_object(payload)) is None:
@@ -293,7 +283,7 @@ def _note(message: Message, site: dict[str, DriveStatus]) -> None:
 
 # Operators' commands and disturbances: sent to one drive, and its reply.
 
-AnyReply = TypeVar("AnyReply", Reply, DeviceReply)
+AnyReply = TypeVar("AnyReply", contract.Reply, contract.DeviceReply)
 
 _FARTHEST_S = 3e9
 """Difference of a clock, 95 years, from which on it says nothing; one may have begun in 1970."""
@@ -305,7 +295,7 @@ class _Timed(msgspec.Struct):
 
 async def send_command(
     broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float, **fields: object
-) -> Reply:
+) -> contract.Reply:
     """Send one command and wait for the reply to it; it expires when the wait ends.
 
     A `disable` never expires. The time is by the clock of the drive, taken from its telemetry. A
@@ -323,19 +313,19 @@ async def send_command(
     Raises:
         NoAnswerError: No reply in time, or no broker.
     """
-    topics = Topics(drive)
+    topics = contract.Topics(drive)
     places = topics.command(verb), topics.reply
     end_s = end_of(timeout_s)
     async with conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
         command = {"value": value, "user": _sender(), **fields}
-        if verb != STOP:
+        if verb != commands.STOP:
             command = {"expires": await _expiry(client, drive, topics, end_s)} | command
-        return await _ask(client, drive, places, command, Reply)
+        return await _ask(client, drive, places, command, contract.Reply)
 
 
 async def disturb(
     broker: Mqtt, drive: str, request: dict[str, Any], timeout_s: float
-) -> DeviceReply:
+) -> contract.DeviceReply:
     """Ask a simulated device for a disturbance and wait for its answer.
 
     Args:
@@ -347,19 +337,24 @@ async def disturb(
     Raises:
         NoAnswerError: No answer in time, or no broker.
     """
-    places = simulator_topic(drive, DISTURB), simulator_topic(drive, REPLY)
+    places = (
+        contract.simulator_topic(drive, contract.DISTURB),
+        contract.simulator_topic(drive, contract.REPLY),
+    )
     end_s = end_of(timeout_s)
     async with conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
-        return await _ask(client, drive, places, request, DeviceReply)
+        return await _ask(client, drive, places, request, contract.DeviceReply)
 
 
-async def _expiry(client: Client, drive: str, topics: Topics, end_s: float) -> str:
+async def _expiry(client: Client, drive: str, topics: contract.Topics, end_s: float) -> str:
     """Return the time at which a wait ends, by the clock of the drive where it is heard."""
     patience_s = (end_s - asyncio.get_running_loop().time()) / 2.0
     ahead_s = await _clock_difference_s(client, topics, patience_s)
     if ahead_s is None:
         ping = {"expires": _moment(end_s)}
-        await _ask(client, drive, (topics.command(PING), topics.reply), ping, Reply)
+        await _ask(
+            client, drive, (topics.command(commands.PING), topics.reply), ping, contract.Reply
+        )
     return _moment(end_s, ahead_s or 0.0)
 
 
@@ -369,7 +364,9 @@ def _moment(end_s: float, ahead_s: float = 0.0) -> str:
     return (datetime.now(UTC) + timedelta(seconds=left_s + ahead_s)).isoformat()
 
 
-async def _clock_difference_s(client: Client, topics: Topics, patience_s: float) -> float | None:
+async def _clock_difference_s(
+    client: Client, topics: contract.Topics, patience_s: float
+) -> float | None:
     """Return how far the clock of a drive is ahead, None where no telemetry comes.
 
     Telemetry that comes late makes a command expire early, and never late.
@@ -413,4 +410,4 @@ def _sender() -> str:
         user = getpass.getuser()
     except (KeyError, OSError):  # a user id without a name
         user = str(os.getuid())
-    return f"{user}@{socket.gethostname()}"[:LONGEST_USER]
+    return f"{user}@{socket.gethostname()}"[: commands.LONGEST_USER]

@@ -24,10 +24,8 @@ from paho.mqtt.reasoncodes import ReasonCode
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.clock import BrokerBackoff, Monotonic
 from adaptdrive.mqtt.steady import SteadyClient
-from adaptdrive.util.clock import find
+from adaptdrive.util import clock, files, lines
 from adaptdrive.util.errors import first_error
-from adaptdrive.util.files import read_regular
-from adaptdrive.util.lines import log
 
 # The name of the daemon at the broker, and what happens when another client uses it too.
 
@@ -160,7 +158,9 @@ class BrokerLink:
         async with connection(self._settings, protocol, name, self._will) as client:
             self._since_s = asyncio.get_running_loop().time()
             self._problem = ""
-            log("info", "broker connected", broker=self._place, protocol=protocol.name, name=name)
+            lines.log(
+                "info", "broker connected", broker=self._place, protocol=protocol.name, name=name
+            )
             try:
                 await serve(client)
             finally:
@@ -188,7 +188,7 @@ class BrokerLink:
         text = str(problem) if expected else f"{type(problem).__name__}: {problem}"
         if text != self._problem:
             self._problem = text
-            log("warning", "broker lost", broker=self._place, problem=text)
+            lines.log("warning", "broker lost", broker=self._place, problem=text)
 
 
 @asynccontextmanager
@@ -249,7 +249,7 @@ async def _find_host(settings: Mqtt, timeout_s: float) -> None:
         MqttError: There is no such host, or no name server answers.
     """
     try:
-        await find(settings.host, settings.port, timeout_s)
+        await clock.find(settings.host, settings.port, timeout_s)
     except (OSError, ValueError) as problem:
         raise MqttError(str(problem)) from problem
 
@@ -261,7 +261,7 @@ def _secrets(settings: Mqtt) -> tuple[str | None, ssl.SSLContext | None]:
 
 def _read_password(path: Path) -> str:
     try:
-        return read_regular(path, _LONGEST_PASSWORD).decode("utf-8").rstrip("\r\n")
+        return files.read_regular(path, _LONGEST_PASSWORD).decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError as problem:
         raise OSError(f"password file {path} is not text: {problem}") from problem
 
@@ -271,7 +271,7 @@ def _tls(ca_file: Path | None) -> ssl.SSLContext:
     if ca_file is None:
         return ssl.create_default_context()
     # comments between certificates may be in any encoding; what counts is ASCII
-    certificates = read_regular(ca_file).decode("ascii", errors="ignore")
+    certificates = files.read_regular(ca_file).decode("ascii", errors="ignore")
     if "-----BEGIN" not in certificates:  # an empty text would mean the machine's authorities
         raise OSError(f"ca_file {ca_file} contains no certificate")
     try:

@@ -18,15 +18,7 @@ from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.clock import Synchronisation
 from adaptdrive.mqtt.commands import STOP
-from adaptdrive.runtime.reports import (
-    SLOW_COLUMNS,
-    DriveReport,
-    Event,
-    LoadReport,
-    Severity,
-    State,
-    StateReport,
-)
+from adaptdrive.runtime import reports
 from adaptdrive.runtime.trips import remedy
 from adaptdrive.util.quantity import BOOST, Given
 
@@ -95,7 +87,7 @@ class Reply(msgspec.Struct, frozen=True):
     verb: str
     accepted: bool
     reason: str
-    state: State | None
+    state: reports.State | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,23 +127,23 @@ def encode(message: msgspec.Struct | Payload) -> bytes:
     return msgspec.json.encode(message)
 
 
-def state_message(report: StateReport, standing: Standing, profile: Profile) -> Payload:
+def state_message(report: reports.StateReport, standing: Standing, profile: Profile) -> Payload:
     """Return the payload of `state`."""
     return _fields(report) | _fields(standing) | _fields(profile)
 
 
-def load_message(report: LoadReport, time: datetime, output: Output) -> Payload:
+def load_message(report: reports.LoadReport, time: datetime, output: Output) -> Payload:
     """Return the payload of `telemetry/load` for a report that arrived at `time`."""
-    columns = {column.name: column.read(report) for column in SLOW_COLUMNS}
+    columns = {column.name: column.read(report) for column in reports.SLOW_COLUMNS}
     return {"time": time} | columns | _named(output)
 
 
-def histogram_message(report: DriveReport, time: datetime) -> Payload:
+def histogram_message(report: reports.DriveReport, time: datetime) -> Payload:
     """Return the payload of `telemetry/histograms` for a report that arrived at `time`."""
     return {"time": time} | dict(report.histograms)
 
 
-def drive_message(report: DriveReport, time: datetime, output: Output) -> Payload:
+def drive_message(report: reports.DriveReport, time: datetime, output: Output) -> Payload:
     """Return the payload of `telemetry/drive` for a report that arrived at `time`."""
     measured = {name: getattr(report.measurement, name, None) for name in MEASURED}
     sensors = {one.name: _fields(one, "name") for one in report.sensors}
@@ -159,9 +151,9 @@ def drive_message(report: DriveReport, time: datetime, output: Output) -> Payloa
     return {"time": time} | measured | whole | {"sensors": sensors} | _named(output)
 
 
-def event_message(event: Event, time: datetime) -> Payload:
+def event_message(event: reports.Event, time: datetime) -> Payload:
     """Return the payload of `event` for something that was reported at `time`."""
-    known = remedy(event.detail) if event.severity is Severity.ALARM else ""
+    known = remedy(event.detail) if event.severity is reports.Severity.ALARM else ""
     return {"time": time} | _fields(event) | {"remedy": known}
 
 

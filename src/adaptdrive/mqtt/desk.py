@@ -14,9 +14,7 @@ from functools import cached_property
 
 import msgspec
 
-from adaptdrive.mqtt.clock import LogRation, Monotonic, WallClock
-from adaptdrive.mqtt.commands import LONGEST_ID, PING, STOP, Payload, printable
-from adaptdrive.mqtt.contract import Reply
+from adaptdrive.mqtt import clock, commands, contract
 from adaptdrive.runtime.reports import CommandReport, Keep, State
 from adaptdrive.runtime.requests import Host, Request
 from adaptdrive.util.errors import NOT_JSON, AdaptdriveError, RefusedError
@@ -34,7 +32,7 @@ Recalled = tuple[str, float, bytes]
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    reply: Reply
+    reply: contract.Reply
     born_s: float
     asked: str | None = None
 
@@ -56,7 +54,7 @@ class ReplyMemory:
 
     recalled: InitVar[Iterable[Recalled]]
     post: Callable[[str, bytes], None]
-    monotonic: Monotonic
+    monotonic: clock.Monotonic
     limit: int = LIMIT
 
     def __post_init__(self, recalled: Iterable[Recalled]) -> None:
@@ -65,7 +63,7 @@ class ReplyMemory:
             (identity, _entry(identity, now_s - age_s, body)) for identity, age_s, body in recalled
         )
 
-    def recall(self, identity: str) -> Reply | None:
+    def recall(self, identity: str) -> contract.Reply | None:
         """The first reply to a command with this id, None for a new one."""
         self._forget()
         entry = self._entries.get(identity)
@@ -76,7 +74,7 @@ class ReplyMemory:
         entry = self._entries.get(identity)
         return entry.asked if entry else None
 
-    def note(self, identity: str, reply: Reply, asked: str | None = None) -> None:
+    def note(self, identity: str, reply: contract.Reply, asked: str | None = None) -> None:
         """Remember the reply to a command; returns at once, the disk follows.
 
         Args:
@@ -100,10 +98,12 @@ class ReplyMemory:
 
 def _entry(identity: str, born_s: float, body: bytes) -> _Entry:
     try:
-        reply, asked = msgspec.json.decode(body, type=tuple[Reply, str | None])
+        reply, asked = msgspec.json.decode(body, type=tuple[contract.Reply, str | None])
         return _Entry(reply, born_s, asked)
     except NOT_JSON:
-        reply = Reply(identity, "an earlier command", accepted=False, reason=FORGOTTEN, state=None)
+        reply = contract.Reply(
+            identity, "an earlier command", accepted=False, reason=FORGOTTEN, state=None
+        )
         return _Entry(reply, born_s)
 
 
@@ -135,9 +135,9 @@ class OperatorCommand:
     stopped: State | None
 
     @cached_property
-    def payload(self) -> Payload:
+    def payload(self) -> commands.Payload:
         """Its payload, read when it is first looked at: a stop comes before that."""
-        return Payload(self.raw)
+        return commands.Payload(self.raw)
 
     @property
     def remains_on_broker(self) -> bool:
@@ -148,11 +148,13 @@ class OperatorCommand:
     def memorable(self) -> bool:
         """True if its id can identify it: only text does."""
         identity = self.payload.id
-        return isinstance(identity, str) and 1 <= len(identity) <= LONGEST_ID
+        return isinstance(identity, str) and 1 <= len(identity) <= commands.LONGEST_ID
 
-    def reply(self, state: State | None, reason: str = "", *, accepted: bool = False) -> Reply:
+    def reply(
+        self, state: State | None, reason: str = "", *, accepted: bool = False
+    ) -> contract.Reply:
         """Return a reply to it."""
-        return Reply(self.payload.id, self.verb, accepted, _clean(reason), state)
+        return contract.Reply(self.payload.id, self.verb, accepted, _clean(reason), state)
 
 
 @dataclass
@@ -173,8 +175,8 @@ class Desk:
     host: Host
     memory: ReplyMemory
     present_state: Callable[[], State | None]
-    wall: WallClock
-    ration: LogRation
+    wall: clock.WallClock
+    ration: clock.LogRation
     report: Callable[[CommandReport], None]
     kept: Keep
     shutting_down: Callable[[], bool]
@@ -186,19 +188,19 @@ class Desk:
         async with asyncio.TaskGroup() as self._tasks:
             await asyncio.Event().wait()
 
-    async def ask(self, command: OperatorCommand) -> Reply:
+    async def ask(self, command: OperatorCommand) -> contract.Reply:
         """Answer a command in a task that outlives its caller."""
         return await asyncio.shield(self._tasks.create_task(self.answer(command)))
 
     def receive(self, verb: str, raw: bytes, *, retained: bool) -> OperatorCommand:
         """Take a command as it arrives; `disable` is carried out here, whatever its payload."""
         stopped = None
-        if verb == STOP:
+        if verb == commands.STOP:
             stopped = self.host.stop()
             self._stops += 1
         return OperatorCommand(_clean(verb), raw, retained, self._stops, stopped)
 
-    async def answer(self, command: OperatorCommand) -> Reply:
+    async def answer(self, command: OperatorCommand) -> contract.Reply:
         """Carry out a command unless a rule forbids it.
 
         Returns:
@@ -210,7 +212,7 @@ class Desk:
             reply = self._confirm(command, command.stopped)
         elif command.payload.id is None:
             return self._refused(command, self._flaw(command) or UNREADABLE)
-        elif command.verb == PING:
+        elif command.verb == commands.PING:
             reply = await self._outcome(command, self._acknowledge(command))
         else:
             async with self._turn:
@@ -219,7 +221,7 @@ class Desk:
         self._log_reply(reply)
         return reply
 
-    def refuse(self, command: OperatorCommand, reason: str) -> Reply:
+    def refuse(self, command: OperatorCommand, reason: str) -> contract.Reply:
         """Refuse a command without looking further than its id."""
         reply = self._refused(command, reason)
         if reply.id is None:
@@ -229,10 +231,12 @@ class Desk:
             self._log_reply(reply)
         return reply
 
-    def _refused(self, command: OperatorCommand, reason: str) -> Reply:
+    def _refused(self, command: OperatorCommand, reason: str) -> contract.Reply:
         return command.reply(self.present_state(), reason)
 
-    async def _outcome(self, command: OperatorCommand, work: Awaitable[State | None]) -> Reply:
+    async def _outcome(
+        self, command: OperatorCommand, work: Awaitable[State | None]
+    ) -> contract.Reply:
         try:
             return command.reply(await work, accepted=True)
         except AdaptdriveError as problem:
@@ -244,7 +248,7 @@ class Desk:
         self._refuse_expired(command.payload.expires)
         return self.present_state()
 
-    def _confirm(self, command: OperatorCommand, state: State) -> Reply:
+    def _confirm(self, command: OperatorCommand, state: State) -> contract.Reply:
         """Return the reply to a stop; it is accepted whatever is wrong with its payload."""
         flaw = self._flaw(command)
         reason = f"carried out, although: {flaw}" if flaw else ""
@@ -257,7 +261,7 @@ class Desk:
     def _flaw(self, command: OperatorCommand) -> str:
         if command.retained:
             return "it is retained; publish without retain"
-        if command.verb == PING:
+        if command.verb == commands.PING:
             return ""
         try:
             self._read(command)
@@ -270,7 +274,7 @@ class Desk:
         facts = {"verb": command.verb, "size": size, "carried_out": stopped}
         self._log("warning", "command without a readable id", facts)
 
-    def _log_reply(self, reply: Reply) -> None:
+    def _log_reply(self, reply: contract.Reply) -> None:
         facts = {"id": reply.id, "verb": reply.verb, "accepted": reply.accepted}
         self._log("info", "command", facts | {"reason": reply.reason or None})
 
@@ -284,7 +288,7 @@ class Desk:
         if (withheld := self.ration.take()) is not None:
             log(level, event, **facts, withheld_lines=withheld)
 
-    def _repeated(self, command: OperatorCommand) -> Reply | None:
+    def _repeated(self, command: OperatorCommand) -> contract.Reply | None:
         """Return the reply to a command whose id is known, None for a new one."""
         flaw = self._other_use(command)
         return self._recall(command) if flaw is None else self._refused(command, flaw)
@@ -303,22 +307,22 @@ class Desk:
             return None
         return _clean(f"id {identity!r} was used {use}; give each command its own id")
 
-    def _recall(self, command: OperatorCommand) -> Reply | None:
+    def _recall(self, command: OperatorCommand) -> contract.Reply | None:
         """Return the reply to the first command with this id."""
         return self.memory.recall(str(command.payload.id)) if command.memorable else None
 
-    async def _decide(self, command: OperatorCommand) -> Reply:
+    async def _decide(self, command: OperatorCommand) -> contract.Reply:
         reply = await self._outcome(command, self._carry_out(command))
         if command.memorable:
             self._remember(command, reply)
         self._report_reply(command, reply)
         return reply
 
-    def _remember(self, command: OperatorCommand, reply: Reply) -> None:
+    def _remember(self, command: OperatorCommand, reply: contract.Reply) -> None:
         asked = command.payload.asked(command.verb)
         self.memory.note(str(command.payload.id), reply, asked)
 
-    def _report_reply(self, command: OperatorCommand, reply: Reply) -> None:
+    def _report_reply(self, command: OperatorCommand, reply: contract.Reply) -> None:
         report = CommandReport(
             id="" if reply.id is None else str(reply.id),
             verb=reply.verb,
@@ -363,4 +367,4 @@ class Desk:
 
 def _clean(reason: str) -> str:
     """Return one line that any terminal and any JSON reader takes."""
-    return printable(reason)[:LONGEST_REASON]
+    return commands.printable(reason)[:LONGEST_REASON]

@@ -18,20 +18,8 @@ from typing import TypeVar
 
 import msgspec
 
+from adaptdrive.mqtt import contract
 from adaptdrive.mqtt.clock import Monotonic, Synchronisation, WallClock
-from adaptdrive.mqtt.contract import (
-    LastTrip,
-    Output,
-    Payload,
-    Profile,
-    Standing,
-    drive_message,
-    encode,
-    event_message,
-    histogram_message,
-    load_message,
-    state_message,
-)
 from adaptdrive.runtime.reports import (
     Bounded,
     DriveReport,
@@ -73,7 +61,9 @@ class Mailbox(Bounded[T]):
 class StateBoard:
     """The state as operators see it; its time moves only when something else does."""
 
-    def __init__(self, wall: WallClock, profile: Profile, last_trip: LastTrip | None) -> None:
+    def __init__(
+        self, wall: WallClock, profile: contract.Profile, last_trip: contract.LastTrip | None
+    ) -> None:
         """Begin without a report.
 
         Args:
@@ -85,7 +75,7 @@ class StateBoard:
         self._profile = profile
         self._report: StateReport | None = None
         now = wall()
-        self._standing = Standing(now, last_trip, Synchronisation.UNKNOWN, now)
+        self._standing = contract.Standing(now, last_trip, Synchronisation.UNKNOWN, now)
         self._changed = asyncio.Event()
 
     @property
@@ -99,11 +89,11 @@ class StateBoard:
         return self._report is not None and self._report.shutting_down
 
     @property
-    def message(self) -> Payload | None:
+    def message(self) -> contract.Payload | None:
         """Payload to publish, None before the first report."""
         if self._report is None:
             return None
-        return state_message(self._report, self._standing, self._profile)
+        return contract.state_message(self._report, self._standing, self._profile)
 
     def show(self, report: StateReport) -> None:
         """Take a report of the runtime."""
@@ -115,7 +105,7 @@ class StateBoard:
         if known is None or report.state is not known.state:
             self._standing = replace(self._standing, since=now)
         if report.trip is not None and (known is None or report.trip != known.trip):
-            trip = LastTrip(now, report.trip, remedy(report.trip))
+            trip = contract.LastTrip(now, report.trip, remedy(report.trip))
             self._standing = replace(self._standing, last_trip=trip)
 
     def show_clock(self, clock: Synchronisation) -> None:
@@ -199,24 +189,24 @@ class History:
         self._readings: deque[bytes] = deque(maxlen=_READINGS)
         self._asked: tuple[float | None, float | None] = (None, None)
 
-    def add(self, message: Payload) -> None:
+    def add(self, message: contract.Payload) -> None:
         """Take in a payload of `telemetry/load`."""
         self._asked = (message["reference"], message["boost_reference_V"])
-        body = encode({key: message[key] for key in KEYS})
+        body = contract.encode({key: message[key] for key in KEYS})
         row = _Row(self._monotonic(), message["output"], body)
         bucket = [row]
         while self._rows and self._rows[-1].bucket == row.bucket:
             bucket.insert(0, self._rows.pop())
         self._rows.extend(_extremes(bucket))
 
-    def add_reading(self, message: Payload) -> None:
+    def add_reading(self, message: contract.Payload) -> None:
         """Take in a payload of `telemetry/drive`; nothing is asked for while the bridge is off."""
         time_s = round(message["time"].timestamp(), 2)
         asked = self._asked if message["command"].bridge else (None, None)
         reading = (time_s, message["output"], message["boost_voltage_V"], *asked)
         self._readings.append(msgspec.json.encode(reading))
 
-    def pages(self, time: datetime) -> Iterator[Payload]:
+    def pages(self, time: datetime) -> Iterator[contract.Payload]:
         """Yield the payloads of an answer, the newest rows first.
 
         Args:
@@ -279,12 +269,12 @@ class Intake:
     outbox: Outbox
     history: History
     wall: WallClock
-    output: Output
+    output: contract.Output
 
     def __post_init__(self) -> None:
-        self.load: Mailbox[Payload] = Mailbox(LOAD_MESSAGES_HELD)
-        self.drive: Mailbox[Payload] = Mailbox(1)
-        self.histograms: Mailbox[Payload] = Mailbox(1)
+        self.load: Mailbox[contract.Payload] = Mailbox(LOAD_MESSAGES_HELD)
+        self.drive: Mailbox[contract.Payload] = Mailbox(1)
+        self.histograms: Mailbox[contract.Payload] = Mailbox(1)
         self._discarded = 0
         self._unkept: list[bytes] = []
         kinds = StateReport, LoadReport, DriveReport, Event
@@ -341,16 +331,16 @@ class Intake:
                 case StateReport():
                     self.board.show(report)
                 case LoadReport():
-                    message = load_message(report, time, self.output)
+                    message = contract.load_message(report, time, self.output)
                     self.load.put(message)
                     self.history.add(message)
                 case DriveReport():
-                    message = drive_message(report, time, self.output)
+                    message = contract.drive_message(report, time, self.output)
                     self.drive.put(message)
                     self.history.add_reading(message)
-                    self.histograms.put(histogram_message(report, time))
+                    self.histograms.put(contract.histogram_message(report, time))
                 case Event():
-                    self._unkept.append(encode(event_message(report, time)))
+                    self._unkept.append(contract.encode(contract.event_message(report, time)))
 
     def _release(self) -> None:
         for body in self._unkept:

@@ -16,32 +16,9 @@ from functools import partial
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt.clock import (
-    BrokerBackoff,
-    LogRation,
-    Monotonic,
-    Synchronisation,
-    WallClock,
-    kernel_synchronisation,
-    utc_now,
-)
-from adaptdrive.mqtt.connection import BrokerLink, ClientName
-from adaptdrive.mqtt.contract import (
-    OFFLINE,
-    LastTrip,
-    Payload,
-    Profile,
-    Topics,
-    encode,
-    event_message,
-)
-from adaptdrive.mqtt.desk import Desk, Recalled, ReplyMemory
-from adaptdrive.mqtt.publisher import History, Intake, Outbox, StateBoard
+from adaptdrive.mqtt import clock, connection, contract, desk, publisher, steady
 from adaptdrive.mqtt.session import BrokerSession
-from adaptdrive.mqtt.steady import SteadyClient
-from adaptdrive.runtime.reports import Event, Hub, Severity, State
-from adaptdrive.runtime.requests import Host
-from adaptdrive.runtime.trips import remedy
+from adaptdrive.runtime import reports, requests, trips
 from adaptdrive.util.clock import repeat
 
 # Discovery message for Home Assistant: one retained message makes the drive a device there.
@@ -75,14 +52,14 @@ _EXPIRING = (  # a sum in local time is an hour wrong in the hour that autumn re
 )
 
 
-def discovery(profile: Profile, prefix: str) -> tuple[str, Payload]:
+def discovery(profile: contract.Profile, prefix: str) -> tuple[str, contract.Payload]:
     """Return the topic and the payload of the discovery message of a drive, which is retained.
 
     Args:
         profile: Name, unit and limits of the drive.
         prefix: Prefix of discovery topics, as Home Assistant is configured.
     """
-    topics, key = Topics(profile.drive), f"adaptdrive-{profile.drive}"
+    topics, key = contract.Topics(profile.drive), f"adaptdrive-{profile.drive}"
     components = _sensors(profile, topics) | _controls(profile, topics)
     for name, component in components.items():
         component["unique_id"] = f"{key}-{name}"
@@ -101,7 +78,7 @@ def discovery(profile: Profile, prefix: str) -> tuple[str, Payload]:
     return f"{prefix}/device/{key}/config", payload
 
 
-def _sensors(profile: Profile, topics: Topics) -> dict[str, Payload]:
+def _sensors(profile: contract.Profile, topics: contract.Topics) -> dict[str, contract.Payload]:
     output, given = profile.output, profile.manipulated
     drive = topics.drive_telemetry  # published in standby, too
     return {
@@ -111,7 +88,7 @@ def _sensors(profile: Profile, topics: Topics) -> dict[str, Payload]:
         ),
         "applied": _measured(given.title, drive, "boost_voltage_V", given.unit),
         "state": _shown("state", topics.state, "{{ value_json.state }}")
-        | {"device_class": "enum", "options": [state.value for state in State]},
+        | {"device_class": "enum", "options": [state.value for state in reports.State]},
         "controller": _shown("controller in force", topics.state, "{{ value_json.controller }}"),
         "tripped": _shown("trip", topics.state, "{{ 'ON' if value_json.trip else 'OFF' }}")
         | {"platform": "binary_sensor", "device_class": "problem"},
@@ -124,7 +101,7 @@ def _sensors(profile: Profile, topics: Topics) -> dict[str, Payload]:
     }
 
 
-def _shown(name: str, topic: str, template: str) -> Payload:
+def _shown(name: str, topic: str, template: str) -> contract.Payload:
     """Return a sensor that shows a part of a topic."""
     return {
         "platform": "sensor",
@@ -134,7 +111,7 @@ def _shown(name: str, topic: str, template: str) -> Payload:
     }
 
 
-def _measured(name: str, topic: str, key: str, unit: str) -> Payload:
+def _measured(name: str, topic: str, key: str, unit: str) -> contract.Payload:
     sensor = _shown(name, topic, f"{{{{ value_json.{key} }}}}") | {"state_class": "measurement"}
     if unit:
         sensor["unit_of_measurement"] = unit
@@ -143,9 +120,9 @@ def _measured(name: str, topic: str, key: str, unit: str) -> Payload:
     return sensor
 
 
-def _controls(profile: Profile, topics: Topics) -> dict[str, Payload]:
+def _controls(profile: contract.Profile, topics: contract.Topics) -> dict[str, contract.Payload]:
     low, high = (profile.limits or {}).get("setpoint", (None, None))
-    controls: dict[str, Payload] = {
+    controls: dict[str, contract.Payload] = {
         "stop": _button("stop", topics.stop, _ID),
         "reset": _button("reset trip", topics.command("reset"), _EXPIRING),
         # whoever wants to energise the drive from Home Assistant switches this one on there
@@ -174,7 +151,7 @@ def _controls(profile: Profile, topics: Topics) -> dict[str, Payload]:
     return controls
 
 
-def _button(name: str, topic: str, content: str) -> Payload:
+def _button(name: str, topic: str, content: str) -> contract.Payload:
     return {
         "platform": "button",
         "name": name,
@@ -211,15 +188,15 @@ class ServiceSurroundings:
         uniform: Random number between its arguments, for the back-off.
     """
 
-    replies: Sequence[Recalled] = ()
-    events: Sequence[tuple[datetime, Event]] = ()
+    replies: Sequence[desk.Recalled] = ()
+    events: Sequence[tuple[datetime, reports.Event]] = ()
     trip: tuple[datetime, str] | None = None
     note_reply: Callable[[str, bytes], None] = lambda _identity, _body: None
     note_sent: Callable[[], None] = lambda: None
     kept: Callable[[float], Awaitable[None]] = _wait_for_nothing
-    wall: WallClock = utc_now
-    monotonic: Monotonic = time.monotonic
-    synchronisation: Callable[[], Synchronisation] = kernel_synchronisation
+    wall: clock.WallClock = clock.utc_now
+    monotonic: clock.Monotonic = time.monotonic
+    synchronisation: Callable[[], clock.Synchronisation] = clock.kernel_synchronisation
     uniform: Callable[[float, float], float] = random.uniform
 
 
@@ -228,10 +205,10 @@ class MqttService:
 
     def __init__(
         self,
-        profile: Profile,
+        profile: contract.Profile,
         settings: Mqtt,
-        host: Host,
-        hub: Hub,
+        host: requests.Host,
+        hub: reports.Hub,
         surroundings: ServiceSurroundings,
     ) -> None:
         """Subscribe to the hub: nothing is missed between now and `run`.
@@ -244,7 +221,7 @@ class MqttService:
             surroundings: Log, clocks and chance.
         """
         drive = profile.drive
-        self._topics = Topics(drive)
+        self._topics = contract.Topics(drive)
         self._announcement = (
             discovery(profile, settings.home_assistant) if settings.home_assistant else None
         )
@@ -252,35 +229,43 @@ class MqttService:
         self._around = surroundings
         self._host = host
         tripped, wall = surroundings.trip, surroundings.wall
-        trip = LastTrip(*tripped, remedy(tripped[1])) if tripped else None
-        self._board = StateBoard(wall, profile, trip)
-        unsent = (encode(event_message(event, time)) for time, event in surroundings.events)
-        outbox, history = Outbox(unsent, surroundings.note_sent), History(surroundings.monotonic)
-        self._intake = Intake(hub, self._board, outbox, history, wall, profile.output)
+        trip = contract.LastTrip(*tripped, trips.remedy(tripped[1])) if tripped else None
+        self._board = publisher.StateBoard(wall, profile, trip)
+        unsent = (
+            contract.encode(contract.event_message(event, time))
+            for time, event in surroundings.events
+        )
+        outbox, history = (
+            publisher.Outbox(unsent, surroundings.note_sent),
+            publisher.History(surroundings.monotonic),
+        )
+        self._intake = publisher.Intake(hub, self._board, outbox, history, wall, profile.output)
         self._desk = self._build_desk(hub)
-        alarm = partial(self._intake.report, "broker", Severity.ALARM)
-        self._name = ClientName(f"adaptdrive-{drive}", surroundings.monotonic, alarm, host.trip)
+        alarm = partial(self._intake.report, "broker", reports.Severity.ALARM)
+        self._name = connection.ClientName(
+            f"adaptdrive-{drive}", surroundings.monotonic, alarm, host.trip
+        )
         self._link = self._build_link(settings)
 
-    def _build_desk(self, hub: Hub) -> Desk:
+    def _build_desk(self, hub: reports.Hub) -> desk.Desk:
         around = self._around
-        return Desk(
+        return desk.Desk(
             self._host,
-            ReplyMemory(around.replies, around.note_reply, around.monotonic),
+            desk.ReplyMemory(around.replies, around.note_reply, around.monotonic),
             lambda: self._board.state,
             around.wall,
-            LogRation(around.monotonic),
+            clock.LogRation(around.monotonic),
             report=hub.publish,
             kept=lambda: around.kept(COMMAND_PATIENCE_S),
             shutting_down=lambda: self._board.shutting_down,
         )
 
-    def _build_link(self, settings: Mqtt) -> BrokerLink:
-        return BrokerLink(
+    def _build_link(self, settings: Mqtt) -> connection.BrokerLink:
+        return connection.BrokerLink(
             settings,
             self._name,
-            Will(self._topics.availability, OFFLINE, qos=1, retain=True),
-            BrokerBackoff(self._around.uniform),
+            Will(self._topics.availability, contract.OFFLINE, qos=1, retain=True),
+            clock.BrokerBackoff(self._around.uniform),
         )
 
     async def run(self) -> None:
@@ -294,7 +279,7 @@ class MqttService:
     async def _read_clock(self) -> None:
         self._board.show_clock(self._around.synchronisation())
 
-    async def _serve(self, client: SteadyClient) -> None:
+    async def _serve(self, client: steady.SteadyClient) -> None:
         session = BrokerSession(
             client, self._name, self._topics, self._intake, self._desk, self._telemetry_s
         )

@@ -16,12 +16,8 @@ from aiomqtt import Message, MqttError, ProtocolVersion
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from adaptdrive.mqtt.clock import LogRation
-from adaptdrive.mqtt.connection import ClientName
-from adaptdrive.mqtt.contract import OFFLINE, ONLINE, Payload, Reply, Topics, encode
+from adaptdrive.mqtt import clock, connection, contract, publisher, steady
 from adaptdrive.mqtt.desk import Desk, OperatorCommand
-from adaptdrive.mqtt.publisher import Intake, Mailbox
-from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.runtime.reports import Severity, State
 from adaptdrive.util.clock import Step, repeat
 from adaptdrive.util.lines import log
@@ -39,7 +35,7 @@ class CommandProbe:
     A broker that does not take it, as one with an older access list, shows nothing.
     """
 
-    def __init__(self, client: SteadyClient, topic: str, intake: Intake) -> None:
+    def __init__(self, client: steady.SteadyClient, topic: str, intake: publisher.Intake) -> None:
         """Send nothing yet.
 
         Args:
@@ -125,23 +121,23 @@ class BrokerSession:
         telemetry_s: Shortest time between two messages of the fast loop.
     """
 
-    client: SteadyClient
-    name: ClientName
-    topics: Topics
-    intake: Intake
+    client: steady.SteadyClient
+    name: connection.ClientName
+    topics: contract.Topics
+    intake: publisher.Intake
     desk: Desk
     telemetry_s: float
 
     def __post_init__(self) -> None:
-        self._commands: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
-        self._stops: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
+        self._commands: publisher.Mailbox[OperatorCommand] = publisher.Mailbox(COMMANDS_HELD)
+        self._stops: publisher.Mailbox[OperatorCommand] = publisher.Mailbox(COMMANDS_HELD)
         self._asked = asyncio.Event()
         self._probe = CommandProbe(self.client, self.topics.probe, self.intake)
         self._refused: set[str] = set()
         self._reported = 0
-        self._ration = LogRation(asyncio.get_running_loop().time, 1, LOGGED_EVERY_S)
+        self._ration = clock.LogRation(asyncio.get_running_loop().time, 1, LOGGED_EVERY_S)
 
-    async def run(self, announcement: tuple[str, Payload] | None = None) -> None:
+    async def run(self, announcement: tuple[str, contract.Payload] | None = None) -> None:
         """Serve until the connection is lost, or until cancelled: then publish that and leave.
 
         Args:
@@ -157,7 +153,7 @@ class BrokerSession:
             await self._publish_state()
             if announcement is not None:
                 topic, payload = announcement
-                await self.client.publish(topic, encode(payload), qos=1, retain=True)
+                await self.client.publish(topic, contract.encode(payload), qos=1, retain=True)
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.client.lost(), name="mqtt connection")
                 for name, step, pause_s in self._work():
@@ -184,7 +180,7 @@ class BrokerSession:
             yield "probe", self._probe.send, PROBE_EVERY_S
 
     async def _publish_online(self) -> None:
-        await self.client.publish(self.topics.availability, ONLINE, qos=1, retain=True)
+        await self.client.publish(self.topics.availability, contract.ONLINE, qos=1, retain=True)
 
     async def _subscribe(self) -> None:
         """Subscribe; log what is refused, and report it where no command arrives without it."""
@@ -211,7 +207,9 @@ class BrokerSession:
 
     async def _publish_state(self) -> None:
         if (message := self.intake.board.message) is not None:
-            await self.client.publish(self.topics.state, encode(message), qos=1, retain=True)
+            await self.client.publish(
+                self.topics.state, contract.encode(message), qos=1, retain=True
+            )
 
     def _receive(self, message: Message) -> None:
         if self._probe.takes(message):
@@ -250,8 +248,8 @@ class BrokerSession:
             "publish disable without retain",
         )
 
-    async def _reply(self, reply: Reply) -> None:
-        await self.client.publish(self.topics.reply, encode(reply), qos=1)
+    async def _reply(self, reply: contract.Reply) -> None:
+        await self.client.publish(self.topics.reply, contract.encode(reply), qos=1)
 
     def _log_dropped(self) -> None:
         """Log that commands went unread, and how many, but not each."""
@@ -270,15 +268,17 @@ class BrokerSession:
         self.intake.outbox.sent(body)
         self.intake.report_discarded()
 
-    async def _send(self, box: Mailbox[Payload], topic: str, *, retain: bool = True) -> None:
-        await self.client.publish(topic, encode(await box.take()), retain=retain)
+    async def _send(
+        self, box: publisher.Mailbox[contract.Payload], topic: str, *, retain: bool = True
+    ) -> None:
+        await self.client.publish(topic, contract.encode(await box.take()), retain=retain)
 
     async def _send_history(self) -> None:
         """Answer all requests of the meantime at once; every client can read the answer."""
         await self._asked.wait()
         self._asked.clear()
         for page in self.intake.history.pages(self.intake.wall()):
-            await self.client.publish(self.topics.history, encode(page), qos=1)
+            await self.client.publish(self.topics.history, contract.encode(page), qos=1)
             await asyncio.sleep(PAUSE_S)
 
     async def _take_leave(self) -> None:
@@ -308,4 +308,6 @@ class BrokerSession:
                     await self._send_oldest_event()
         with suppress(MqttError, TimeoutError):
             async with asyncio.timeout(FAREWELL_S):
-                await self.client.publish(self.topics.availability, OFFLINE, qos=1, retain=True)
+                await self.client.publish(
+                    self.topics.availability, contract.OFFLINE, qos=1, retain=True
+                )

@@ -20,17 +20,7 @@ from typing import Any, TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import writer
-from adaptdrive.recording.journal_files import (
-    TRIP,
-    LogFile,
-    is_live,
-    last_of,
-    log_files,
-    newest_sound,
-)
-from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.records import ROW_KINDS, EventRow, Header, Kind
+from adaptdrive.recording import journal_files, reader, records, tables, writer
 from adaptdrive.recording.segments import (
     Batches,
     Segment,
@@ -56,7 +46,6 @@ from adaptdrive.recording.session import (
     write_facts,
     write_info,
 )
-from adaptdrive.recording.tables import table_schema
 from adaptdrive.runtime.reports import MONOTONIC, Severity
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
 
@@ -83,8 +72,10 @@ def write_trips(directory: Path, info: SessionInfo, due_s: float, after_s: float
         RecordingError: The session is damaged.
         OSError: A record cannot be written.
     """
-    session = read_session(directory)
-    trips = [one for one in session.events if one.kind == TRIP and one.monotonic_s <= due_s]
+    session = reader.read_session(directory)
+    trips = [
+        one for one in session.events if one.kind == journal_files.TRIP and one.monotonic_s <= due_s
+    ]
     missing = [(one, path) for one in trips if not (path := _path(directory, one)).exists()]
     info = msgspec.structs.replace(info, ended=Ending.ORDERLY, log="")
     recent = {table: segments(directory, session.info, table)[-2:] for table in (*TABLES, *NOTES)}
@@ -96,28 +87,28 @@ def write_trips(directory: Path, info: SessionInfo, due_s: float, after_s: float
     ]
 
 
-def _path(directory: Path, trip: EventRow) -> Path:
+def _path(directory: Path, trip: records.EventRow) -> Path:
     return directory / f"{TRIP_PREFIX}{time_in_name(trip.time)}-{trip.number}"
 
 
 def _first(found: list[Segment], column: str) -> Any:  # noqa: ANN401 - of the column
     """Return the first value of a column of ticks; 0 without one."""
-    schema = pa.schema([table_schema(TableName.TICKS).field(column)])
+    schema = pa.schema([tables.table_schema(TableName.TICKS).field(column)])
     values = (batch.column(column)[0].as_py() for one in found for batch in one.rows(schema))
     return next(values, 0)
 
 
 def _write(
-    session: Session,
+    session: reader.Session,
     recent: dict[str, list[Segment]],
-    trip: EventRow,
+    trip: records.EventRow,
     path: Path,
     after_s: float,
 ) -> Path:
     begin_s, end_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
 
     def rows_of(table: str) -> Batches:
-        schema = table_schema(table, session.info)
+        schema = tables.table_schema(table, session.info)
         for batch in chain.from_iterable(segment.rows(schema) for segment in recent[table]):
             times_s = batch.column(MONOTONIC).to_pylist()
             first, last = bisect.bisect_left(times_s, begin_s), bisect.bisect_right(times_s, end_s)
@@ -134,7 +125,7 @@ def _write(
         return unfinished.rename(path)
 
 
-def _text(drive: str, trip: EventRow, events: list[EventRow]) -> str:
+def _text(drive: str, trip: records.EventRow, events: list[records.EventRow]) -> str:
     lines = [
         trip.detail,
         "",
@@ -166,8 +157,8 @@ class _Logged:
         open: Segment that is still written, 0 for none.
     """
 
-    header: Header
-    files: tuple[LogFile, ...]
+    header: records.Header
+    files: tuple[journal_files.LogFile, ...]
     newest: bool
     open: int
 
@@ -201,7 +192,7 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
         return written
     with _alone(folder):
         # listed once: what the daemon begins meanwhile is for the next run, and stays
-        files, live = log_files(folder), is_live(folder)
+        files, live = journal_files.log_files(folder), journal_files.is_live(folder)
         for session, group in groupby(files, key=lambda file: file.session):
             of_session, newest = tuple(group), session == files[-1].session
             try:
@@ -231,7 +222,7 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _put_aside(files: Sequence[LogFile], report: Report) -> None:
+def _put_aside(files: Sequence[journal_files.LogFile], report: Report) -> None:
     """Rename files without a first record that can be read; those that took no record go."""
     for file in files:
         if not file.path.stat().st_size:
@@ -277,13 +268,17 @@ def _directory(logged: _Logged) -> Path | None:
         return None
     sessions = logged.folder.parent / header.sessions
     found = session_of(sessions, header.info)
-    if found is None and last_of(logged.files, *ROW_KINDS):
+    if found is None and journal_files.last_of(logged.files, *records.ROW_KINDS):
         return create_session(sessions, header.info, header.config_text)
     return found
 
 
 def close_segment(
-    directory: Path, header: Header, info: SessionInfo, part: int, files: Sequence[LogFile]
+    directory: Path,
+    header: records.Header,
+    info: SessionInfo,
+    part: int,
+    files: Sequence[journal_files.LogFile],
 ) -> SessionInfo:
     """Write one segment; `session.json` is last, and states that it is closed.
 
@@ -304,10 +299,10 @@ def close_segment(
     losses: list[str] = []
 
     def rows_of(table: str) -> Iterator[pa.RecordBatch]:
-        return logged_batches(files, table, table_schema(table, header.info), losses)
+        return logged_batches(files, table, tables.table_schema(table, header.info), losses)
 
     info = write_segment(directory, info, part, rows_of)
-    last = last_of(files, Kind.DROPPED)
+    last = journal_files.last_of(files, records.Kind.DROPPED)
     dropped = content_of(last, Dropped, losses) if last else None
     losses = [*info.losses, *dict.fromkeys(losses)]
     info = msgspec.structs.replace(info, dropped=dropped or info.dropped, losses=tuple(losses))
@@ -317,10 +312,10 @@ def close_segment(
 
 def _end(directory: Path, info: SessionInfo, logged: _Logged, report: Report) -> None:
     """Write how a session ended, and report what it lacks."""
-    ending = Ending.ORDERLY if last_of(logged.files, Kind.END) else Ending.CUT
+    ending = Ending.ORDERLY if journal_files.last_of(logged.files, records.Kind.END) else Ending.CUT
     write_info(directory, msgspec.structs.replace(info, ended=ending))
     if ending is Ending.CUT:
-        last = read_session(directory).last_tick
+        last = reader.read_session(directory).last_tick
         until = f"its last tick is of {last:%Y-%m-%dT%H:%M:%S.%f}Z" if last else "it has no ticks"
         detail = f"session {directory.name} ended without its close, the daemon was killed: {until}"
         report(Severity.WARNING, detail)
@@ -328,9 +323,9 @@ def _end(directory: Path, info: SessionInfo, logged: _Logged, report: Report) ->
         report(Severity.WARNING, f"session {directory.name}: {loss}")
 
 
-def _remove_archived(files: Sequence[LogFile], *, live: bool) -> None:
+def _remove_archived(files: Sequence[journal_files.LogFile], *, live: bool) -> None:
     """Remove the files before the last one that says what they have left."""
-    newest = newest_sound(files)
+    newest = journal_files.newest_sound(files)
     if newest is None:
         return
     open_part = (files[-1].session, files[-1].part) if live else None

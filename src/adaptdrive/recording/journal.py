@@ -14,9 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.recording.journal_files import Recalled
-from adaptdrive.recording.records import ROW_KINDS, Header, Kind, Record
-from adaptdrive.recording.session import Dropped
+from adaptdrive.recording import journal_files, records, session
 from adaptdrive.recording.writer import NOTES, ROWS, SYNC, LogNews, LogWriter
 
 # The log of a drive: what happened is appended once, and everything else is read from it.
@@ -41,8 +39,8 @@ class Log:
     def __init__(  # noqa: PLR0913 - of the log
         self,
         folder: Path,
-        header: Header,
-        recalled: Recalled,
+        header: records.Header,
+        recalled: journal_files.Recalled,
         clock: Clock,
         *,
         hear: Callable[[LogNews], None],
@@ -62,7 +60,7 @@ class Log:
             start_thread: What a thread does first.
             backlog_bytes: Rows that may wait.
         """
-        self.dropped = Dropped()
+        self.dropped = session.Dropped()
         self.closed = False
         self.problems = {NOTES: "", ROWS: "", SYNC: ""}
         self._clock = clock
@@ -108,7 +106,7 @@ class Log:
         """Begin to write rows; those that were appended before wait for this."""
         self._writer.let_rows_in()
 
-    def append(self, kind: Kind, payload: bytes, rows: int = 0) -> None:
+    def append(self, kind: records.Kind, payload: bytes, rows: int = 0) -> None:
         """Hand a record over; returns at once.
 
         Args:
@@ -116,8 +114,8 @@ class Log:
             payload: Its contents.
             rows: Rows of tables in it.
         """
-        item = Record(0, *self._clock(), kind, payload, rows)
-        if kind in ROW_KINDS:
+        item = records.Record(0, *self._clock(), kind, payload, rows)
+        if kind in records.ROW_KINDS:
             self._rows_bytes += len(payload)
             self._writer.rows.append(item)
             self._bound()
@@ -174,10 +172,10 @@ class Log:
             except IndexError:  # all of it is being written
                 return
             self._rows_bytes -= len(oldest.payload)
-            if oldest.kind is Kind.TICKS:
-                self.dropped += Dropped(ticks=oldest.rows)
-            elif oldest.kind is Kind.SLOW:
-                self.dropped += Dropped(slow=oldest.rows)
+            if oldest.kind is records.Kind.TICKS:
+                self.dropped += session.Dropped(ticks=oldest.rows)
+            elif oldest.kind is records.Kind.SLOW:
+                self.dropped += session.Dropped(slow=oldest.rows)
 
     def _tell(self, news: LogNews) -> None:
         """Pass what is new of a thread to the event loop, which may have ended."""
@@ -214,7 +212,7 @@ class Place:
     log: Path
     sessions: Path | None
 
-    def seen_in(self, header: Header) -> Header:
+    def seen_in(self, header: records.Header) -> records.Header:
         """Return facts with the folders, each seen from the other: both may be moved together."""
         if self.sessions is None:
             return header

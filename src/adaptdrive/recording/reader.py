@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording.records import CommandRow, EventRow
+from adaptdrive.recording import records, tables
 from adaptdrive.recording.segments import Segment, closed_segments, segments
 from adaptdrive.recording.session import (
     CONFIG_FILE,
@@ -25,7 +25,6 @@ from adaptdrive.recording.session import (
     read_info,
     session_directories,
 )
-from adaptdrive.recording.tables import NOTE_ROWS, table_schema
 from adaptdrive.util.errors import RecordingError, reason_of
 from adaptdrive.util.files import read_regular
 
@@ -53,8 +52,8 @@ class Session:
     path: Path
     info: SessionInfo
     config_text: str
-    events: tuple[EventRow, ...]
-    commands: tuple[CommandRow, ...]
+    events: tuple[records.EventRow, ...]
+    commands: tuple[records.CommandRow, ...]
     damage: str = ""
 
     @cached_property
@@ -115,18 +114,20 @@ class Session:
         self, table: str, columns: Sequence[str] | None
     ) -> list[Iterator[pa.RecordBatch]]:
         """Return the rows of each segment of a table, read when they are asked for."""
-        schema = table_schema(table, self.info)
+        schema = tables.table_schema(table, self.info)
         if columns is not None:
             schema = pa.schema([schema.field(name) for name in columns])
         return [segment.rows(schema) for segment in segments(self.path, self.info, table)]
 
     def _table(self, table: str) -> pa.Table:
-        return pa.Table.from_batches(list(self.batches(table)), table_schema(table, self.info))
+        return pa.Table.from_batches(
+            list(self.batches(table)), tables.table_schema(table, self.info)
+        )
 
 
 def session_notes(
     directory: Path, damage: list[str] | None = None
-) -> tuple[tuple[EventRow, ...], tuple[CommandRow, ...]]:
+) -> tuple[tuple[records.EventRow, ...], tuple[records.CommandRow, ...]]:
     """Return the events and commands of a session, also where its facts are lost.
 
     Args:
@@ -154,9 +155,9 @@ def session_notes(
 
 def _notes(segment: Segment) -> list[Any]:
     try:
-        schema = table_schema(segment.table)
+        schema = tables.table_schema(segment.table)
         rows = [row for batch in segment.rows(schema) for row in batch.to_pylist()]
-        return [msgspec.convert(row, NOTE_ROWS[segment.table]) for row in rows]
+        return [msgspec.convert(row, tables.NOTE_ROWS[segment.table]) for row in rows]
     except (msgspec.ValidationError, ValueError, OverflowError) as problem:
         raise RecordingError(segment.path, f"damaged {segment.table}: {problem}") from problem
 
@@ -251,7 +252,7 @@ def verify(session: Session) -> Verification:
     count = _Count(session.info.first_sequence)
     for segment in segments(session.path, session.info):
         try:
-            for batch in segment.rows(table_schema(segment.table, session.info), problems):
+            for batch in segment.rows(tables.table_schema(segment.table, session.info), problems):
                 count.take(segment, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")

@@ -13,11 +13,7 @@ from typing import Any
 
 import msgspec
 
-from adaptdrive.recording.journal import DEFAULT_PACE, Clock, Log, Place, RecordingPace
-from adaptdrive.recording.journal_files import TRIP, Recalled
-from adaptdrive.recording.records import Header, Kind, note_row, packed_ticks, sensor_row, slow_row
-from adaptdrive.recording.session import Dropped, create_session, session_of
-from adaptdrive.recording.writer import SYNC, LogNews
+from adaptdrive.recording import journal, journal_files, records, session, writer
 from adaptdrive.runtime.reports import (
     CommandReport,
     DriveReport,
@@ -46,10 +42,10 @@ class Archiving:
 
     def __init__(
         self,
-        place: Place,
-        header: Header,
+        place: journal.Place,
+        header: records.Header,
         report: Callable[[Severity, str], None],
-        pace: RecordingPace,
+        pace: journal.RecordingPace,
     ) -> None:
         """Start nothing yet.
 
@@ -76,8 +72,8 @@ class Archiving:
         """
         if self._sessions is not None and self.directory is None:
             info, text = self._header.info, self._header.config_text
-            found = session_of(self._sessions, info)
-            self.directory = found or create_session(self._sessions, info, text)
+            found = session.session_of(self._sessions, info)
+            self.directory = found or session.create_session(self._sessions, info, text)
 
     def due(self, after_s: float = 0.0) -> None:
         """Have it run as soon as it can after a time."""
@@ -171,12 +167,12 @@ class Recorder:
 
     def __init__(  # noqa: PLR0913, PLR0917 - it joins the feed to the log
         self,
-        place: Place,
-        header: Header,
+        place: journal.Place,
+        header: records.Header,
         hub: Hub,
-        clock: Clock,
-        pace: RecordingPace = DEFAULT_PACE,
-        recalled: Recalled = Recalled(),  # noqa: B008 - frozen
+        clock: journal.Clock,
+        pace: journal.RecordingPace = journal.DEFAULT_PACE,
+        recalled: journal_files.Recalled = journal_files.Recalled(),  # noqa: B008 - frozen
     ) -> None:
         """Prepare to record.
 
@@ -201,7 +197,7 @@ class Recorder:
         self._clock = clock
         self._pace = pace
         self._archiving = Archiving(place, header, self._report, pace)
-        self._log = Log(
+        self._log = journal.Log(
             place.log,
             header,
             recalled,
@@ -214,7 +210,7 @@ class Recorder:
         self._begun = False
         self._waiting: deque[TickReport] = deque()
         self._numbers = itertools.count(1)
-        self._reported_loss = self._overflow = Dropped()
+        self._reported_loss = self._overflow = session.Dropped()
         self._stalled = False
         self._last_tick = 0
         self._counted_s, _ = clock()
@@ -224,7 +220,7 @@ class Recorder:
         """True while what is to be recorded is not written."""
         return self._stalled or self._log.failing
 
-    def note(self, kind: Kind, payload: bytes) -> None:
+    def note(self, kind: records.Kind, payload: bytes) -> None:
         """Hand over a record that the next run reads; returns at once.
 
         Args:
@@ -288,10 +284,10 @@ class Recorder:
         utc = datetime.fromtimestamp(wall_s, UTC)
         for report in reports:
             if isinstance(report, Event | CommandReport):
-                row = note_row(report, utc, now_s, next(self._numbers))
-                kind = Kind.EVENT if isinstance(report, Event) else Kind.COMMAND
+                row = records.note_row(report, utc, now_s, next(self._numbers))
+                kind = records.Kind.EVENT if isinstance(report, Event) else records.Kind.COMMAND
                 self._log.append(kind, msgspec.msgpack.encode(row))
-            if isinstance(report, Event) and report.kind == TRIP:
+            if isinstance(report, Event) and report.kind == journal_files.TRIP:
                 self._archiving.due(self._pace.trip_s + 0.1)  # once its record is complete
 
     async def _gather(self) -> None:
@@ -300,30 +296,30 @@ class Recorder:
             for queue in (self._slow, self._sensors, self._ticks):
                 queue.drain()
             return
-        slow = [slow_row(r) for r in self._slow.drain() if isinstance(r, LoadReport)]
-        self._append_rows(Kind.SLOW, slow)
+        slow = [records.slow_row(r) for r in self._slow.drain() if isinstance(r, LoadReport)]
+        self._append_rows(records.Kind.SLOW, slow)
         sensors = (
-            sensor_row(r)
+            records.sensor_row(r)
             for r in self._sensors.drain()
             if isinstance(r, SensorSample | DriveReport)
         )
-        self._append_rows(Kind.SENSORS, [row for row in sensors if len(row) > 1])
+        self._append_rows(records.Kind.SENSORS, [row for row in sensors if len(row) > 1])
         self._waiting += (r for r in self._ticks.drain() if isinstance(r, TickReport))
         while self._waiting:
             reports = [self._waiting.popleft() for _ in range(min(_SLICE, len(self._waiting)))]
             self._last_tick = reports[-1].measurement.tick
-            packed = msgspec.msgpack.encode(packed_ticks(reports))
-            self._log.append(Kind.TICKS, packed, len(reports))
+            packed = msgspec.msgpack.encode(records.packed_ticks(reports))
+            self._log.append(records.Kind.TICKS, packed, len(reports))
             await asyncio.sleep(0)
 
-    def _append_rows(self, kind: Kind, rows: Sequence[dict[str, Any]]) -> None:
+    def _append_rows(self, kind: records.Kind, rows: Sequence[dict[str, Any]]) -> None:
         if rows:
             self._log.append(kind, msgspec.msgpack.encode(rows), len(rows))
 
     def _count(self, *, last: bool = False) -> None:
         """Report what was dropped, once that or the recording ends, and have the log say so."""
         overflow = self._log.dropped
-        queued = Dropped(self._ticks.dropped, self._slow.dropped, self._events.dropped)
+        queued = session.Dropped(self._ticks.dropped, self._slow.dropped, self._events.dropped)
         dropped = overflow + queued
         stalled = overflow != self._overflow or (self._stalled and self._log.behind)
         self._overflow = overflow
@@ -340,7 +336,7 @@ class Recorder:
         now_s = self._clock()[0]
         if new or last or now_s - self._counted_s >= _COUNTED_S:
             self._counted_s = now_s
-            self._log.append(Kind.DROPPED, msgspec.msgpack.encode(dropped))
+            self._log.append(records.Kind.DROPPED, msgspec.msgpack.encode(dropped))
 
     async def _finish(self) -> None:
         part_s = self._pace.close_s / 2.0
@@ -348,7 +344,7 @@ class Recorder:
         self._note(self._events.drain())
         self._count(last=True)
         self._note(self._events.drain())  # with the loss that this has told
-        self._log.append(Kind.END, b"")
+        self._log.append(records.Kind.END, b"")
         written = await self._log.close(part_s)
         self.complete = not self._begun or (written and self._archiving.directory is not None)
         if not self.complete:
@@ -368,14 +364,14 @@ class Recorder:
             detail = f"the archiver, or the next start, completes the session's files: {problem}"
             self._report(Severity.WARNING, detail)
 
-    def _hear(self, outcome: LogNews) -> None:
+    def _hear(self, outcome: writer.LogNews) -> None:
         begun = self._archiving.directory is not None
         for what, problem in outcome.problems.items():
-            if problem and what == SYNC:
+            if problem and what == writer.SYNC:
                 self._report(Severity.WARNING, f"a power cut may take what is written: {problem}")
             elif problem:
                 self._report(Severity.ALARM, f"{STOPPED if begun else UNBEGUN}: {problem}")
-            elif what != SYNC and not self._log.failing:
+            elif what != writer.SYNC and not self._log.failing:
                 self._report(Severity.INFO, "recording continues")
         if outcome.part > 1:
             self._archiving.due()

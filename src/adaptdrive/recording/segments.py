@@ -25,15 +25,8 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording.journal_files import LogFile, in_progress, records, unarchived
+from adaptdrive.recording import journal_files, session
 from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Keep, Kind, Record, Ticks
-from adaptdrive.recording.session import (
-    NOTES,
-    SessionInfo,
-    TableName,
-    read_info,
-    session_directories,
-)
 from adaptdrive.recording.tables import read_parquet, rows_batch, ticks_batch, write_parquet
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.runtime.statistics import BINS, bin_of
@@ -48,11 +41,11 @@ _ROWS_AT_ONCE = 200
 """Rows of a batch: as Python values they take many times their size on disk."""
 
 _KINDS: dict[str, tuple[Kind, Any, str]] = {
-    TableName.TICKS: (Kind.TICKS, Ticks, "sequence"),
-    TableName.SLOW: (Kind.SLOW, list[dict[str, Any]], MONOTONIC),
-    TableName.SENSORS: (Kind.SENSORS, list[dict[str, Any]], MONOTONIC),
-    TableName.EVENTS: (Kind.EVENT, EventRow, "number"),
-    TableName.COMMANDS: (Kind.COMMAND, CommandRow, "number"),
+    session.TableName.TICKS: (Kind.TICKS, Ticks, "sequence"),
+    session.TableName.SLOW: (Kind.SLOW, list[dict[str, Any]], MONOTONIC),
+    session.TableName.SENSORS: (Kind.SENSORS, list[dict[str, Any]], MONOTONIC),
+    session.TableName.EVENTS: (Kind.EVENT, EventRow, "number"),
+    session.TableName.COMMANDS: (Kind.COMMAND, CommandRow, "number"),
 }
 """Kind and contents of the records of each table, and its column that only ever grows."""
 
@@ -73,7 +66,7 @@ class Segment:
     number: int
     table: str
     path: Path
-    logged: tuple[LogFile, ...] = ()
+    logged: tuple[journal_files.LogFile, ...] = ()
 
     @property
     def closed(self) -> bool:
@@ -106,7 +99,7 @@ def parquet_path(directory: Path, table: str, number: int) -> Path:
     return directory / f"{table}-{number:04}.parquet"
 
 
-def segments(directory: Path, info: SessionInfo, table: str | None = None) -> list[Segment]:
+def segments(directory: Path, info: session.SessionInfo, table: str | None = None) -> list[Segment]:
     """Return the segments of one table or of all, in their order.
 
     Args:
@@ -125,10 +118,10 @@ def segments(directory: Path, info: SessionInfo, table: str | None = None) -> li
 
 def write_segment(
     directory: Path,
-    info: SessionInfo,
+    info: session.SessionInfo,
     part: int,
     rows_of: Callable[[str], Batches],
-) -> SessionInfo:
+) -> session.SessionInfo:
     """Write a segment of each table, and count its rows and the times of its ticks.
 
     Args:
@@ -158,7 +151,7 @@ def _counted(
 ) -> Batches:
     for batch in batches:
         rows[table] = rows.get(table, 0) + batch.num_rows
-        for name, counts in times.items() if table == TableName.TICKS else ():
+        for name, counts in times.items() if table == session.TableName.TICKS else ():
             for time_us in batch.column(name).to_pylist():
                 if not math.isnan(time_us):  # a stand-in tick has no turnaround
                     counts[bin_of(time_us)] += 1
@@ -174,15 +167,20 @@ def closed_segments(directory: Path) -> list[Segment]:
     ]
 
 
-def _logged(directory: Path, info: SessionInfo, tables: Iterable[str]) -> Iterator[Segment]:
-    for part, group in groupby(unarchived(directory, info), key=lambda file: file.part):
+def _logged(directory: Path, info: session.SessionInfo, tables: Iterable[str]) -> Iterator[Segment]:
+    for part, group in groupby(
+        journal_files.unarchived(directory, info), key=lambda file: file.part
+    ):
         files = tuple(group)
         for table in tables:
             yield Segment(part, table, parquet_path(directory, table, part), files)
 
 
 def logged_batches(
-    files: Sequence[LogFile], table: str, schema: pa.Schema, losses: list[str] | None = None
+    files: Sequence[journal_files.LogFile],
+    table: str,
+    schema: pa.Schema,
+    losses: list[str] | None = None,
 ) -> Iterator[pa.RecordBatch]:
     """Yield the rows of a table in files of the log.
 
@@ -199,15 +197,15 @@ def logged_batches(
     kind, contents, _ = _KINDS[table]
     timed: list[tuple[Any, float]] = []
     rows = 0
-    for record in records(files, losses):
+    for record in journal_files.records(files, losses):
         found = content_of(record, contents, losses) if record.kind is kind else None
         if found is None:
             continue
-        if table in NOTES:
+        if table in session.NOTES:
             found = [msgspec.structs.asdict(found)]
         timed.append((found, record.wall_s - record.monotonic_s))
         rows += found.rows if isinstance(found, Ticks) else len(found)
-        if rows >= (_TICKS_AT_ONCE if table == TableName.TICKS else _ROWS_AT_ONCE):
+        if rows >= (_TICKS_AT_ONCE if table == session.TableName.TICKS else _ROWS_AT_ONCE):
             # they are given up before the batch is taken
             made, timed, rows = _made(timed, table, schema, losses), [], 0
             yield from made
@@ -220,7 +218,7 @@ def _made(
 ) -> list[pa.RecordBatch]:
     """Return a batch, or note that its rows do not fit their table, as those of another version."""
     try:
-        return [(ticks_batch if table == TableName.TICKS else rows_batch)(timed, schema)]
+        return [(ticks_batch if table == session.TableName.TICKS else rows_batch)(timed, schema)]
     except (LookupError, TypeError, ValueError, OverflowError) as problem:
         losses.append(f"rows that make no table: {problem}")
         return []
@@ -267,7 +265,7 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
     Raises:
         RecordingError: A session cannot be removed; the others are.
     """
-    directories = [path for path in session_directories(sessions) if not path.is_symlink()]
+    directories = [path for path in session.session_directories(sessions) if not path.is_symlink()]
     older = [path for path in directories if path != current]
     outdated = _too_old(directories, keep, now, by_person=current is None)
     excess = sum(map(size_of, directories)) - keep.bytes if keep.bytes is not None else 0
@@ -298,7 +296,7 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
 
 def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
     for segment in closed_segments(directory):
-        if segment.table in NOTES:
+        if segment.table in session.NOTES:
             continue
         if excess <= 0:
             return
@@ -310,7 +308,7 @@ def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
 def _remove(directory: Path) -> bool:
     # nobody writes a session whose facts cannot be read
     with contextlib.suppress(RecordingError):
-        if in_progress(directory, read_info(directory)):
+        if journal_files.in_progress(directory, session.read_info(directory)):
             return False
     shutil.rmtree(directory)
     return True
@@ -324,7 +322,7 @@ def _too_old(directories: list[Path], keep: Keep, now: datetime, *, by_person: b
     for path in directories:
         # one that cannot be read is left for a person
         with contextlib.suppress(RecordingError):
-            ages_days[path] = (now - read_info(path).started).total_seconds() / _DAY_S
+            ages_days[path] = (now - session.read_info(path).started).total_seconds() / _DAY_S
     least_days = min(_CONFIRMED_DAYS, 0.5 * keep.days)
     if by_person or any(least_days <= age_days <= keep.days for age_days in ages_days.values()):
         return {path for path, age_days in ages_days.items() if age_days > keep.days}

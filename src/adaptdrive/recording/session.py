@@ -20,9 +20,9 @@ from typing import Annotated, Any
 
 import msgspec
 
+from adaptdrive.util import quantity
 from adaptdrive.util.errors import NOT_JSON, RecordingError, reason_of
 from adaptdrive.util.files import read_regular, replace_regular
-from adaptdrive.util.quantity import BOOST, Given
 
 # A session's directory: its name, and the facts about it in `session.json`.
 
@@ -136,7 +136,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     prior: tuple[float, ...] | None = None
     histograms: dict[str, tuple[int, ...]] = {}
     output_unit: str = ""
-    manipulated: Given = BOOST
+    manipulated: quantity.Given = quantity.BOOST
     segments: int = 0
     resolution: float = 0.0
     rows: dict[str, int] = {}

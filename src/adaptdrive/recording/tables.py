@@ -19,9 +19,8 @@ from adaptdrive.control.signals import Column
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
 from adaptdrive.recording.session import SensorColumn, SessionInfo, TableName
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
+from adaptdrive.util import files, quantity
 from adaptdrive.util.errors import RecordingError
-from adaptdrive.util.files import require_regular
-from adaptdrive.util.quantity import BOOST
 
 # Tables on disk: Arrow schemas that explain themselves, and record batches that fit them.
 
@@ -72,7 +71,7 @@ def table_schema(table: str, info: SessionInfo | None = None) -> pa.Schema:
         sensors = (_MONOTONIC, *(info.sensors if info else ()))
         fields = [_field(one, pa.float64(), one.unit) for one in sensors]
     else:
-        given = info.manipulated if info else BOOST
+        given = info.manipulated if info else quantity.BOOST
         units = {"y": info.output_unit if info else "", "u": INPUT_UNIT, "v": given.unit}
         columns = TICK_COLUMNS if table == TableName.TICKS else SLOW_COLUMNS
         fields = [_field(one, _TYPES[one.kind], units.get(one.unit, one.unit)) for one in columns]
@@ -231,7 +230,7 @@ def read_parquet(path: Path, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
         RecordingError: The file is damaged, or holds another table.
     """
     try:
-        require_regular(path)
+        files.require_regular(path)
         with (
             open_file(path, "rb") as source,
             pq.ParquetFile(source, page_checksum_verification=True) as file,

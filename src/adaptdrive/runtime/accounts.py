@@ -7,20 +7,7 @@ from dataclasses import fields
 from adaptdrive.control.signals import Decision, Mode
 from adaptdrive.devices.port import PortStatistics
 from adaptdrive.devices.sensors import SensorBus
-from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.reports import (
-    DriveReport,
-    Event,
-    Hub,
-    SensorReport,
-    SensorSample,
-    Severity,
-    State,
-    StateReport,
-    StopWord,
-)
-from adaptdrive.runtime.state_machine import Machine
-from adaptdrive.runtime.tick_support import ServiceManager
+from adaptdrive.runtime import fast_loop, reports, state_machine, tick_support
 
 _WARNING_S = 1.0
 """Shortest time between two events of warnings: a bit may change in every half cycle."""
@@ -29,8 +16,12 @@ _NAMES = tuple(field.name for field in fields(PortStatistics))
 
 
 def state_report(
-    machine: Machine, decision: Decision | None, stop: StopWord, *, shutting_down: bool = False
-) -> StateReport:
+    machine: state_machine.Machine,
+    decision: Decision | None,
+    stop: reports.StopWord,
+    *,
+    shutting_down: bool = False,
+) -> reports.StateReport:
     """Return state and mode of a drive, for operators.
 
     Args:
@@ -39,7 +30,7 @@ def state_report(
         stop: Confirmation of the stop by the drive.
         shutting_down: Whether the daemon ends.
     """
-    return StateReport(
+    return reports.StateReport(
         state=machine.state,
         mode=machine.mode,
         controller=_source(machine.mode, decision),
@@ -57,11 +48,11 @@ def state_report(
     )
 
 
-def _reason(machine: Machine, decision: Decision | None) -> str:
+def _reason(machine: state_machine.Machine, decision: Decision | None) -> str:
     """Return why adaptive is not in force, or may not fit the load any more, and any probe."""
     adaptive = machine.mode is Mode.ADAPTIVE
     if decision is None:  # a run has none before its first slow period
-        running = machine.state is State.RUNNING
+        running = machine.state is reports.State.RUNNING
         undecided = "waiting for the first slow period of this run" if running else "not running"
         return undecided if adaptive else ""
     waiting = adaptive and _source(machine.mode, decision) is Mode.FIXED
@@ -78,7 +69,11 @@ def _source(mode: Mode, decision: Decision | None) -> Mode:
 
 
 def status_line(
-    report: StateReport, bus_problem: str | None, cause: str | None, *, recorded: bool = True
+    report: reports.StateReport,
+    bus_problem: str | None,
+    cause: str | None,
+    *,
+    recorded: bool = True,
 ) -> str:
     """Return the state of a drive and what it waits for, and whether recording has failed.
 
@@ -93,29 +88,32 @@ def status_line(
     return line if recorded else f"{line}; recording has failed"
 
 
-def _state_line(report: StateReport, bus_problem: str | None, cause: str | None) -> str:
+def _state_line(report: reports.StateReport, bus_problem: str | None, cause: str | None) -> str:
     obstacle = bus_problem or (cause and cause.partition(":")[0])
     match report.state:
-        case State.STANDBY:
+        case reports.State.STANDBY:
             awaited = f"the drive ({obstacle})" if obstacle else "enable"
             return f"standby, waiting for {awaited}"
-        case State.STARTING:
+        case reports.State.STARTING:
             return "starting, waiting for the boost voltage"
-        case State.TRIPPED:
+        case reports.State.TRIPPED:
             awaited = f"its cause to go ({obstacle})" if obstacle else "reset"
             return f"tripped, waiting for {awaited}: {report.trip}"
-        case State.STOPPING:
+        case reports.State.STOPPING:
             return "stopping, waiting for the drive to confirm that its bridge is off"
-        case State.RUNNING if report.coasting:
+        case reports.State.RUNNING if report.coasting:
             return f"running, {report.reason}"
-        case State.RUNNING:
+        case reports.State.RUNNING:
             why = f": {report.reason}" if report.reason else ""
             return f"running, {report.controller} controller{why}"
 
 
 def drive_report(
-    fast: FastLoop, bus: PortStatistics, sensors: tuple[SensorReport, ...], now_s: float
-) -> DriveReport:
+    fast: fast_loop.FastLoop,
+    bus: PortStatistics,
+    sensors: tuple[reports.SensorReport, ...],
+    now_s: float,
+) -> reports.DriveReport:
     """Measurement, command and the books of the fast loop; its windows of time begin anew.
 
     Args:
@@ -124,7 +122,7 @@ def drive_report(
         sensors: State of the sensor buses.
         now_s: Monotonic time.
     """
-    return DriveReport(
+    return reports.DriveReport(
         measurement=fast.measurement,
         age_s=now_s - fast.reading.oldest_s if fast.reading else math.nan,
         command=fast.command,
@@ -151,14 +149,14 @@ def _counts(bus: PortStatistics) -> dict[str, int]:
     return {name: getattr(bus, name) for name in _NAMES}
 
 
-def sensor_report(bus: SensorBus, now_s: float) -> SensorReport:
+def sensor_report(bus: SensorBus, now_s: float) -> reports.SensorReport:
     """Return the state of a sensor bus, its latest values and their ages.
 
     Args:
         bus: The sensor bus.
         now_s: Monotonic time.
     """
-    return SensorReport(
+    return reports.SensorReport(
         name=bus.name,
         up=bus.up,
         detail=bus.detail,
@@ -168,7 +166,7 @@ def sensor_report(bus: SensorBus, now_s: float) -> SensorReport:
     )
 
 
-def sensor_sample(buses: Sequence[SensorBus], now_s: float) -> SensorSample:
+def sensor_sample(buses: Sequence[SensorBus], now_s: float) -> reports.SensorSample:
     """Return the latest values of sensor buses and their ages.
 
     Args:
@@ -177,7 +175,9 @@ def sensor_sample(buses: Sequence[SensorBus], now_s: float) -> SensorSample:
     """
     found = [(f"{bus.name}.{name}", bus, name) for bus in buses for name in bus.values]
     values = {column: bus.values[name] for column, bus, name in found}
-    return SensorSample(now_s, values, {column: now_s - bus.taken_s[n] for column, bus, n in found})
+    return reports.SensorSample(
+        now_s, values, {column: now_s - bus.taken_s[n] for column, bus, n in found}
+    )
 
 
 class Announcer:
@@ -191,10 +191,10 @@ class Announcer:
 
     def __init__(
         self,
-        machine: Machine,
-        fast: FastLoop,
-        hub: Hub,
-        manager: ServiceManager,
+        machine: state_machine.Machine,
+        fast: fast_loop.FastLoop,
+        hub: reports.Hub,
+        manager: tick_support.ServiceManager,
         recorded: Callable[[], bool],
     ) -> None:
         """Publish nothing yet.
@@ -239,7 +239,7 @@ class Announcer:
 
     def report_bus(self, *, up: bool, detail: str) -> None:
         """Publish the loss or the return of the bus."""
-        self.publish_event("bus", Severity.INFO if up else Severity.WARNING, detail)
+        self.publish_event("bus", reports.Severity.INFO if up else reports.Severity.WARNING, detail)
         self._bus_problem = None if up else detail
         self.update_manager()
 
@@ -259,25 +259,25 @@ class Announcer:
         """
         if warning == self._warning or arrival_s - self._warned_s < _WARNING_S:
             return
-        severity = Severity.WARNING if warning else Severity.INFO
+        severity = reports.Severity.WARNING if warning else reports.Severity.INFO
         detail = warning or f"none any more; the last was {self._warning}"
         self._warning, self._warned_s = warning, arrival_s
         self.publish_event("warning", severity, f"drive warning: {detail}")
 
-    def publish_event(self, kind: str, severity: Severity, detail: str) -> None:
+    def publish_event(self, kind: str, severity: reports.Severity, detail: str) -> None:
         """Publish an event of the present tick."""
-        self._hub.publish(Event(kind, severity, detail, self._fast.tick))
+        self._hub.publish(reports.Event(kind, severity, detail, self._fast.tick))
 
-    def _report_state(self, report: StateReport, last: StateReport) -> None:
+    def _report_state(self, report: reports.StateReport, last: reports.StateReport) -> None:
         if report.trip is not None and last.trip is None:
-            self.publish_event("trip", Severity.ALARM, report.trip)
-        self.publish_event("state", Severity.INFO, f"{last.state} to {report.state}")
+            self.publish_event("trip", reports.Severity.ALARM, report.trip)
+        self.publish_event("state", reports.Severity.INFO, f"{last.state} to {report.state}")
         self.update_manager()
 
-    def _report_controller(self, report: StateReport, last: StateReport) -> None:
+    def _report_controller(self, report: reports.StateReport, last: reports.StateReport) -> None:
         fell_back = (last.controller, report.controller) == (Mode.ADAPTIVE, Mode.FIXED)
         if fell_back and report.mode is Mode.ADAPTIVE:
-            self.publish_event("fallback", Severity.WARNING, report.reason)
+            self.publish_event("fallback", reports.Severity.WARNING, report.reason)
         else:
             detail = f"{report.controller} controller in force"
-            self.publish_event("controller", Severity.INFO, detail)
+            self.publish_event("controller", reports.Severity.INFO, detail)

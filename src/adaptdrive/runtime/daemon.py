@@ -10,22 +10,16 @@ from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
-from adaptdrive.runtime.accounts import Announcer, drive_report
-from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.interlocks import RefusedShares
-from adaptdrive.runtime.reports import (
-    DriveReport,
-    Hub,
-    LoadReport,
-    SensorReport,
-    Severity,
-    State,
-    TickReport,
+from adaptdrive.runtime import (
+    accounts,
+    fast_loop,
+    interlocks,
+    reports,
+    requests,
+    state_machine,
+    tick_support,
 )
-from adaptdrive.runtime.requests import Reload, Request, Reset
 from adaptdrive.runtime.settings import DaemonSettings
-from adaptdrive.runtime.state_machine import Machine
-from adaptdrive.runtime.tick_support import ServiceManager, TickSupport
 from adaptdrive.util.clock import TickTimer
 from adaptdrive.util.errors import RefusedError
 
@@ -38,7 +32,9 @@ _STOP_GAP_S = 0.004
 class StopSender:
     """Brings one drive into its safe state."""
 
-    def __init__(self, machine: Machine, fast: FastLoop, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, machine: state_machine.Machine, fast: fast_loop.FastLoop, clock: Callable[[], float]
+    ) -> None:
         """Send nothing yet.
 
         Args:
@@ -69,7 +65,7 @@ class StopSender:
         for number in itertools.count():
             late = self._clock() > end_s  # judged once more then, however long this process slept
             self._fast.send_safe()
-            ended = late or self._machine.state is not State.STOPPING
+            ended = late or self._machine.state is not reports.State.STOPPING
             if ended and number >= FAREWELLS:
                 break
             await asyncio.sleep(FAREWELL_GAP_S)
@@ -140,12 +136,12 @@ class Daemon:
         controller: TwoRate,
         settings: DaemonSettings,
         clock: Callable[[], float],
-        hub: Hub,
-        manager: ServiceManager,
-        sensors: Callable[[], tuple[SensorReport, ...]] = tuple,
+        hub: reports.Hub,
+        manager: tick_support.ServiceManager,
+        sensors: Callable[[], tuple[reports.SensorReport, ...]] = tuple,
         rehearse: Callable[[], None] = lambda: None,
         recorded: Callable[[], bool] = lambda: True,
-        prepare: Callable[[Reload], Awaitable[Callable[[], None]]] | None = None,
+        prepare: Callable[[requests.Reload], Awaitable[Callable[[], None]]] | None = None,
     ) -> None:
         """Join port, controller and reports.
 
@@ -172,15 +168,15 @@ class Daemon:
         self._clock = clock
         self._hub = hub
         self._manager = manager
-        self._machine = Machine(settings.machine, settings.pole)
-        self._fast = FastLoop(port, controller, self._machine, settings.fast, self)
+        self._machine = state_machine.Machine(settings.machine, settings.pole)
+        self._fast = fast_loop.FastLoop(port, controller, self._machine, settings.fast, self)
         self._slow = SlowLoop(controller.decide, self._fast.deliver)
         self._timer: TickTimer | None = None
-        self._support: TickSupport | None = None
+        self._support: tick_support.TickSupport | None = None
         self._failure: asyncio.Future[None] | None = None
         self._stopper = StopSender(self._machine, self._fast, clock)
-        self._refused = RefusedShares(settings.refused_share)
-        self._announcer = Announcer(self._machine, self._fast, hub, manager, recorded)
+        self._refused = interlocks.RefusedShares(settings.refused_share)
+        self._announcer = accounts.Announcer(self._machine, self._fast, hub, manager, recorded)
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve the drive until `stop` is set; leave it in its safe state, whatever happens.
@@ -194,7 +190,7 @@ class Daemon:
         loop = asyncio.get_running_loop()
         self._failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline, self._settings.realtime.spin_us * 1e-6)
-        self._support = TickSupport(
+        self._support = tick_support.TickSupport(
             self._settings, self._port.catch_up, self._rehearse, self._warn, self._clock
         )
         self._hub.publish(self._announcer.published)
@@ -259,7 +255,7 @@ class Daemon:
         self._fast.send_safe()
         self._announcer.publish_state()
 
-    def stop(self) -> State:
+    def stop(self) -> reports.State:
         """Bring the drive into its safe state at once, whatever it is doing.
 
         Returns:
@@ -269,7 +265,7 @@ class Daemon:
         self._announcer.publish_state()
         return self._machine.state
 
-    async def execute(self, request: Request) -> State:
+    async def execute(self, request: requests.Request) -> reports.State:
         """Carry out an operator's request between two ticks.
 
         Raises:
@@ -277,9 +273,9 @@ class Daemon:
         """
         if self._announcer.shutting_down:
             raise RefusedError("the daemon is shutting down")
-        if isinstance(request, Reload):
+        if isinstance(request, requests.Reload):
             return await self._reload(request)
-        if isinstance(request, Reset) and not self._machine.energised:
+        if isinstance(request, requests.Reset) and not self._machine.energised:
             await self._port.reset_fault()
         fast, mode = self._fast, self._machine.mode
         output = fast.reading.output if fast.reading is not None else float("nan")
@@ -290,11 +286,11 @@ class Daemon:
             self._fast.send_safe()
         if self._machine.mode is not mode:
             detail = f"mode {mode} to {self._machine.mode}"
-            self._announcer.publish_event("mode", Severity.INFO, detail)
+            self._announcer.publish_event("mode", reports.Severity.INFO, detail)
         self._announcer.publish_state()
         return self._machine.state
 
-    async def _reload(self, request: Reload) -> State:
+    async def _reload(self, request: requests.Reload) -> reports.State:
         """Have another run follow this one, which ends; nothing energises the drive meanwhile."""
         if self._prepare is None:
             raise RefusedError("this daemon has no file")
@@ -333,7 +329,7 @@ class Daemon:
         """Feed the watchdog of the service manager after a tick that was in time."""
         self._manager.feed(now_s)
 
-    def ticked(self, report: TickReport) -> None:
+    def ticked(self, report: reports.TickReport) -> None:
         """Publish a tick that is complete."""
         self._hub.publish(report)
         if self._announcer.outdated:
@@ -349,18 +345,18 @@ class Daemon:
         """Report a decision that took effect, and a change of controller."""
         self._announcer.decision = decision
         self._machine.reach = Reach(decision.reach_low, decision.reach_high)
-        self._hub.publish(LoadReport(snapshot, decision, self._clock()))
+        self._hub.publish(reports.LoadReport(snapshot, decision, self._clock()))
         if decision.fault:
             self._machine.latch(decision.fault)
             self._fast.send_safe()
         elif decision.complete:  # the load has what it needs: a safe state without a trip
-            self._announcer.publish_event("complete", Severity.INFO, "charging is complete")
+            self._announcer.publish_event("complete", reports.Severity.INFO, "charging is complete")
             self._stopper.stop()
         self._announcer.publish_state()
 
     def not_stopped(self, detail: str) -> None:
         """Report that the drive has not confirmed its stop in time, for any first cause."""
-        self._announcer.publish_event("stop", Severity.ALARM, detail)
+        self._announcer.publish_event("stop", reports.Severity.ALARM, detail)
 
     def run_ended(self) -> None:
         """Discard what was decided: it is valid for one run only."""
@@ -369,7 +365,7 @@ class Daemon:
         self._slow.forget()
 
     def _warn(self, kind: str, detail: str) -> None:
-        self._announcer.publish_event(kind, Severity.WARNING, detail)
+        self._announcer.publish_event(kind, reports.Severity.WARNING, detail)
 
     def _opened(self) -> None:
         self.opened.set()
@@ -380,13 +376,15 @@ class Daemon:
     async def _report(self) -> None:
         while True:
             await asyncio.sleep(self._settings.report_s)
-            books = drive_report(self._fast, self._port.statistics, self._sensors(), self._clock())
+            books = accounts.drive_report(
+                self._fast, self._port.statistics, self._sensors(), self._clock()
+            )
             self._hub.publish(books)
             self._watch_refusals(books)
             self._announcer.publish_state()
             self._announcer.update_manager()
 
-    def _watch_refusals(self, books: DriveReport) -> None:
+    def _watch_refusals(self, books: reports.DriveReport) -> None:
         """Report a large share of refused frames, and trip where that is configured."""
         for detail in self._refused.add(books):
             self._warn("refused", detail)

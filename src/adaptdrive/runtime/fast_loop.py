@@ -11,30 +11,24 @@ loop, the watchdog, the books and the report) comes after it.
 import math
 from typing import Final
 
+from adaptdrive.control import signals
 from adaptdrive.control.schedule import Schedule, TwoRate
-from adaptdrive.control.signals import (
-    SAFE_COMMAND,
-    Command,
-    Decision,
-    Measurement,
-    Order,
-    Snapshot,
-    Stage,
-)
 from adaptdrive.devices.port import Port, Reading, assuming
+from adaptdrive.runtime import (
+    interlock_board,
+    reports,
+    state_machine,
+    statistics,
+    stopping,
+    timebase,
+)
 from adaptdrive.runtime.capacitor import CapacitorBalance
-from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.interlocks import Guard
-from adaptdrive.runtime.reports import StopWord, TickReport
 from adaptdrive.runtime.settings import FastLoopSettings, LoopSurroundings, TickCounts
-from adaptdrive.runtime.state_machine import Machine
-from adaptdrive.runtime.statistics import TimeWindow
-from adaptdrive.runtime.stopping import Stopping
-from adaptdrive.runtime.timebase import HalfCycles
 
-_OFF: Final[Stage] = Stage.OFF  # found at once by compiled code
-_PRECHARGE: Final[Stage] = Stage.PRECHARGE
-_RUN: Final[Stage] = Stage.RUN
+_OFF: Final[signals.Stage] = signals.Stage.OFF  # found at once by compiled code
+_PRECHARGE: Final[signals.Stage] = signals.Stage.PRECHARGE
+_RUN: Final[signals.Stage] = signals.Stage.RUN
 
 
 class FastLoop:
@@ -57,7 +51,7 @@ class FastLoop:
         self,
         port: Port,
         controller: TwoRate,
-        machine: Machine,
+        machine: state_machine.Machine,
         settings: FastLoopSettings,
         surroundings: LoopSurroundings,
     ) -> None:
@@ -75,29 +69,31 @@ class FastLoop:
         self._machine = machine
         timing = settings.timing
         tick_s, stride = timing.half_cycle_s, timing.ticks_per_reading
-        self._half_cycles = HalfCycles(port.counter_modulus, tick_s, stride, timing.stale_s)
+        self._half_cycles = timebase.HalfCycles(
+            port.counter_modulus, tick_s, stride, timing.stale_s
+        )
         self.guard = Guard(settings.command)
         capacitor = settings.capacitor
         self._capacitor = None if capacitor is None else CapacitorBalance(capacitor)
         self._settings = settings
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
-        self._interlocks = InterlockBoard(settings, port, self._half_cycles)
-        self._stopping = Stopping(port, timing, machine, surroundings.not_stopped)
-        self._order: Order | None = None
-        self._wanted = SAFE_COMMAND
+        self._interlocks = interlock_board.InterlockBoard(settings, port, self._half_cycles)
+        self._stopping = stopping.Stopping(port, timing, machine, surroundings.not_stopped)
+        self._order: signals.Order | None = None
+        self._wanted = signals.SAFE_COMMAND
         self._waits = False
         self._sequence = 0
         self._deadline_s = math.inf
         self.tick = -1
         self.stop_limit_s: Final = self._stopping.watch.limit_s
         self.reading: Reading | None = None
-        self.measurement: Measurement | None = None
-        self.command = SAFE_COMMAND
+        self.measurement: signals.Measurement | None = None
+        self.command = signals.SAFE_COMMAND
         self.counts = TickCounts()
-        self.lateness = TimeWindow()
-        self.turnaround = TimeWindow()
-        self.tick_time = TimeWindow()
+        self.lateness = statistics.TimeWindow()
+        self.turnaround = statistics.TimeWindow()
+        self.tick_time = statistics.TimeWindow()
 
     @property
     def cause(self) -> str | None:
@@ -186,25 +182,25 @@ class FastLoop:
         if ended_s - due_s < 0.5 * self._half_cycles.reading_period_s:
             self._surroundings.met_deadline(ended_s)
 
-    def deliver(self, snapshot: Snapshot, decision: Decision) -> None:
+    def deliver(self, snapshot: signals.Snapshot, decision: signals.Decision) -> None:
         """Take a decision of the slow loop; it takes effect at its fixed tick."""
-        if self._machine.stage is Stage.RUN and self._schedule.deliver(snapshot, decision):
+        if self._machine.stage is signals.Stage.RUN and self._schedule.deliver(snapshot, decision):
             self._surroundings.decided(snapshot, decision)
 
     def send_safe(self) -> None:
         """Send the safe command now, outside any tick, to a drive that is commanded off."""
         if self.command.bridge:  # the last tick may have been the first to command it on
             self._stopping.release(self.reading, bridge=True)
-        self.command = self.guard.check(SAFE_COMMAND)
+        self.command = self.guard.check(signals.SAFE_COMMAND)
         self._port.send(self.command)
         self._stopping.judge(self.reading, self._surroundings.now_s())
 
     @property
-    def stop(self) -> StopWord:
+    def stop(self) -> reports.StopWord:
         """Confirmation of the stop by the drive."""
         return self._stopping.word
 
-    def _send(self, command: Command) -> None:
+    def _send(self, command: signals.Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
         capacitor = self._capacitor
         if capacitor is not None:
@@ -273,7 +269,7 @@ class FastLoop:
             self.turnaround.add(turnaround_us)
         if self.measurement is None or self._order is None:
             return
-        report = TickReport(
+        report = reports.TickReport(
             sequence=self._sequence,
             measurement=self.measurement,
             order=self._order,
@@ -314,7 +310,7 @@ class FastLoop:
         if order is not self._order and order.stage is not _RUN:
             self._surroundings.run_ended()
         self._order = order
-        measurement = Measurement(
+        measurement = signals.Measurement(
             tick,
             self._half_cycles.tick_period_s,
             reading.boost_voltage_V,
@@ -328,7 +324,7 @@ class FastLoop:
         self._wanted = command
         self._send_in_time(command)
 
-    def _send_in_time(self, command: Command) -> None:
+    def _send_in_time(self, command: signals.Command) -> None:
         """Send the command of this tick; one that energises waits for a report that is due.
 
         A later reading of the same tick may bring that report.

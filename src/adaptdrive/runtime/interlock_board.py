@@ -4,10 +4,9 @@ import math
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices.port import Port, Reading
-from adaptdrive.runtime.frame_rate import verdict_ticks
+from adaptdrive.runtime import frame_rate, timebase
 from adaptdrive.runtime.interlocks import find_cause
 from adaptdrive.runtime.settings import FastLoopSettings
-from adaptdrive.runtime.timebase import HalfCycles
 
 # Notices a drive that has stopped by itself: it must not be driven on as if it had not.
 
@@ -185,7 +184,9 @@ _PRIORITY = "give the daemon priority by realtime.priority: docs/proof/realtime.
 class InterlockBoard:
     """The interlocks of a drive, and the time since they were last evaluated."""
 
-    def __init__(self, settings: FastLoopSettings, port: Port, half_cycles: HalfCycles) -> None:
+    def __init__(
+        self, settings: FastLoopSettings, port: Port, half_cycles: timebase.HalfCycles
+    ) -> None:
         """Evaluate nothing yet.
 
         Args:
@@ -205,7 +206,9 @@ class InterlockBoard:
         self._watched_s = math.inf
         self._pause_s, self._paused_s = 0.0, -math.inf
         self._least_pause_s = _PAUSE_READINGS * timing.reading_s
-        self._judged_over_s = verdict_ticks(timing.ticks_per_reading) * timing.half_cycle_s
+        self._judged_over_s = (
+            frame_rate.verdict_ticks(timing.ticks_per_reading) * timing.half_cycle_s
+        )
         self._stale_s = timing.stale_s
         self._gap_limit_s = timing.overslept_s
 

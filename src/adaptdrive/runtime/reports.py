@@ -12,17 +12,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Generic, TypeVar
 
-from adaptdrive.control.signals import (
-    Command,
-    Decision,
-    Measurement,
-    Mode,
-    Order,
-    Quantity,
-    Snapshot,
-    Waveform,
-    columns_of,
-)
+from adaptdrive.control import signals
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
 from adaptdrive.util.errors import escaped
 
@@ -81,12 +71,12 @@ class StateReport:
     """
 
     state: State
-    mode: Mode
-    controller: Mode
+    mode: signals.Mode
+    controller: signals.Mode
     reason: str
     enabled: bool
     setpoint: float
-    waveform: Waveform | None
+    waveform: signals.Waveform | None
     pole: float
     trip: str | None
     shutting_down: bool = False
@@ -106,10 +96,11 @@ class LoadReport:
         time_s: Monotonic time at which the decision was taken over.
     """
 
-    snapshot: Snapshot
-    decision: Decision
+    snapshot: signals.Snapshot
+    decision: signals.Decision
     time_s: Annotated[
-        float, Quantity("s", "monotonic time at which the decision was taken over", MONOTONIC)
+        float,
+        signals.Quantity("s", "monotonic time at which the decision was taken over", MONOTONIC),
     ] = math.nan
 
 
@@ -182,9 +173,9 @@ class DriveReport:
         time_s: Monotonic time of the report.
     """
 
-    measurement: Measurement | None
+    measurement: signals.Measurement | None
     age_s: float
-    command: Command
+    command: signals.Command
     ticks: int
     missed: int
     held: int
@@ -236,24 +227,29 @@ class TickReport:
     """
 
     sequence: Annotated[
-        int, Quantity("", "running number of the ticks since the controller was built, from 0")
+        int,
+        signals.Quantity("", "running number of the ticks since the controller was built, from 0"),
     ]
-    measurement: Measurement
-    order: Order
+    measurement: signals.Measurement
+    order: signals.Order
     applied_k: Annotated[
-        int, Quantity("", "slow index of the decision that took effect at this tick, -1 for none")
+        int,
+        signals.Quantity(
+            "", "slow index of the decision that took effect at this tick, -1 for none"
+        ),
     ]
-    command: Command
-    lateness_us: Annotated[float, Quantity("µs", "lateness of the tick")]
+    command: signals.Command
+    lateness_us: Annotated[float, signals.Quantity("µs", "lateness of the tick")]
     turnaround_us: Annotated[
-        float, Quantity("µs", "status frame in to command frame out; NaN on a stand-in tick")
+        float,
+        signals.Quantity("µs", "status frame in to command frame out; NaN on a stand-in tick"),
     ]
-    tick_us: Annotated[float, Quantity("µs", "duration of the tick, from interlocks to wire")] = (
-        math.nan
-    )
-    time_s: Annotated[float, Quantity("s", "monotonic time at the end of the tick", MONOTONIC)] = (
-        math.nan
-    )
+    tick_us: Annotated[
+        float, signals.Quantity("µs", "duration of the tick, from interlocks to wire")
+    ] = math.nan
+    time_s: Annotated[
+        float, signals.Quantity("s", "monotonic time at the end of the tick", MONOTONIC)
+    ] = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,8 +275,8 @@ class CommandReport:
 
 Report = StateReport | LoadReport | DriveReport | SensorSample | Event | TickReport | CommandReport
 
-TICK_COLUMNS = columns_of(TickReport)
-SLOW_COLUMNS = columns_of(LoadReport)
+TICK_COLUMNS = signals.columns_of(TickReport)
+SLOW_COLUMNS = signals.columns_of(LoadReport)
 
 
 # Reports from the runtime to everyone else, through queues that can never block it.

@@ -9,9 +9,8 @@ from adaptdrive.config.services import Realtime
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
+from adaptdrive.runtime import interlocks, reports
 from adaptdrive.runtime.capacitor import CapacitorLimits
-from adaptdrive.runtime.interlocks import CommandLimits, Limits, Watch
-from adaptdrive.runtime.reports import TickReport
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import BOOST, Given
 
@@ -232,13 +231,13 @@ class FastLoopSettings:
         capacitor: The boost capacitor that this process charges, None where the drive does.
     """
 
-    limits: Limits
-    command: CommandLimits
+    limits: interlocks.Limits
+    command: interlocks.CommandLimits
     timing: Timing
     latency_ticks: int
     late_fraction: float
     timer_standin: bool
-    watches: tuple[Callable[[], Watch], ...] = ()
+    watches: tuple[Callable[[], interlocks.Watch], ...] = ()
     drive_clocks: bool = True
     capacitor: CapacitorLimits | None = None
 
@@ -276,7 +275,7 @@ class LoopSurroundings(Protocol):
     def met_deadline(self, now_s: float) -> None:
         """Take note of a tick that was in time."""
 
-    def ticked(self, report: TickReport) -> None:
+    def ticked(self, report: reports.TickReport) -> None:
         """Take the report of a complete tick."""
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:

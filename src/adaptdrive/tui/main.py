@@ -13,28 +13,16 @@ from typing import Any
 from rich.layout import Layout
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt.client import NoAnswerError, disturb, follow, send_command
-from adaptdrive.mqtt.commands import printable
-from adaptdrive.mqtt.contract import DeviceReply, Reply
+from adaptdrive.mqtt import client, commands, contract
+from adaptdrive.tui import terminal, view
 from adaptdrive.tui.record import WatchRecord
-from adaptdrive.tui.terminal import (
-    QUIT,
-    KeyCommand,
-    KeyReader,
-    draw,
-    ended_once,
-    pressed_keys,
-    tell_last,
-    whole,
-)
-from adaptdrive.tui.view import WATCH, Surroundings, Takes, screen
 
 _RETRY_S = 2.0
 _WITHDRAWN = "the view ended before the answer; whether it took effect is not known"
 
 Show = Callable[[tuple[int, int]], Layout]
 
-Ask = Callable[[KeyCommand], Awaitable[Reply | DeviceReply]]
+Ask = Callable[[terminal.KeyCommand], Awaitable[contract.Reply | contract.DeviceReply]]
 """Sends a command and returns its answer, or raises `NoAnswerError`."""
 
 
@@ -42,7 +30,7 @@ async def watch(
     broker: Mqtt,
     drive: str,
     timeout_s: float,
-    around: Surroundings = WATCH,
+    around: view.Surroundings = view.WATCH,
     services: Iterable[Coroutine[Any, Any, None]] = (),
 ) -> bool:
     """Show a drive until `q` is pressed or a signal comes; a stop under way is waited for.
@@ -59,7 +47,7 @@ async def watch(
         after the view names each.
     """
     record = WatchRecord(drive, time.monotonic)
-    show = functools.partial(screen, record, around=around)
+    show = functools.partial(view.screen, record, around=around)
     ask = over_mqtt(broker, drive, timeout_s)
     return await run_view(
         record, ask, [follow_drive(broker, record), *services], show, around.takes
@@ -71,7 +59,7 @@ async def run_view(
     ask: Ask,
     services: Iterable[Coroutine[Any, Any, None]],
     show: Show | None,
-    takes: Takes,
+    takes: view.Takes,
 ) -> bool:
     """Draw a view and heed its keys until `q`, a signal, or the end of a service.
 
@@ -86,16 +74,16 @@ async def run_view(
     Returns:
         False where a command is not known to be carried out; a line names each.
     """
-    under_way, reader = CommandsUnderWay(ask, record), KeyReader(record)
+    under_way, reader = CommandsUnderWay(ask, record), terminal.KeyReader(record)
     ended, unanswered = asyncio.Event(), list[str]()
 
     def on_keys(keys: str) -> None:
         for key in keys:
-            if key == QUIT:
+            if key == terminal.QUIT:
                 ended.set()
                 continue
             command = takes(key) or reader.press(key, alone=len(keys) == 1)
-            if isinstance(command, KeyCommand):
+            if isinstance(command, terminal.KeyCommand):
                 under_way.send(command)
 
     async def leave() -> None:
@@ -104,16 +92,18 @@ async def run_view(
             task.cancel()
         await asyncio.wait(tasks)
         if unanswered:
-            tell_last("\n".join(f"adaptdrive: {printable(one)}" for one in unanswered))
+            terminal.tell_last(
+                "\n".join(f"adaptdrive: {commands.printable(one)}" for one in unanswered)
+            )
 
-    seen = [] if show is None else [draw(show)]
+    seen = [] if show is None else [terminal.draw(show)]
     tasks = [asyncio.ensure_future(one) for one in (*services, *seen, ended.wait())]
-    with ended_once():
+    with terminal.ended_once():
         try:
-            with nullcontext() if show is None else pressed_keys(on_keys):
+            with nullcontext() if show is None else terminal.pressed_keys(on_keys):
                 done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            await whole(leave(), complete=True)
+            await terminal.whole(leave(), complete=True)
     for task in done:
         await task
     return not unanswered
@@ -123,10 +113,10 @@ async def follow_drive(broker: Mqtt, record: WatchRecord) -> None:
     """Take messages, and connect again after each loss of the broker."""
     while True:
         try:
-            async for name, content in follow(broker, record.drive):
+            async for name, content in client.follow(broker, record.drive):
                 record.problem = ""
                 record.take(name, content)
-        except NoAnswerError as problem:
+        except client.NoAnswerError as problem:
             record.problem = problem.problem
         record.availability = "unknown"
         await asyncio.sleep(_RETRY_S)
@@ -141,10 +131,10 @@ def over_mqtt(broker: Mqtt, drive: str, timeout_s: float) -> Ask:
         timeout_s: Longest wait for the answer to a command.
     """
 
-    async def ask(command: KeyCommand) -> Reply | DeviceReply:
+    async def ask(command: terminal.KeyCommand) -> contract.Reply | contract.DeviceReply:
         if command.disturbance is not None:
-            return await disturb(broker, drive, dict(command.disturbance), timeout_s)
-        return await send_command(broker, drive, command.verb, command.value, timeout_s)
+            return await client.disturb(broker, drive, dict(command.disturbance), timeout_s)
+        return await client.send_command(broker, drive, command.verb, command.value, timeout_s)
 
     return ask
 
@@ -161,9 +151,9 @@ class CommandsUnderWay:
         """
         self._ask = ask
         self._record = record
-        self._tasks: dict[asyncio.Task[str], KeyCommand] = {}
+        self._tasks: dict[asyncio.Task[str], terminal.KeyCommand] = {}
 
-    def send(self, command: KeyCommand) -> None:
+    def send(self, command: terminal.KeyCommand) -> None:
         """Send a command; a stop first withdraws all others, which could arrive after it."""
         if command.stops:
             self._withdraw()
@@ -193,7 +183,7 @@ class CommandsUnderWay:
             if not command.stops:
                 task.cancel()
 
-    async def _send(self, command: KeyCommand) -> str:
+    async def _send(self, command: terminal.KeyCommand) -> str:
         """Send a command, and show its answer when it is there, never what was hoped for.
 
         Returns:
@@ -202,7 +192,7 @@ class CommandsUnderWay:
         self._record.answer = f"{command.text}: sending…"
         try:
             reply = await self._ask(command)
-        except NoAnswerError as problem:
+        except client.NoAnswerError as problem:
             outcome, accepted = problem.problem, False
         else:
             outcome, accepted = "accepted" if reply.accepted else reply.reason, reply.accepted

@@ -33,26 +33,17 @@ as a gain and time constants that grow together, count for what they do together
 
 import math
 
+from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.loads.discretise import held_model, input_taps
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Rates
-from adaptdrive.control.thresholds import NOISE_FLOOR, WINDOW
-from adaptdrive.control.vectors import (
-    Vector,
-    all_finite,
-    eliminate,
-    is_stable,
-    multiply,
-    substitute,
-    total,
-)
 
 # Pole placement for a controller with an integrator: from a load model to gains.
 
 # Pole placement for a controller with an integrator, any order.
 
 
-def desired_polynomial(pole: float, count: int) -> Vector:
+def desired_polynomial(pole: float, count: int) -> vectors.Vector:
     """(1 - pole q^-1)^count."""
     polynomial = [0.0] * (count + 1)
     polynomial[0] = 1.0
@@ -62,7 +53,9 @@ def desired_polynomial(pole: float, count: int) -> Vector:
     return polynomial
 
 
-def place_poles(a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
+def place_poles(
+    a: vectors.Vector, b: vectors.Vector, desired: vectors.Vector
+) -> tuple[vectors.Vector, vectors.Vector]:
     """Controller polynomials R and S for a closed loop with given poles.
 
     Args:
@@ -76,13 +69,13 @@ def place_poles(a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
     return place(equation(a, b), a, b, desired)
 
 
-def equation(a: Vector, b: Vector) -> Vector:
+def equation(a: vectors.Vector, b: vectors.Vector) -> vectors.Vector:
     """Return the equation of A and B, which is the same for every loop, eliminated.
 
     Returns:
         Its matrix, and the pivots behind it.
     """
-    integrating = multiply(a, [1.0, -1.0])
+    integrating = vectors.multiply(a, [1.0, -1.0])
     free, feedback = len(b) - 2, len(a)
     size = free + feedback
     matrix = [0.0] * (size * size)
@@ -92,27 +85,31 @@ def equation(a: Vector, b: Vector) -> Vector:
             matrix[row * size + j] = _entry(integrating, power - 1 - j)
         for j in range(feedback):
             matrix[row * size + free + j] = _entry(b, power - j)
-    pivots = eliminate(matrix, size)
+    pivots = vectors.eliminate(matrix, size)
     return [*matrix, *pivots]
 
 
-def place(solved: Vector, a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
+def place(
+    solved: vectors.Vector, a: vectors.Vector, b: vectors.Vector, desired: vectors.Vector
+) -> tuple[vectors.Vector, vectors.Vector]:
     """Return what `place_poles` does, from the `equation` of A and B."""
-    integrating = multiply(a, [1.0, -1.0])
+    integrating = vectors.multiply(a, [1.0, -1.0])
     free = len(b) - 2
     size = free + len(a)
     right = [_entry(desired, i + 1) - _entry(integrating, i + 1) for i in range(size)]
-    solution = substitute(solved, solved[size * size :], right)
-    return multiply([1.0, *solution[:free]], [1.0, -1.0]), solution[free:]
+    solution = vectors.substitute(solved, solved[size * size :], right)
+    return vectors.multiply([1.0, *solution[:free]], [1.0, -1.0]), solution[free:]
 
 
-def closed_loop_polynomial(a: Vector, b: Vector, r: Vector, s: Vector) -> Vector:
+def closed_loop_polynomial(
+    a: vectors.Vector, b: vectors.Vector, r: vectors.Vector, s: vectors.Vector
+) -> vectors.Vector:
     """A R + B S: its roots are the poles of the loop that R, S close around any A, B."""
-    forward, back = multiply(a, r), multiply(b, s)
+    forward, back = vectors.multiply(a, r), vectors.multiply(b, s)
     return [_entry(forward, i) + _entry(back, i) for i in range(max(len(forward), len(back)))]
 
 
-def _entry(polynomial: Vector, power: int) -> float:
+def _entry(polynomial: vectors.Vector, power: int) -> float:
     return polynomial[power] if 0 <= power < len(polynomial) else 0.0
 
 
@@ -162,10 +159,10 @@ def past_inputs(settings: ControllerSettings, load: Load) -> int:
 def discrete_model(
     settings: ControllerSettings,
     load: Load,
-    numerator: Vector,
-    denominator: Vector,
+    numerator: vectors.Vector,
+    denominator: vectors.Vector,
     period_s: float,
-) -> tuple[Vector, Vector]:
+) -> tuple[vectors.Vector, vectors.Vector]:
     """The model A, B in q^-1 that the chosen design works with."""
     if not settings.exact:
         return load.paper_model(numerator, denominator, period_s)
@@ -175,7 +172,9 @@ def discrete_model(
     return held_model(numerator, denominator, period_s, delay_s, window_ticks(rates) * tick_s)
 
 
-def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
+def compensator_gains(
+    a: vectors.Vector, b: vectors.Vector, order: int, pole: float
+) -> vectors.Vector:
     """The gains of the compensator for 2m equal poles.
 
     Args:
@@ -191,7 +190,9 @@ def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
     return [*r[1:], *s]
 
 
-def loop_gains(solved: Vector, a: Vector, b: Vector, desired: Vector) -> Vector:
+def loop_gains(
+    solved: vectors.Vector, a: vectors.Vector, b: vectors.Vector, desired: vectors.Vector
+) -> vectors.Vector:
     """Return the gains of the loop `desired`, ordered as those of `compensator_gains`.
 
     Args:
@@ -204,13 +205,13 @@ def loop_gains(solved: Vector, a: Vector, b: Vector, desired: Vector) -> Vector:
     return [*r[1:], *s]
 
 
-def asked_loop(b: Vector, order: int, pole: float) -> Vector:
+def asked_loop(b: vectors.Vector, order: int, pole: float) -> vectors.Vector:
     """A_m: 2m equal poles, one of which gives way to a zero of the load that is cancelled."""
     kept = kept_factor(b, pole)
-    return multiply(kept, desired_polynomial(pole, 2 * order + 1 - len(kept)))
+    return vectors.multiply(kept, desired_polynomial(pole, 2 * order + 1 - len(kept)))
 
 
-def kept_factor(b: Vector, pole: float) -> Vector:
+def kept_factor(b: vectors.Vector, pole: float) -> vectors.Vector:
     """The factor of A_m that cancels a zero of the load, [1.0] where none is cancelled.
 
     A zero that is slower than the pole takes the place of one pole. A battery has one close to its
@@ -221,7 +222,7 @@ def kept_factor(b: Vector, pole: float) -> Vector:
     return [1.0]
 
 
-def _value(b: Vector, z: float) -> float:
+def _value(b: vectors.Vector, z: float) -> float:
     """z^n B(z)."""
     value = 0.0
     for coefficient in b:
@@ -229,7 +230,7 @@ def _value(b: Vector, z: float) -> float:
     return value
 
 
-def _zero(b: Vector, low: float) -> float:
+def _zero(b: vectors.Vector, low: float) -> float:
     """The zero of B between `low` and 1, where its sign changes."""
     high, below = 1.0, _value(b, low)
     for _ in range(_HALVINGS):
@@ -243,14 +244,14 @@ def _zero(b: Vector, low: float) -> float:
 
 # Assurance: how far the loop that new gains make may differ from the one asked for.
 
-STABLE_RADIUS = 1.0 - math.sqrt(NOISE_FLOOR)
+STABLE_RADIUS = 1.0 - math.sqrt(thresholds.NOISE_FLOOR)
 """Largest pole of a possible load that is stable: in one of 10,000 slow periods it loses less than
 the least noise."""
 
 _SMALLEST_SHARE = 0.05
 """Least share of a parameter that is tried: physical parameters are positive."""
 
-_LONGEST = 10 * WINDOW
+_LONGEST = 10 * thresholds.WINDOW
 """Samples of a response that are compared at most: twice the delay of four poles at 0.96."""
 
 MARGIN_RADIUS = 1.0 - 1.0 / _LONGEST
@@ -258,8 +259,12 @@ MARGIN_RADIUS = 1.0 - 1.0 / _LONGEST
 
 
 def possible_models(
-    settings: ControllerSettings, load: Load, values: Vector, root: Vector, period_s: float
-) -> Vector:
+    settings: ControllerSettings,
+    load: Load,
+    values: vectors.Vector,
+    root: vectors.Vector,
+    period_s: float,
+) -> vectors.Vector:
     """Return A and B of the estimate, and of p + c l_j and p - c l_j for each j, in one vector.
 
     Args:
@@ -272,7 +277,7 @@ def possible_models(
     Returns:
         The models; NaN alone where nothing is known of the covariance.
     """
-    if not all_finite(root):
+    if not vectors.all_finite(root):
         return [math.nan]
     count, confidence = len(values), settings.jacket.confidence
     models = _model(settings, load, values, period_s)
@@ -283,14 +288,21 @@ def possible_models(
     return models
 
 
-def _model(settings: ControllerSettings, load: Load, values: Vector, period_s: float) -> Vector:
+def _model(
+    settings: ControllerSettings, load: Load, values: vectors.Vector, period_s: float
+) -> vectors.Vector:
     numerator, denominator = load.realise(values)
     a, b = discrete_model(settings, load, numerator, denominator, period_s)
     return [*a, *b]
 
 
 def response_spread(
-    order: int, models: Vector, gains: Vector, loop: Vector, model_b: Vector, pole: float
+    order: int,
+    models: vectors.Vector,
+    gains: vectors.Vector,
+    loop: vectors.Vector,
+    model_b: vectors.Vector,
+    pole: float,
 ) -> float:
     """Return how far the response to a step may be off, as a share of the step.
 
@@ -323,7 +335,9 @@ def response_spread(
     return math.sqrt(max(squares))
 
 
-def closes_stably(gains: Vector, a: Vector, b: Vector, order: int, radius: float) -> bool:
+def closes_stably(
+    gains: vectors.Vector, a: vectors.Vector, b: vectors.Vector, order: int, radius: float
+) -> bool:
     """Return whether gains and a model A, B make a loop whose poles lie within a circle.
 
     Args:
@@ -334,16 +348,20 @@ def closes_stably(gains: Vector, a: Vector, b: Vector, order: int, radius: float
         radius: Of the circle about 0.
     """
     polynomial = closed_loop(gains, a, b, order)
-    return all_finite(polynomial) and is_stable(polynomial, radius)
+    return vectors.all_finite(polynomial) and vectors.is_stable(polynomial, radius)
 
 
-def closed_loop(gains: Vector, a: Vector, b: Vector, order: int) -> Vector:
+def closed_loop(
+    gains: vectors.Vector, a: vectors.Vector, b: vectors.Vector, order: int
+) -> vectors.Vector:
     """Return A_c of the loop that gains and a model A, B make."""
     taps = len(gains) - order - 1
     return closed_loop_polynomial(a, b, [1.0, *gains[:taps]], gains[taps:])
 
 
-def _moved(values: Vector, root: Vector, column: int, factor: float) -> Vector:
+def _moved(
+    values: vectors.Vector, root: vectors.Vector, column: int, factor: float
+) -> vectors.Vector:
     """p + factor · l_j, where every parameter stays positive."""
     count, vertex = len(values), list(values)
     for i in range(count):
@@ -352,25 +370,31 @@ def _moved(values: Vector, root: Vector, column: int, factor: float) -> Vector:
     return vertex
 
 
-def _driven(order: int, gains: Vector, loop: Vector, b: Vector, pole: float) -> Vector:
+def _driven(
+    order: int, gains: vectors.Vector, loop: vectors.Vector, b: vectors.Vector, pole: float
+) -> vectors.Vector:
     """t0 r" of a unit step behind the reference filter, until the response has settled."""
     asked = asked_loop(b, order, pole)
     count = min(_LONGEST, round(4.0 * order * pole / (1.0 - pole)) + len(b))
-    course = _filtered([total(asked)], asked, [1.0] * count)
-    share = total(gains[len(gains) - order - 1 :]) / total(loop)
+    course = _filtered([vectors.total(asked)], asked, [1.0] * count)
+    share = vectors.total(gains[len(gains) - order - 1 :]) / vectors.total(loop)
     return _filtered([share * one for one in loop], [1.0], course)
 
 
-def _response(order: int, model: Vector, gains: Vector, driven: Vector) -> Vector:
+def _response(
+    order: int, model: vectors.Vector, gains: vectors.Vector, driven: vectors.Vector
+) -> vectors.Vector:
     """y[k] of a load in the loop of some gains; infinite where that is not stable."""
     a, b = model[: order + 1], model[order + 1 :]
     closed = closed_loop(gains, a, b, order)
-    if not (all_finite(closed) and is_stable(closed, MARGIN_RADIUS)):
+    if not (vectors.all_finite(closed) and vectors.is_stable(closed, MARGIN_RADIUS)):
         return [math.inf] * len(driven)
     return _filtered(b, closed, driven)
 
 
-def _filtered(numerator: Vector, denominator: Vector, signal: Vector) -> Vector:
+def _filtered(
+    numerator: vectors.Vector, denominator: vectors.Vector, signal: vectors.Vector
+) -> vectors.Vector:
     """A signal behind a filter in q^-1 that begins at rest."""
     result = [0.0] * len(signal)
     for k in range(len(signal)):

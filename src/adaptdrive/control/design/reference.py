@@ -39,15 +39,7 @@ the output on this course as on any other, and the noise of its input stays with
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.vectors import (
-    Vector,
-    all_finite,
-    copy_into,
-    dot,
-    shift_in,
-    solve_linear,
-    total,
-)
+from adaptdrive.control import vectors
 
 # Reference filter: the response that is asked for, from a loop that may have other poles.
 
@@ -62,9 +54,9 @@ class ReferenceFilter:
         course: m[k] ... m[k-n].
     """
 
-    asked: Vector
-    loop: Vector
-    course: Vector
+    asked: vectors.Vector
+    loop: vectors.Vector
+    course: vectors.Vector
 
 
 def new_reference_filter(order: int, taps: int) -> ReferenceFilter:
@@ -81,19 +73,19 @@ def filter_reference(state: ReferenceFilter, reference: float, planned: float = 
         reference: r'[k].
         planned: m[k] where it is planned (`preview`), else NaN.
     """
-    if total(state.loop) == 0.0 or not all_finite(state.course):
-        copy_into(state.course, [reference] * len(state.course))
+    if vectors.total(state.loop) == 0.0 or not vectors.all_finite(state.course):
+        vectors.copy_into(state.course, [reference] * len(state.course))
         return reference
-    course = total(state.asked) * reference
+    course = vectors.total(state.asked) * reference
     for i in range(1, len(state.asked)):
         course -= state.asked[i] * state.course[i - 1]
-    shift_in(state.course, planned if math.isfinite(planned) else course)
+    vectors.shift_in(state.course, planned if math.isfinite(planned) else course)
     return reference_of(state.loop, state.course)
 
 
-def reference_of(loop: Vector, course: Vector) -> float:
+def reference_of(loop: vectors.Vector, course: vectors.Vector) -> float:
     """Return r"[k] for a loop A_c."""
-    return dot(loop, course) / total(loop)
+    return vectors.dot(loop, course) / vectors.total(loop)
 
 
 def condition_reference(state: ReferenceFilter, shortage: float, gain: float) -> None:
@@ -105,7 +97,7 @@ def condition_reference(state: ReferenceFilter, shortage: float, gain: float) ->
         gain: t0 of the law.
     """
     if gain != 0.0:
-        state.course[0] += shortage / gain * total(state.loop)
+        state.course[0] += shortage / gain * vectors.total(state.loop)
 
 
 # Preview: where the law would leave the limits of the input, the reference to come is planned.
@@ -116,7 +108,9 @@ _STEPS = 4
 """Steps for each number; about one and a half are needed."""
 
 
-def minimise(matrix: Vector, right: Vector, low: float, high: float) -> Vector:
+def minimise(
+    matrix: vectors.Vector, right: vectors.Vector, low: float, high: float
+) -> vectors.Vector:
     """Return the x of the least function.
 
     Args:
@@ -144,7 +138,9 @@ def minimise(matrix: Vector, right: Vector, low: float, high: float) -> Vector:
     return x
 
 
-def _way(matrix: Vector, right: Vector, x: Vector, held: Vector) -> Vector:
+def _way(
+    matrix: vectors.Vector, right: vectors.Vector, x: vectors.Vector, held: vectors.Vector
+) -> vectors.Vector:
     """Return the way to the minimum over the numbers that are not held."""
     count = len(right)
     part, pull = [0.0] * (count * count), [0.0] * count
@@ -155,10 +151,10 @@ def _way(matrix: Vector, right: Vector, x: Vector, held: Vector) -> Vector:
             for j in range(count):
                 if held[j] == 0.0:
                     part[i * count + j] = matrix[i * count + j]
-    return solve_linear(part, pull)
+    return vectors.solve_linear(part, pull)
 
 
-def _pull(matrix: Vector, right: Vector, x: Vector, i: int) -> float:
+def _pull(matrix: vectors.Vector, right: vectors.Vector, x: vectors.Vector, i: int) -> float:
     """Return how much the function falls with one number."""
     result = right[i]
     for j in range(len(x)):
@@ -166,7 +162,9 @@ def _pull(matrix: Vector, right: Vector, x: Vector, i: int) -> float:
     return result
 
 
-def _let_go(matrix: Vector, right: Vector, x: Vector, held: Vector) -> bool:
+def _let_go(
+    matrix: vectors.Vector, right: vectors.Vector, x: vectors.Vector, held: vectors.Vector
+) -> bool:
     """Let go of the number that pulls most from its limit; False where none does."""
     worst, most = -1, 0.0
     for i in range(len(x)):
@@ -200,12 +198,14 @@ class PreviewState:
         moved: m[k] - m*[k].
     """
 
-    course: Vector
+    course: vectors.Vector
     offset: float = math.nan
     moved: float = 0.0
 
 
-def led_references(reference: float, last: float, upcoming: Vector, lead: float) -> Vector:
+def led_references(
+    reference: float, last: float, upcoming: vectors.Vector, lead: float
+) -> vectors.Vector:
     """Return r'[k] and those to come.
 
     Args:
@@ -222,24 +222,24 @@ def led_references(reference: float, last: float, upcoming: Vector, lead: float)
     return led
 
 
-def rest(state: PreviewState, course: Vector) -> None:
+def rest(state: PreviewState, course: vectors.Vector) -> None:
     """Plan nothing: the course asked for is the one in force.
 
     Args:
         state: Overwritten.
         course: m[k-1] ... m[k-1-n].
     """
-    copy_into(state.course, course)
+    vectors.copy_into(state.course, course)
     state.offset, state.moved = math.nan, 0.0
 
 
 def plan(
     state: PreviewState,
-    course: Vector,
-    asked: Vector,
-    a: Vector,
-    b: Vector,
-    references: Vector,
+    course: vectors.Vector,
+    asked: vectors.Vector,
+    a: vectors.Vector,
+    b: vectors.Vector,
+    references: vectors.Vector,
     last_input: float,
     free: bool,
     pole: float,
@@ -271,9 +271,9 @@ def plan(
     below, above = last_input <= low, last_input >= high
     if free or (below and added < state.offset) or (above and added > state.offset):
         state.offset += (1.0 - pole) * (added - state.offset)
-    ideal = follow(asked, state.course, total(asked), references)
-    shift_in(state.course, ideal[past])
-    law = follow(asked, course, total(asked), references)
+    ideal = follow(asked, state.course, vectors.total(asked), references)
+    vectors.shift_in(state.course, ideal[past])
+    law = follow(asked, course, vectors.total(asked), references)
     bottom, top = low - state.offset, high - state.offset
     found = law[past]
     if not _keeps(a, b, law, past, bottom - beyond, top + beyond):
@@ -282,7 +282,9 @@ def plan(
     return found
 
 
-def follow(polynomial: Vector, course: Vector, gain: float, inputs: Vector) -> Vector:
+def follow(
+    polynomial: vectors.Vector, course: vectors.Vector, gain: float, inputs: vectors.Vector
+) -> vectors.Vector:
     """Return a course, oldest first, and its continuation by gain/polynomial of the inputs."""
     past = len(course)
     values = [0.0] * (past + AHEAD)
@@ -295,15 +297,22 @@ def follow(polynomial: Vector, course: Vector, gain: float, inputs: Vector) -> V
     return values
 
 
-def _needed(a: Vector, b: Vector, values: Vector, at: int) -> float:
+def _needed(a: vectors.Vector, b: vectors.Vector, values: vectors.Vector, at: int) -> float:
     """Return the input that a course needs, less f."""
     result = 0.0
     for j in range(len(a)):
         result += a[j] * values[at - j]
-    return result / total(b)
+    return result / vectors.total(b)
 
 
-def _keeps(a: Vector, b: Vector, values: Vector, past: int, bottom: float, top: float) -> bool:
+def _keeps(
+    a: vectors.Vector,
+    b: vectors.Vector,
+    values: vectors.Vector,
+    past: int,
+    bottom: float,
+    top: float,
+) -> bool:
     """Return whether the input of a course keeps the limits from now on."""
     for i in range(past, len(values)):
         if not bottom <= _needed(a, b, values, i) <= top:
@@ -312,7 +321,13 @@ def _keeps(a: Vector, b: Vector, values: Vector, past: int, bottom: float, top: 
 
 
 def _planned(
-    a: Vector, b: Vector, free: Vector, ideal: Vector, past: int, bottom: float, top: float
+    a: vectors.Vector,
+    b: vectors.Vector,
+    free: vectors.Vector,
+    ideal: vectors.Vector,
+    past: int,
+    bottom: float,
+    top: float,
 ) -> float:
     """Return m[k] of the plan.
 
@@ -325,7 +340,7 @@ def _planned(
         bottom: Lowest input, less f.
         top: Highest input, less f.
     """
-    step = follow(a, [0.0] * past, total(b), [1.0] * AHEAD)
+    step = follow(a, [0.0] * past, vectors.total(b), [1.0] * AHEAD)
     count = len(MOVES) - 1
     matrix, right = [0.0] * (count * count), [0.0] * count
     for i in range(AHEAD):
@@ -334,7 +349,7 @@ def _planned(
             right[j] += answer * (ideal[past + i] - free[past + i])
             for other in range(count):
                 matrix[j * count + other] += answer * _answer(step, past, i, other)
-    price = UNREST * (total(b) / total(a)) ** 2
+    price = UNREST * (vectors.total(b) / vectors.total(a)) ** 2
     right[0] += price * _needed(a, b, free, past - 1)
     for j in range(count):
         matrix[j * count + j] += price
@@ -345,7 +360,7 @@ def _planned(
     return free[past] + step[past] * minimise(matrix, right, bottom, top)[0]
 
 
-def _answer(step: Vector, past: int, i: int, j: int) -> float:
+def _answer(step: vectors.Vector, past: int, i: int, j: int) -> float:
     """Return what the input between two changes does to the course, i periods ahead."""
     begun, ended = i - MOVES[j], i - MOVES[j + 1]
     result = step[past + begun] if begun >= 0 else 0.0

@@ -18,13 +18,11 @@ they are forgotten separately.
 import math
 from dataclasses import dataclass
 
+from adaptdrive.control import settings, thresholds, vectors
 from adaptdrive.control.estimation import rls
 from adaptdrive.control.estimation import rls as ud
 from adaptdrive.control.estimation.regression import fill_initial_state
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
-from adaptdrive.control.thresholds import PRIOR_SAMPLES, WINDOW
-from adaptdrive.control.vectors import Vector, copy_into, unit
 
 # A branch: an estimate with its covariance, and how well it has predicted.
 
@@ -41,7 +39,7 @@ class Datum:
         rounding: Standard deviation of the rounding error of the output, scaled.
     """
 
-    regressor: Vector
+    regressor: vectors.Vector
     target: float = 0.0
     time_s: float = 0.0
     rounding: float = 0.0
@@ -63,9 +61,9 @@ class Branch:
         excitation: rᵀPr of the last sample.
     """
 
-    theta: Vector
-    upper: Vector
-    diagonal: Vector
+    theta: vectors.Vector
+    upper: vectors.Vector
+    diagonal: vectors.Vector
     origin_s: float = 0.0
     squares: float = 0.0
     logs: float = 0.0
@@ -81,9 +79,9 @@ def new_branch(count: int) -> Branch:
 
 def copy_estimate(target: Branch, source: Branch) -> None:
     """Overwrite θ, P, origin and the last prediction."""
-    copy_into(target.theta, source.theta)
-    copy_into(target.upper, source.upper)
-    copy_into(target.diagonal, source.diagonal)
+    vectors.copy_into(target.theta, source.theta)
+    vectors.copy_into(target.upper, source.upper)
+    vectors.copy_into(target.diagonal, source.diagonal)
     target.origin_s = source.origin_s
     target.innovation, target.excitation = source.innovation, source.excitation
 
@@ -94,7 +92,7 @@ def predict(branch: Branch, sample: Datum) -> None:
     branch.innovation = sample.target - rls.predict(branch.theta, sample.regressor)
 
 
-def predict_sample(branch: Branch, learning: Learning, load: Load, sample: Datum) -> None:
+def predict_sample(branch: Branch, learning: settings.Learning, load: Load, sample: Datum) -> None:
     """Predict a sample whose functions of the initial state are counted from the branch's origin.
 
     Args:
@@ -120,29 +118,29 @@ def count_prediction(branch: Branch, forgetting: float) -> None:
 
 def likelihood(branch: Branch, power: float, count: int) -> float:
     """Return L of a branch that has predicted so many samples, from σ0²."""
-    weight = PRIOR_SAMPLES + count
-    mean = (PRIOR_SAMPLES * power + branch.squares) / power
+    weight = thresholds.PRIOR_SAMPLES + count
+    mean = (thresholds.PRIOR_SAMPLES * power + branch.squares) / power
     return -0.5 * (branch.logs + weight * math.log(mean / weight))
 
 
 def posterior_power(branch: Branch, power: float, count: int) -> float:
     """Return σ² as a branch leaves it after so many samples, from σ0²."""
-    return (PRIOR_SAMPLES * power + branch.squares) / (PRIOR_SAMPLES + count)
+    return (thresholds.PRIOR_SAMPLES * power + branch.squares) / (thresholds.PRIOR_SAMPLES + count)
 
 
 def widen_last(branch: Branch, variance: float) -> None:
     """Widen P along the last parameter, the bias."""
-    direction = unit(len(branch.theta), len(branch.theta) - 1)
+    direction = vectors.unit(len(branch.theta), len(branch.theta) - 1)
     ud.widen(branch.upper, branch.diagonal, direction, variance)
 
 
 # Learning with an offset that moves: the EMF of a battery, the inflow temperature of a bath.
 
-OFFSET_WALK = 1.0 / WINDOW
+OFFSET_WALK = 1.0 / thresholds.WINDOW
 """Random walk of an offset that drifts, in σ for each slow period: it is a mean over a window."""
 
 
-def walking_count(learning: Learning) -> int:
+def walking_count(learning: settings.Learning) -> int:
     """Return how many parameters, the last ones of θ, follow a random walk."""
     if not learning.bias:
         return 0
@@ -151,7 +149,7 @@ def walking_count(learning: Learning) -> int:
     return 1 if learning.drifts else 0
 
 
-def learn_sample(branch: Branch, sample: Datum, learning: Learning, gate: float) -> None:
+def learn_sample(branch: Branch, sample: Datum, learning: settings.Learning, gate: float) -> None:
     """Take in one sample, with directional forgetting of what does not walk.
 
     The walk of a charge is in `estimator.let_emf_wander`.

@@ -16,19 +16,11 @@ its input: inertia, volume. Either may come with the other, and with another gai
 import math
 from dataclasses import dataclass
 
+from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control.estimation import regression
 from adaptdrive.control.estimation import rls as ud
 from adaptdrive.control.estimation.branch import Branch
-from adaptdrive.control.estimation.regression import (
-    charge_index,
-    dc_gain,
-    filtered_model,
-    fitted_order,
-    initial_state_count,
-)
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
-from adaptdrive.control.thresholds import PRIOR_SHARE
-from adaptdrive.control.vectors import Vector, dot, identity, total, unit
 
 # Standard deviations of the physical parameters of a load, from an estimate and its P.
 
@@ -36,7 +28,7 @@ _TINY = 1e-12
 """Divisor that counts as 0: 4,500 rounding errors of 1."""
 
 
-def is_sure(branch: Branch, power: float, learning: Learning, load: Load) -> bool:
+def is_sure(branch: Branch, power: float, learning: settings.Learning, load: Load) -> bool:
     """Return whether every physical parameter is known within half of its value.
 
     Args:
@@ -45,17 +37,17 @@ def is_sure(branch: Branch, power: float, learning: Learning, load: Load) -> boo
         learning: Scales.
         load: Names and meaning of the parameters.
     """
-    numerator, denominator = filtered_model(branch.theta, learning, load)
+    numerator, denominator = regression.filtered_model(branch.theta, learning, load)
     if not abs(denominator[load.order]) > _TINY:
         return False
     values = load.physical(numerator, denominator)
     deviations = deviations_of(branch, math.sqrt(power), learning, load, values)
-    return all(deviations[i] <= PRIOR_SHARE * abs(values[i]) for i in range(len(values)))
+    return all(deviations[i] <= thresholds.PRIOR_SHARE * abs(values[i]) for i in range(len(values)))
 
 
 def deviations_of(
-    branch: Branch, noise: float, learning: Learning, load: Load, values: Vector
-) -> Vector:
+    branch: Branch, noise: float, learning: settings.Learning, load: Load, values: vectors.Vector
+) -> vectors.Vector:
     """Standard deviations of the physical parameters at any θ and P, to first order.
 
     Args:
@@ -75,7 +67,9 @@ def deviations_of(
     return deviations
 
 
-def root_of(branch: Branch, noise: float, learning: Learning, load: Load, values: Vector) -> Vector:
+def root_of(
+    branch: Branch, noise: float, learning: settings.Learning, load: Load, values: vectors.Vector
+) -> vectors.Vector:
     """L, lower triangular, flat, of the covariance L Lᵀ of the physical parameters.
 
     Args:
@@ -106,7 +100,9 @@ def root_of(branch: Branch, noise: float, learning: Learning, load: Load, values
     return root
 
 
-def _jacobian(theta: Vector, learning: Learning, load: Load, values: Vector) -> Vector:
+def _jacobian(
+    theta: vectors.Vector, learning: settings.Learning, load: Load, values: vectors.Vector
+) -> vectors.Vector:
     """Derivatives of the physical parameters by θ, a row for each; NaN without a dc gain."""
     count = len(theta)
     rows = [0.0] * (len(values) * count)
@@ -114,7 +110,7 @@ def _jacobian(theta: Vector, learning: Learning, load: Load, values: Vector) -> 
         step = 1e-6 * max(1.0, abs(theta[j]))
         moved = list(theta)
         moved[j] += step
-        numerator, denominator = filtered_model(moved, learning, load)
+        numerator, denominator = regression.filtered_model(moved, learning, load)
         if not abs(denominator[load.order]) > _TINY:
             return [math.nan] * len(rows)
         shifted = load.physical(numerator, denominator)
@@ -150,14 +146,14 @@ class Anchor:
         gap_s: From there to the first sample after the change.
     """
 
-    regressor: Vector
-    lowered: Vector
+    regressor: vectors.Vector
+    lowered: vectors.Vector
     time_s: float = 0.0
     power: float = 0.0
     gap_s: float = 0.0
 
 
-def restart_past(branch: Branch, learning: Learning, load: Load, time_s: float) -> None:
+def restart_past(branch: Branch, learning: settings.Learning, load: Load, time_s: float) -> None:
     """Count the functions of the initial state from another time; θ and P follow.
 
     Args:
@@ -166,22 +162,22 @@ def restart_past(branch: Branch, learning: Learning, load: Load, time_s: float) 
         load: Order.
         time_s: The new origin, not before the old one.
     """
-    size, count = len(branch.theta), initial_state_count(learning, load)
-    first = fitted_order(learning, load) + len(load.input_powers)
+    size, count = len(branch.theta), regression.initial_state_count(learning, load)
+    first = regression.fitted_order(learning, load) + len(load.input_powers)
     shift = (time_s - branch.origin_s) / learning.tau_lambda_s
     change = _shifted_functions(count, shift)
-    transform = identity(size)
+    transform = vectors.identity(size)
     for i in range(count):
         for j in range(count):
             transform[(first + i) * size + first + j] = change[i * count + j]
     old = list(branch.theta)
     for i in range(size):
-        branch.theta[i] = dot(transform[i * size : (i + 1) * size], old)
+        branch.theta[i] = vectors.dot(transform[i * size : (i + 1) * size], old)
     ud.transform(branch.upper, branch.diagonal, transform)
     branch.origin_s = time_s
 
 
-def _shifted_functions(count: int, shift: float) -> Vector:
+def _shifted_functions(count: int, shift: float) -> vectors.Vector:
     """Weights of h^i e^-h that make of Σ γ_j (h + s)^j e^-(h + s) the same course."""
     weights = [0.0] * (count * count)
     decay = math.exp(-shift)
@@ -193,7 +189,9 @@ def _shifted_functions(count: int, shift: float) -> Vector:
     return weights
 
 
-def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anchor) -> None:
+def widen(
+    branch: Branch, kind: int, learning: settings.Learning, load: Load, anchor: Anchor
+) -> None:
     """Open an estimate up for what a kind of change may have moved.
 
     Args:
@@ -205,11 +203,11 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
     """
     if kind == NOTHING:
         return
-    order, size = fitted_order(learning, load), len(branch.theta)
+    order, size = regression.fitted_order(learning, load), len(branch.theta)
     last = order + len(load.input_powers) - 1
-    gains = abs(total(branch.theta[order : last + 1]))
+    gains = abs(vectors.total(branch.theta[order : last + 1]))
     if kind != LOAD and learning.bias:
-        direction = unit(size, size - 1)
+        direction = vectors.unit(size, size - 1)
         _open(branch, direction, DISTURBANCE_SHARE * gains, learning, load, anchor)
     if kind != DISTURBANCE:
         _widen_load(branch, learning, load, anchor)
@@ -217,22 +215,26 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
         direction = [0.0] * size
         direction[order : last + 1] = branch.theta[order : last + 1]
         _carry_offset(direction, branch.theta, 1.0, learning)
-        _open(branch, direction, PRIOR_SHARE, learning, load, anchor)
+        _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, anchor)
     share = min(1.0, anchor.gap_s / learning.tau_lambda_s)  # the moment of the change is in doubt
     spread = DISTURBANCE_SHARE * gains
     _widen_state(branch, share * share * spread * spread / anchor.power, learning, load)
     if kind == ANEW:  # a disk that lands at rest takes half the speed away
-        _widen_state(branch, PRIOR_SHARE * PRIOR_SHARE / anchor.power, learning, load)
+        _widen_state(
+            branch, thresholds.PRIOR_SHARE * thresholds.PRIOR_SHARE / anchor.power, learning, load
+        )
 
 
-def _widen_load(branch: Branch, learning: Learning, load: Load, anchor: Anchor) -> None:
+def _widen_load(branch: Branch, learning: settings.Learning, load: Load, anchor: Anchor) -> None:
     """Other dynamics with the same dc gain and the same offset of the input."""
-    for i in range(fitted_order(learning, load) + len(load.input_powers) - 1):
+    for i in range(regression.fitted_order(learning, load) + len(load.input_powers) - 1):
         direction = load_direction(branch.theta, i, learning, load)
-        _open(branch, direction, PRIOR_SHARE, learning, load, anchor)
+        _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, anchor)
 
 
-def load_direction(theta: Vector, index: int, learning: Learning, load: Load) -> Vector:
+def load_direction(
+    theta: vectors.Vector, index: int, learning: settings.Learning, load: Load
+) -> vectors.Vector:
     """Return a direction of θ that leaves the dc gain and the offset of the input as they are.
 
     Args:
@@ -241,13 +243,13 @@ def load_direction(theta: Vector, index: int, learning: Learning, load: Load) ->
         learning: Scales.
         load: Order and structure.
     """
-    order, size = fitted_order(learning, load), len(theta)
+    order, size = regression.fitted_order(learning, load), len(theta)
     last = order + len(load.input_powers) - 1
-    direction = unit(size, index)
+    direction = vectors.unit(size, index)
     if index >= order:
         direction[last] = -1.0
         return direction
-    direction[last] = dc_gain(theta, learning, load)
+    direction[last] = regression.dc_gain(theta, learning, load)
     below = 1.0
     for i in range(order):
         below += theta[i]
@@ -256,22 +258,29 @@ def load_direction(theta: Vector, index: int, learning: Learning, load: Load) ->
     return direction
 
 
-def _carry_offset(direction: Vector, theta: Vector, divisor: float, learning: Learning) -> None:
+def _carry_offset(
+    direction: vectors.Vector, theta: vectors.Vector, divisor: float, learning: settings.Learning
+) -> None:
     """Let what acts with the input move with the gain: bias and charge, over a divisor."""
     size = len(theta)
     if learning.bias:
         direction[size - 1] = theta[size - 1] / divisor
     if learning.charge:
-        index = charge_index(learning, size)
+        index = regression.charge_index(learning, size)
         direction[index] = theta[index] / divisor
 
 
 def _open(
-    branch: Branch, direction: Vector, spread: float, learning: Learning, load: Load, anchor: Anchor
+    branch: Branch,
+    direction: vectors.Vector,
+    spread: float,
+    learning: settings.Learning,
+    load: Load,
+    anchor: Anchor,
 ) -> None:
     """Widen P by a spread along a direction of θ and along what goes with it in γ, at least one."""
-    size, count = len(direction), initial_state_count(learning, load)
-    first = fitted_order(learning, load) + len(load.input_powers)
+    size, count = len(direction), regression.initial_state_count(learning, load)
+    first = regression.fitted_order(learning, load) + len(load.input_powers)
     plain, lowered = 0.0, 0.0
     for i in range(size):
         if not first <= i < first + count:
@@ -283,9 +292,9 @@ def _open(
     ud.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
 
 
-def _widen_state(branch: Branch, variance: float, learning: Learning, load: Load) -> None:
+def _widen_state(branch: Branch, variance: float, learning: settings.Learning, load: Load) -> None:
     """Widen γ, what is left of the state at the change, by itself."""
-    first = fitted_order(learning, load) + len(load.input_powers)
-    for i in range(initial_state_count(learning, load)):
-        direction = unit(len(branch.theta), first + i)
+    first = regression.fitted_order(learning, load) + len(load.input_powers)
+    for i in range(regression.initial_state_count(learning, load)):
+        direction = vectors.unit(len(branch.theta), first + i)
         ud.widen(branch.upper, branch.diagonal, direction, variance)

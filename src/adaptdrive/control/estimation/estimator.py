@@ -10,18 +10,13 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control.estimation import covariance, regression, rls, second_estimates
 from adaptdrive.control.estimation import rivals as riv
-from adaptdrive.control.estimation import rls
 from adaptdrive.control.estimation import rls as ud
 from adaptdrive.control.estimation.branch import Branch, Datum, learn_sample, new_branch, predict
-from adaptdrive.control.estimation.covariance import DISTURBANCE_SHARE
-from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.rivals import Surprise, watch_noise
-from adaptdrive.control.estimation.second_estimates import Challenger, Integrated, restart
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
-from adaptdrive.control.thresholds import NOISE_FLOOR, WINDOW
-from adaptdrive.control.vectors import Vector, copy_into
 
 _LARGEST = 1.0e20
 """Largest scaled entry of a sample, for which 1 is usual: the squares of larger ones overflow P."""
@@ -50,45 +45,53 @@ class Method(Protocol):
         kept for the next run.
         """
 
-    def parameter_count(self, learning: Learning, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: settings.Learning, load: Load, taps: int) -> int:
         """Return the length of θ; `taps` is the number of past inputs of the discrete model."""
 
     def theta_of(
-        self, learning: Learning, load: Load, numerator: Vector, denominator: Vector
-    ) -> Vector:
+        self,
+        learning: settings.Learning,
+        load: Load,
+        numerator: vectors.Vector,
+        denominator: vectors.Vector,
+    ) -> vectors.Vector:
         """Return the first entries of θ for a model in s, scaled; empty if not `physical`."""
 
-    def begin(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+    def begin(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
         """Adjust P of a new estimator to what is known of the start."""
 
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: Learning,
+        learning: settings.Learning,
         load: Load,
-        sample: SlowSample,
-        past: tuple[Vector, Vector],
+        sample: regression.SlowSample,
+        past: tuple[vectors.Vector, vectors.Vector],
     ) -> None:
         """Overwrite r by that of a slow sample; `past` are y and u of the periods before it."""
 
-    def target(self, learning: Learning, sample: SlowSample) -> float:
+    def target(self, learning: settings.Learning, sample: regression.SlowSample) -> float:
         """Return the value that r predicts, in the unit of the output."""
 
-    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+    def take_in(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
         """Update θ and P by the last sample, which the estimate has predicted."""
 
-    def model(self, state: EstimatorState, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+    def model(
+        self, state: EstimatorState, learning: settings.Learning, load: Load
+    ) -> tuple[vectors.Vector, vectors.Vector]:
         """Return numerator and denominator of the estimate: in s if `physical`, else in q^-1."""
 
-    def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+    def root(
+        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+    ) -> vectors.Vector:
         """Return L, flat, of the covariance L Lᵀ of the physical parameters; NaN where unknown."""
 
     def shown_deviations(
-        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
-    ) -> Vector:
+        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+    ) -> vectors.Vector:
         """Return their standard deviations for operators: the load may have changed since."""
 
-    def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
+    def input_offset(self, state: EstimatorState, learning: settings.Learning, load: Load) -> float:
         """Return the constant input with the effect of what is no dynamics; NaN without a bias."""
 
 
@@ -125,8 +128,8 @@ class EstimatorState:
     sample: Datum
     surprise: Surprise
     rivals: riv.Rivals
-    challenger: Challenger
-    integrated: Integrated
+    challenger: second_estimates.Challenger
+    integrated: second_estimates.Integrated
     residual_power: float = 0.0
     residual_weight: float = 0.0
     residual_lag: float = 0.0
@@ -136,12 +139,14 @@ class EstimatorState:
     periods: int = 0
     idle_periods: int = 0
     charge: float = 0.0
-    alarm_period: int = -WINDOW
+    alarm_period: int = -thresholds.WINDOW
     lost_periods: int = 0
     unseen_periods: int = 0
 
 
-def new_estimator(method: Method, learning: Learning, load: Load, taps: int) -> EstimatorState:
+def new_estimator(
+    method: Method, learning: settings.Learning, load: Load, taps: int
+) -> EstimatorState:
     """Return an estimator without data, which starts from zero or from the nominal model."""
     count = method.parameter_count(learning, load, taps)
     state = EstimatorState(
@@ -151,25 +156,27 @@ def new_estimator(method: Method, learning: Learning, load: Load, taps: int) -> 
         Datum([0.0] * count),
         Surprise(),
         riv.new_rivals(count),
-        Challenger(new_branch(count)),
-        Integrated(new_branch(count)),
+        second_estimates.Challenger(new_branch(count)),
+        second_estimates.Integrated(new_branch(count)),
     )
     _open(state.estimate, learning)
     method.begin(state, learning, load)
     if learning.start_at_nominal:
-        copy_into(state.estimate.theta, nominal_theta(method, learning, load, taps))
+        vectors.copy_into(state.estimate.theta, nominal_theta(method, learning, load, taps))
     return state
 
 
-def nominal_theta(method: Method, learning: Learning, load: Load, taps: int) -> Vector:
+def nominal_theta(
+    method: Method, learning: settings.Learning, load: Load, taps: int
+) -> vectors.Vector:
     """Return θ of the nominal model, scaled; zeros where the method cannot express it."""
     theta = [0.0] * method.parameter_count(learning, load, taps)
     numerator, denominator = list(load.numerator), list(load.denominator)
-    copy_into(theta, method.theta_of(learning, load, numerator, denominator))
+    vectors.copy_into(theta, method.theta_of(learning, load, numerator, denominator))
     return theta
 
 
-def _open(estimate: Branch, learning: Learning) -> None:
+def _open(estimate: Branch, learning: settings.Learning) -> None:
     """Know nothing, and expect an offset of the size of a disturbance.
 
     The latter only where it rests and the nominal gain is known.
@@ -180,11 +187,13 @@ def _open(estimate: Branch, learning: Learning) -> None:
     diagonal = estimate.diagonal
     rls.reset(estimate.theta, estimate.upper, diagonal, learning.initial_covariance)
     if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
-        expected = DISTURBANCE_SHARE * DISTURBANCE_SHARE / NOISE_FLOOR
+        expected = (
+            covariance.DISTURBANCE_SHARE * covariance.DISTURBANCE_SHARE / thresholds.NOISE_FLOOR
+        )
         diagonal[len(diagonal) - 1] = min(diagonal[len(diagonal) - 1], expected)
 
 
-def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
+def begin_anew(state: EstimatorState, learning: settings.Learning, load: Load) -> None:
     """Start from the nominal model again: an estimate that no load can have has lost its way.
 
     It learnt a disturbance as dynamics before σ² was known, and what surprises it is explained by
@@ -192,16 +201,18 @@ def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
     """
     own, numerator, denominator = state.estimate, list(load.numerator), list(load.denominator)
     _open(own, learning)
-    copy_into(own.theta, state.method.theta_of(learning, load, numerator, denominator))
+    vectors.copy_into(own.theta, state.method.theta_of(learning, load, numerator, denominator))
     own.origin_s = state.sample.time_s
     state.surprise.sum = 0.0
     state.rivals.samples = 0
     state.challenger.samples = 0
-    restart(state.integrated)
+    second_estimates.restart(state.integrated)
     riv.drop_anchor(state.rivals, own, state.sample)
 
 
-def start_from(state: EstimatorState, learning: Learning, load: Load, values: Vector) -> None:
+def start_from(
+    state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+) -> None:
     """Start from a load that an earlier run has learnt, moderately sure of it.
 
     Sure enough to be confirmed without much excitation, and doubtful enough to be corrected within
@@ -215,12 +226,12 @@ def start_from(state: EstimatorState, learning: Learning, load: Load, values: Ve
     """
     numerator, denominator = load.realise(values)
     theta = state.method.theta_of(learning, load, numerator, denominator)
-    copy_into(state.estimate.theta, theta)
-    copy_into(state.estimate.diagonal, [_PRIOR_VARIANCE] * len(theta))
+    vectors.copy_into(state.estimate.theta, theta)
+    vectors.copy_into(state.estimate.diagonal, [_PRIOR_VARIANCE] * len(theta))
 
 
 def learn(
-    state: EstimatorState, learning: Learning, load: Load, output: float, usable: bool
+    state: EstimatorState, learning: settings.Learning, load: Load, output: float, usable: bool
 ) -> None:
     """Take in one slow sample whose regressor has been filled in.
 
@@ -249,7 +260,7 @@ def learn(
         state.method.take_in(state, learning, load)
 
 
-def take_in(state: EstimatorState, learning: Learning, *, directional: bool) -> None:
+def take_in(state: EstimatorState, learning: settings.Learning, *, directional: bool) -> None:
     """Update θ and P, if the sample can teach anything.
 
     Args:
@@ -271,7 +282,7 @@ def take_in(state: EstimatorState, learning: Learning, *, directional: bool) -> 
     remember_residual(state, own, rho)
 
 
-def let_emf_wander(state: EstimatorState, learning: Learning) -> None:
+def let_emf_wander(state: EstimatorState, learning: settings.Learning) -> None:
     """Let a slow period pass for an EMF that rises with the charge, at a rate that changes slowly.
 
     At a constant current only the EMF moves: without this, what a straight line misses of its

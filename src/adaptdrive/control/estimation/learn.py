@@ -20,50 +20,31 @@ that were found lately: others of their size may not have been.
 
 import math
 
+from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control.estimation import covariance, estimator, regression, rls, second_estimates
 from adaptdrive.control.estimation import rivals as riv
-from adaptdrive.control.estimation import rls, second_estimates
 from adaptdrive.control.estimation.branch import Branch, copy_estimate, posterior_power
-from adaptdrive.control.estimation.covariance import (
-    BOTH,
-    DISTURBANCE,
-    LOAD,
-    NOTHING,
-    deviations_of,
-    load_direction,
-    root_of,
-)
-from adaptdrive.control.estimation.estimator import EstimatorState, remember_residual, take_in
-from adaptdrive.control.estimation.regression import fill_initial_state, fitted_order, input_offset
 from adaptdrive.control.estimation.rivals import is_surprising
 from adaptdrive.control.estimation.rls import normalised, predict, widen
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
-from adaptdrive.control.thresholds import (
-    EARLIEST,
-    FEWEST,
-    MEMORY,
-    NOISE_FLOOR,
-    PRIOR_SAMPLES,
-    UNKNOWN,
-    WINDOW,
-)
-from adaptdrive.control.vectors import Vector
 
 # Learning with explanations: what the λ-method does when a sample surprises it.
 
-_LOUDER = PRIOR_SAMPLES
+_LOUDER = thresholds.PRIOR_SAMPLES
 """Largest rise of σ² after an alarm that nothing explains, or that follows upon another: what was
 known of it weighs as so many samples, of which one may have had all the noise."""
 
 
-def learn_and_explain(state: EstimatorState, learning: Learning, load: Load) -> None:
+def learn_and_explain(
+    state: estimator.EstimatorState, learning: settings.Learning, load: Load
+) -> None:
     """Learn a sample; one that completes the evidence for a change starts explanations of it."""
     if state.rivals.samples > 0:
         alarm = _explain(state, learning, load)
     else:
         alarm = is_surprising(state.surprise, _squared(state.estimate, learning))
         if not alarm:
-            take_in(state, learning, directional=True)
+            estimator.take_in(state, learning, directional=True)
     if alarm:
         _split(state, learning, load)
     else:
@@ -71,12 +52,12 @@ def learn_and_explain(state: EstimatorState, learning: Learning, load: Load) -> 
         _challenge(state, learning, load)
 
 
-def _squared(branch: Branch, learning: Learning) -> float:
+def _squared(branch: Branch, learning: settings.Learning) -> float:
     """Return ε² ρ/(ρ + rᵀPr) of the last prediction of a branch."""
     return normalised(branch.excitation, branch.innovation, learning.forgetting)
 
 
-def _explain(state: EstimatorState, learning: Learning, load: Load) -> bool:
+def _explain(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> bool:
     """Compare the explanations of an alarm on one more sample; the likeliest is the estimate.
 
     The detector stays on: what surprises an explanation that is clearly ahead, or "nothing", is the
@@ -89,8 +70,8 @@ def _explain(state: EstimatorState, learning: Learning, load: Load) -> bool:
     rivals = state.rivals
     riv.follow(rivals, learning, load, state.sample)
     squared = _squared(riv.likeliest(rivals), learning)
-    alarm = is_surprising(state.surprise, squared) and rivals.samples > FEWEST
-    alarm = alarm and (rivals.kind == NOTHING or riv.is_clear(rivals))
+    alarm = is_surprising(state.surprise, squared) and rivals.samples > thresholds.FEWEST
+    alarm = alarm and (rivals.kind == covariance.NOTHING or riv.is_clear(rivals))
     alarm = alarm and not riv.is_expected(rivals, learning)
     settled = not alarm and riv.is_settled(rivals, learning, load)
     _publish(state, learning)
@@ -99,12 +80,12 @@ def _explain(state: EstimatorState, learning: Learning, load: Load) -> bool:
     return alarm
 
 
-def _split(state: EstimatorState, learning: Learning, load: Load) -> None:
+def _split(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> None:
     """Start the explanations of an alarm.
 
     One alarm after the other, each before the last can be explained, is noise.
     """
-    if state.periods - state.alarm_period < WINDOW:
+    if state.periods - state.alarm_period < thresholds.WINDOW:
         state.surprise.power *= _LOUDER
     state.alarm_period = state.periods
     if state.rivals.samples == 0:
@@ -118,44 +99,51 @@ def _split(state: EstimatorState, learning: Learning, load: Load) -> None:
         _challenge(state, learning, load)
 
 
-def _mark(state: EstimatorState) -> None:
+def _mark(state: estimator.EstimatorState) -> None:
     """Remember from where the next change is to be explained: from the last calm sample."""
     suspect = state.surprise.sum > 0.0
     if not (suspect and riv.keep_sample(state.rivals, state.sample, riv.ROOM - 1)):
         riv.drop_anchor(state.rivals, state.estimate, state.sample)
 
 
-def _offset_share(state: EstimatorState, learning: Learning, load: Load) -> float:
+def _offset_share(
+    state: estimator.EstimatorState, learning: settings.Learning, load: Load
+) -> float:
     """Return the offset of the input over its scale; NaN without a bias."""
-    return input_offset(state.estimate.theta, learning, load, state.charge) / learning.input_scale
+    return (
+        regression.input_offset(state.estimate.theta, learning, load, state.charge)
+        / learning.input_scale
+    )
 
 
-def _settle(state: EstimatorState, learning: Learning, load: Load) -> None:
+def _settle(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> None:
     """Keep the explanation that has won."""
     rivals = state.rivals
-    if rivals.kind == DISTURBANCE:
+    if rivals.kind == covariance.DISTURBANCE:
         riv.note_disturbance(rivals, _offset_share(state, learning, load))
     power = riv.explained_power(rivals)
-    if rivals.kind >= LOAD:
+    if rivals.kind >= covariance.LOAD:
         state.surprise.power = power
         second_estimates.recount(state.challenger, state.estimate)
-    elif rivals.kind == NOTHING:
+    elif rivals.kind == covariance.NOTHING:
         state.surprise.power = min(power, _LOUDER * state.surprise.power)
     state.residual_power = state.surprise.power * state.residual_weight
     riv.settle(rivals)
 
 
-def _publish(state: EstimatorState, learning: Learning) -> None:
+def _publish(state: estimator.EstimatorState, learning: settings.Learning) -> None:
     """Make the likeliest explanation the estimate."""
     best = riv.likeliest(state.rivals)
     copy_estimate(state.estimate, best)
     state.excitation = best.excitation
     state.innovation = best.innovation * learning.output_scale
     state.idle_periods = 0
-    remember_residual(state, best, learning.forgetting)
+    estimator.remember_residual(state, best, learning.forgetting)
 
 
-def _challenge_anew(state: EstimatorState, learning: Learning, load: Load) -> bool:
+def _challenge_anew(
+    state: estimator.EstimatorState, learning: settings.Learning, load: Load
+) -> bool:
     """Start a challenger at an alarm, unless there is one that expected what surprised."""
     if not second_estimates.is_surprised(state.challenger, learning, load, state.sample):
         return False
@@ -164,21 +152,21 @@ def _challenge_anew(state: EstimatorState, learning: Learning, load: Load) -> bo
     return True
 
 
-def _challenge(state: EstimatorState, learning: Learning, load: Load) -> None:
+def _challenge(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> None:
     """Let the challenger predict the sample too; a challenger that has won is the estimate."""
     challenger, rivals, sample, own = state.challenger, state.rivals, state.sample, state.estimate
     if challenger.samples == 0:
         return
     second_estimates.follow(challenger, learning, load, sample, own)
-    fill_initial_state(sample.regressor, learning, load, sample.time_s - own.origin_s)
-    learning_load = rivals.samples > 0 and rivals.kind >= LOAD
+    regression.fill_initial_state(sample.regressor, learning, load, sample.time_s - own.origin_s)
+    learning_load = rivals.samples > 0 and rivals.kind >= covariance.LOAD
     if not learning_load and second_estimates.has_won(
         challenger, own, rivals.loads, learning, load
     ):
         _take_over(state)
 
 
-def _take_over(state: EstimatorState) -> None:
+def _take_over(state: estimator.EstimatorState) -> None:
     """Make the challenger the estimate; the comparison that is under way ends."""
     challenger, rivals = state.challenger, state.rivals
     copy_estimate(state.estimate, challenger.branch)
@@ -187,7 +175,7 @@ def _take_over(state: EstimatorState) -> None:
     state.surprise.sum = 0.0
     state.surprise.alarms += 1
     state.residual_power = power * state.residual_weight
-    rivals.kind = BOTH
+    rivals.kind = covariance.BOTH
     rivals.loads += 1.0
     rivals.samples = 0
     challenger.samples = 0
@@ -199,25 +187,25 @@ def _take_over(state: EstimatorState) -> None:
 # The estimate in force: the one whose bias rests, or the one whose bias walks (`second_estimates`).
 
 
-def show(state: EstimatorState, learning: Learning) -> None:
+def show(state: estimator.EstimatorState, learning: settings.Learning) -> None:
     """Publish innovation and excitation of the estimate in force."""
     if state.integrated.in_force:
         state.innovation = state.integrated.branch.innovation * learning.output_scale
         state.excitation = state.integrated.branch.excitation
 
 
-def in_force(state: EstimatorState) -> Branch:
+def in_force(state: estimator.EstimatorState) -> Branch:
     """Return the estimate in force."""
     return state.integrated.branch if state.integrated.in_force else state.estimate
 
 
-def own_residual(state: EstimatorState, learning: Learning) -> float:
+def own_residual(state: estimator.EstimatorState, learning: settings.Learning) -> float:
     """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
     innovation = state.innovation / learning.output_scale
     return rls.normalised(state.excitation, innovation, learning.forgetting)
 
 
-def residual_noise(state: EstimatorState) -> float:
+def residual_noise(state: estimator.EstimatorState) -> float:
     """σ of the innovations, scaled; NaN before there are more of them than parameters."""
     power, weight = state.residual_power, state.residual_weight
     if state.integrated.in_force:
@@ -228,7 +216,7 @@ def residual_noise(state: EstimatorState) -> float:
     return math.sqrt(power / freedom)
 
 
-def correlation_factor(state: EstimatorState) -> float:
+def correlation_factor(state: estimator.EstimatorState) -> float:
     """Return the factor by which innovations that resemble their neighbours widen a deviation.
 
     n samples whose neighbours have the correlation φ tell as much as n (1 - φ)/(1 + φ) independent
@@ -248,7 +236,9 @@ def correlation_factor(state: EstimatorState) -> float:
     return math.sqrt(min((power + lag) / (power - lag), state.residual_weight))
 
 
-def parameter_root(state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+def parameter_root(
+    state: estimator.EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+) -> vectors.Vector:
     """L of the covariance L Lᵀ of the physical parameters, to first order.
 
     Args:
@@ -257,7 +247,7 @@ def parameter_root(state: EstimatorState, learning: Learning, load: Load, values
         load: Names and meaning of the parameters.
         values: The parameters at θ.
     """
-    return root_of(in_force(state), residual_noise(state), learning, load, values)
+    return covariance.root_of(in_force(state), residual_noise(state), learning, load, values)
 
 
 # Doubt: what the load may have become since the samples last showed it.
@@ -266,7 +256,7 @@ _SHOWN = 30.0
 """Movement of a sample, in σ, by an α that is larger by 1: 3 σ for a quarter of a second disk."""
 
 
-def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
+def note_age(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> None:
     """Count the slow periods since a sample that would have shown another load.
 
     Args:
@@ -276,30 +266,33 @@ def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
     """
     state.unseen_periods += 1
     noise = math.sqrt(state.surprise.power)
-    for i in range(fitted_order(learning, load)):
-        direction = load_direction(state.estimate.theta, i, learning, load)
+    for i in range(regression.fitted_order(learning, load)):
+        direction = covariance.load_direction(state.estimate.theta, i, learning, load)
         if abs(predict(direction, state.sample.regressor)) > _SHOWN * noise:
             state.unseen_periods = 0
 
 
-def is_doubtful(state: EstimatorState) -> bool:
+def is_doubtful(state: estimator.EstimatorState) -> bool:
     """Return whether the load may be another than the estimate."""
-    return state.unseen_periods > FEWEST or is_contested(state)
+    return state.unseen_periods > thresholds.FEWEST or is_contested(state)
 
 
-def is_contested(state: EstimatorState) -> bool:
+def is_contested(state: estimator.EstimatorState) -> bool:
     """Return whether the latest samples speak for another load than the estimate."""
     if state.surprise.sum > 0.0 or state.rivals.samples > 0:
         return True
     challenger = state.challenger
     if challenger.samples == 0:
         return False
-    return challenger.judged < EARLIEST or second_estimates.lead(challenger, state.estimate) > 0.0
+    return (
+        challenger.judged < thresholds.EARLIEST
+        or second_estimates.lead(challenger, state.estimate) > 0.0
+    )
 
 
 def doubted_deviations(
-    state: EstimatorState, learning: Learning, load: Load, values: Vector
-) -> Vector:
+    state: estimator.EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+) -> vectors.Vector:
     """Return the standard deviations to be shown: wider while the load may be another.
 
     Args:
@@ -311,14 +304,16 @@ def doubted_deviations(
     opened, noise = state.opened, residual_noise(state)
     copy_estimate(opened, in_force(state))
     noise = math.sqrt(
-        noise * noise + NOISE_FLOOR + MEMORY * state.sample.rounding * state.sample.rounding
+        noise * noise
+        + thresholds.NOISE_FLOOR
+        + thresholds.MEMORY * state.sample.rounding * state.sample.rounding
     )
     noise *= correlation_factor(state)
     if learning.alert and noise > 0.0 and is_doubtful(state):
-        spread = UNKNOWN / noise
-        for i in range(fitted_order(learning, load)):
-            direction = load_direction(opened.theta, i, learning, load)
+        spread = thresholds.UNKNOWN / noise
+        for i in range(regression.fitted_order(learning, load)):
+            direction = covariance.load_direction(opened.theta, i, learning, load)
             widen(opened.upper, opened.diagonal, direction, spread * spread)
-    own = deviations_of(opened, noise, learning, load, values)
+    own = covariance.deviations_of(opened, noise, learning, load, values)
     share = math.sqrt(state.rivals.moved)
     return [math.hypot(own[i], share * values[i]) for i in range(len(values))]

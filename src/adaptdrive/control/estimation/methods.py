@@ -13,31 +13,18 @@ and b of the discrete model (17).
 import math
 from dataclasses import dataclass
 
+from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control.estimation import branch, learn, regression, rivals, rls
 from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation import rls
 from adaptdrive.control.estimation import rls as ud
-from adaptdrive.control.estimation.branch import predict
 from adaptdrive.control.estimation.estimator import (
     EstimatorState,
     Method,
     let_emf_wander,
     take_in,
 )
-from adaptdrive.control.estimation.learn import (
-    doubted_deviations,
-    in_force,
-    learn_and_explain,
-    note_age,
-    parameter_root,
-    show,
-)
-from adaptdrive.control.estimation.regression import SlowSample
-from adaptdrive.control.estimation.rivals import is_surprising
 from adaptdrive.control.estimation.second_estimates import follow_integrated as follow
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
-from adaptdrive.control.thresholds import NOISE_FLOOR
-from adaptdrive.control.vectors import Vector, total
 
 # The λ-method (LM-RLS): recursive least squares on signals behind λ filters.
 
@@ -51,31 +38,37 @@ class LambdaMethod:
         """True: θ is a model in s."""
         return True
 
-    def parameter_count(self, learning: Learning, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: settings.Learning, load: Load, taps: int) -> int:
         """Return the length of θ, which does not depend on the past inputs."""
         return reg.filtered_count(learning, load)
 
     def theta_of(
-        self, learning: Learning, load: Load, numerator: Vector, denominator: Vector
-    ) -> Vector:
+        self,
+        learning: settings.Learning,
+        load: Load,
+        numerator: vectors.Vector,
+        denominator: vectors.Vector,
+    ) -> vectors.Vector:
         """Return α and β of a model in s, scaled."""
         return reg.theta_of(learning, load, numerator, denominator)
 
-    def begin(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+    def begin(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
         """Take γ = 0 as known where the initial state is not learnt: the load is at rest."""
         if learning.initial_state:
             return
         first = reg.fitted_order(learning, load) + len(load.input_powers)
         for i in range(reg.initial_state_count(learning, load)):
-            state.estimate.diagonal[first + i] = NOISE_FLOOR * learning.initial_covariance
+            state.estimate.diagonal[first + i] = (
+                thresholds.NOISE_FLOOR * learning.initial_covariance
+            )
 
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: Learning,
+        learning: settings.Learning,
         load: Load,
-        sample: SlowSample,
-        past: tuple[Vector, Vector],
+        sample: regression.SlowSample,
+        past: tuple[vectors.Vector, vectors.Vector],
     ) -> None:
         """Overwrite r, and r with every power of λ lowered by one for the explanations."""
         y, u = sample.output_filtered, sample.input_filtered
@@ -89,11 +82,11 @@ class LambdaMethod:
         reg.fill_lowered_regressor(lowered, learning, load, output, y, u)
         reg.fill_charge(lowered, learning, state.charge + output / learning.output_scale)
 
-    def target(self, learning: Learning, sample: SlowSample) -> float:
+    def target(self, learning: settings.Learning, sample: regression.SlowSample) -> float:
         """Return y[k]."""
         return sample.output
 
-    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+    def take_in(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
         """Update θ and P; an abrupt change is explained where `alert` is set."""
         own, sample = state.estimate, state.sample
         if not learning.alert:
@@ -101,33 +94,39 @@ class LambdaMethod:
             return
         follow(state.integrated, learning, load, sample, own)
         reg.fill_initial_state(sample.regressor, learning, load, sample.time_s - own.origin_s)
-        learn_and_explain(state, learning, load)
-        note_age(state, learning, load)
-        show(state, learning)
+        learn.learn_and_explain(state, learning, load)
+        learn.note_age(state, learning, load)
+        learn.show(state, learning)
 
-    def model(self, state: EstimatorState, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+    def model(
+        self, state: EstimatorState, learning: settings.Learning, load: Load
+    ) -> tuple[vectors.Vector, vectors.Vector]:
         """Return numerator and denominator of the estimated model in s."""
-        return reg.filtered_model(in_force(state).theta, learning, load)
+        return reg.filtered_model(learn.in_force(state).theta, learning, load)
 
-    def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+    def root(
+        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+    ) -> vectors.Vector:
         """Return L of the covariance of the physical parameters, to first order."""
-        return parameter_root(state, learning, load, values)
+        return learn.parameter_root(state, learning, load, values)
 
     def shown_deviations(
-        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
-    ) -> Vector:
+        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+    ) -> vectors.Vector:
         """Return their deviations, with what the load may be since the samples showed it."""
-        return doubted_deviations(state, learning, load, values)
+        return learn.doubted_deviations(state, learning, load, values)
 
-    def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
+    def input_offset(self, state: EstimatorState, learning: settings.Learning, load: Load) -> float:
         """Return the constant input with the effect of bias and charge; NaN without a bias."""
-        return reg.input_offset(in_force(state).theta, learning, load, state.charge)
+        return reg.input_offset(learn.in_force(state).theta, learning, load, state.charge)
 
 
 # From a discrete model back to the continuous-time load, for orders 1 and 2.
 
 
-def continuous_model(a: Vector, b: Vector, period_s: float) -> tuple[Vector, Vector]:
+def continuous_model(
+    a: vectors.Vector, b: vectors.Vector, period_s: float
+) -> tuple[vectors.Vector, vectors.Vector]:
     """The load without zeros that has the poles and the gain of a discrete model.
 
     Args:
@@ -142,12 +141,12 @@ def continuous_model(a: Vector, b: Vector, period_s: float) -> tuple[Vector, Vec
     order = len(a) - 1
     denominator = _denominator(a, period_s)
     numerator = [0.0] * (order + 1)
-    rest = total(a)
-    numerator[order] = denominator[order] * total(b) / rest if rest else math.nan
+    rest = vectors.total(a)
+    numerator[order] = denominator[order] * vectors.total(b) / rest if rest else math.nan
     return numerator, denominator
 
 
-def _denominator(a: Vector, period_s: float) -> Vector:
+def _denominator(a: vectors.Vector, period_s: float) -> vectors.Vector:
     unknown = [1.0] + [math.nan] * (len(a) - 1)
     if len(a) == 2:
         return [1.0, -math.log(-a[1]) / period_s] if a[1] < 0.0 else unknown
@@ -177,68 +176,80 @@ class DirectMethod:
         """False: θ is a discrete model."""
         return False
 
-    def parameter_count(self, learning: Learning, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: settings.Learning, load: Load, taps: int) -> int:
         """Return the length of θ."""
         return load.order + taps + (1 if learning.bias else 0)
 
     def theta_of(
-        self, learning: Learning, load: Load, numerator: Vector, denominator: Vector
-    ) -> Vector:
+        self,
+        learning: settings.Learning,
+        load: Load,
+        numerator: vectors.Vector,
+        denominator: vectors.Vector,
+    ) -> vectors.Vector:
         """Return nothing: the discrete model of a nominal one depends on the period."""
         return [0.0] * 0
 
-    def begin(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+    def begin(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
         """Leave P as it is."""
 
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: Learning,
+        learning: settings.Learning,
         load: Load,
-        sample: SlowSample,
-        past: tuple[Vector, Vector],
+        sample: regression.SlowSample,
+        past: tuple[vectors.Vector, vectors.Vector],
     ) -> None:
         """Overwrite r by the past outputs and inputs."""
         outputs, inputs = past
         fill_direct_regressor(state.sample.regressor, learning, load, outputs, inputs)
 
-    def target(self, learning: Learning, sample: SlowSample) -> float:
+    def target(self, learning: settings.Learning, sample: regression.SlowSample) -> float:
         """Return y[k]."""
         return sample.output
 
-    def take_in(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+    def take_in(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
         """Update θ and P; an abrupt change opens P where `alert` is set."""
         if learning.alert:
             _open_up(state, learning)
         take_in(state, learning, directional=False)
 
-    def model(self, state: EstimatorState, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+    def model(
+        self, state: EstimatorState, learning: settings.Learning, load: Load
+    ) -> tuple[vectors.Vector, vectors.Vector]:
         """Return B and A as estimated; the gains need no more."""
         a, b = direct_model(state.estimate.theta, learning, load)
         return b, a
 
-    def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+    def root(
+        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+    ) -> vectors.Vector:
         """Return NaN: nothing is known of the physical parameters."""
         return [math.nan] * (len(values) * len(values))
 
     def shown_deviations(
-        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
-    ) -> Vector:
+        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+    ) -> vectors.Vector:
         """Return NaN for each physical parameter."""
         return [math.nan] * len(values)
 
-    def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
+    def input_offset(self, state: EstimatorState, learning: settings.Learning, load: Load) -> float:
         """Return the constant input with the effect of the estimated bias; NaN without one."""
         if not learning.bias:
             return math.nan
         theta = state.estimate.theta
         last = len(theta) - 1
-        gain = total(theta[load.order : last])
+        gain = vectors.total(theta[load.order : last])
         return theta[last] / gain * learning.input_scale if gain else math.nan
 
 
 def fill_direct_regressor(
-    regressor: Vector, learning: Learning, load: Load, outputs: Vector, inputs: Vector
+    regressor: vectors.Vector,
+    learning: settings.Learning,
+    load: Load,
+    outputs: vectors.Vector,
+    inputs: vectors.Vector,
 ) -> None:
     """r of direct least squares (17).
 
@@ -257,7 +268,9 @@ def fill_direct_regressor(
         regressor[len(regressor) - 1] = 1.0
 
 
-def direct_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+def direct_model(
+    theta: vectors.Vector, learning: settings.Learning, load: Load
+) -> tuple[vectors.Vector, vectors.Vector]:
     """Return A, B in q^-1 of a direct estimate."""
     order = load.order
     b = [0.0] * (_input_count(theta, learning, load) + 1)
@@ -266,18 +279,18 @@ def direct_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector,
     return [1.0, *theta[:order]], b
 
 
-def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
+def _input_count(parameters: vectors.Vector, learning: settings.Learning, load: Load) -> int:
     return len(parameters) - load.order - (1 if learning.bias else 0)
 
 
-def _open_up(state: EstimatorState, learning: Learning) -> None:
+def _open_up(state: EstimatorState, learning: settings.Learning) -> None:
     """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
     own = state.estimate
     squared = rls.normalised(own.excitation, own.innovation, learning.forgetting)
-    if not is_surprising(state.surprise, squared):
+    if not rivals.is_surprising(state.surprise, squared):
         return
     ud.open_up(own.upper, own.diagonal, learning.initial_covariance)
-    predict(own, state.sample)
+    branch.predict(own, state.sample)
     state.excitation = own.excitation
     state.residual_power = state.surprise.power * state.residual_weight
 

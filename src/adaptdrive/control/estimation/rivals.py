@@ -25,6 +25,8 @@ when it has won.
 import math
 from dataclasses import dataclass
 
+from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control.estimation import covariance, regression
 from adaptdrive.control.estimation.branch import (
     Branch,
     Datum,
@@ -37,21 +39,7 @@ from adaptdrive.control.estimation.branch import (
     predict_sample,
     squared_error,
 )
-from adaptdrive.control.estimation.covariance import (
-    BOTH,
-    DISTURBANCE,
-    LOAD,
-    NOTHING,
-    Anchor,
-    is_sure,
-    restart_past,
-    widen,
-)
-from adaptdrive.control.estimation.regression import fill_initial_state, filtered_model
 from adaptdrive.control.loads.load import Load, is_damped
-from adaptdrive.control.settings import Learning
-from adaptdrive.control.thresholds import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, RARER, WINDOW
-from adaptdrive.control.vectors import Vector, copy_into
 
 # Detection of an abrupt change of the load from the innovations of the estimator.
 
@@ -70,7 +58,7 @@ _SLOW_RATE = 0.03
 _MEDIAN = 0.455
 """Median over mean of the square of Gaussian noise (χ² with one degree of freedom)."""
 
-LEAST_NOISE = 1e-2 * NOISE_FLOOR
+LEAST_NOISE = 1e-2 * thresholds.NOISE_FLOOR
 """Least mean square of noise that is followed: a tenth of the deviation that explanations count."""
 
 
@@ -92,7 +80,7 @@ class Surprise:
     sum: float = 0.0
     samples: int = 0
     alarms: int = 0
-    noise: float = NOISE_FLOOR
+    noise: float = thresholds.NOISE_FLOOR
     last: float = 0.0
     slope: float = 0.0
 
@@ -105,11 +93,11 @@ def is_surprising(state: Surprise, squared: float) -> bool:
         squared: ε² ρ / (ρ + rᵀPr), scaled.
     """
     state.samples += 1
-    if state.samples <= WINDOW:
-        state.power = max(NOISE_FLOOR, state.noise)
+    if state.samples <= thresholds.WINDOW:
+        state.power = max(thresholds.NOISE_FLOOR, state.noise)
         return False
     ratio = squared / state.power
-    state.power = max(NOISE_FLOOR, move_median(state.power, squared, _SLOW_RATE))
+    state.power = max(thresholds.NOISE_FLOOR, move_median(state.power, squared, _SLOW_RATE))
     state.sum = max(0.0, state.sum + ratio - DRIFT)
     if state.sum <= THRESHOLD:
         return False
@@ -129,7 +117,7 @@ def watch_noise(state: Surprise, innovation: float) -> None:
     bend = slope - state.slope
     squared = bend * bend / 6.0  # a power would raise where it overflows
     state.last, state.slope = innovation, slope
-    rate = _FAST_RATE if state.samples <= WINDOW else _SLOW_RATE
+    rate = _FAST_RATE if state.samples <= thresholds.WINDOW else _SLOW_RATE
     state.noise = max(LEAST_NOISE, move_median(state.noise, squared, rate))
 
 
@@ -140,7 +128,7 @@ def move_median(power: float, squared: float, rate: float) -> float:
 
 # Rival explanations of an alarm, on the samples since the change.
 
-ROOM = EARLIEST + 1
+ROOM = thresholds.EARLIEST + 1
 """Samples that can be kept: ten that may be the first after a change, and the one that shows it."""
 
 _PROOF = 8.0
@@ -167,12 +155,12 @@ class Rivals:
 
     calm: Branch
     branches: list[Branch]
-    anchor: Anchor
-    lowered: Vector
+    anchor: covariance.Anchor
+    lowered: vectors.Vector
     kept: list[Datum]
     waiting: int = 0
     samples: int = 0
-    kind: int = NOTHING
+    kind: int = covariance.NOTHING
     loads: float = 0.0
     offset: float = 0.0
     moved: float = 0.0
@@ -182,8 +170,8 @@ def new_rivals(count: int) -> Rivals:
     """Explanations for θ of a length."""
     return Rivals(
         calm=new_branch(count),
-        branches=[new_branch(count) for _ in range(NOTHING, BOTH + 1)],
-        anchor=Anchor([0.0] * count, [0.0] * count),
+        branches=[new_branch(count) for _ in range(covariance.NOTHING, covariance.BOTH + 1)],
+        anchor=covariance.Anchor([0.0] * count, [0.0] * count),
         lowered=[0.0] * count,
         kept=[Datum([0.0] * count) for _ in range(ROOM)],
     )
@@ -191,8 +179,8 @@ def new_rivals(count: int) -> Rivals:
 
 def forget_changes(rivals: Rivals) -> None:
     """Let a slow period pass."""
-    rivals.loads *= 1.0 - 1.0 / LIFE
-    rivals.moved *= 1.0 - 1.0 / LIFE
+    rivals.loads *= 1.0 - 1.0 / thresholds.LIFE
+    rivals.moved *= 1.0 - 1.0 / thresholds.LIFE
 
 
 def note_disturbance(rivals: Rivals, offset: float) -> None:
@@ -210,8 +198,8 @@ def note_disturbance(rivals: Rivals, offset: float) -> None:
 def drop_anchor(rivals: Rivals, estimate: Branch, sample: Datum) -> None:
     """Remember the estimate of now, after a sample that did not surprise."""
     copy_estimate(rivals.calm, estimate)
-    copy_into(rivals.anchor.regressor, sample.regressor)
-    copy_into(rivals.anchor.lowered, rivals.lowered)
+    vectors.copy_into(rivals.anchor.regressor, sample.regressor)
+    vectors.copy_into(rivals.anchor.lowered, rivals.lowered)
     rivals.anchor.time_s = sample.time_s
     rivals.waiting = 0
 
@@ -221,7 +209,7 @@ def keep_sample(rivals: Rivals, sample: Datum, room: int) -> bool:
     if rivals.waiting >= room:
         return False
     kept = rivals.kept[rivals.waiting]
-    copy_into(kept.regressor, sample.regressor)
+    vectors.copy_into(kept.regressor, sample.regressor)
     kept.target, kept.time_s = sample.target, sample.time_s
     rivals.waiting += 1
     return True
@@ -238,7 +226,7 @@ def prepare(rivals: Rivals, power: float) -> None:
     rivals.anchor.gap_s = rivals.kept[0].time_s - rivals.anchor.time_s
 
 
-def split(rivals: Rivals, learning: Learning, load: Load, power: float) -> None:
+def split(rivals: Rivals, learning: settings.Learning, load: Load, power: float) -> None:
     """After an alarm: go back to the anchor, and start every explanation from there.
 
     Args:
@@ -251,16 +239,16 @@ def split(rivals: Rivals, learning: Learning, load: Load, power: float) -> None:
     for kind, branch in enumerate(rivals.branches):
         copy_estimate(branch, rivals.calm)
         branch.squares = branch.logs = branch.score = 0.0
-        if kind != NOTHING:
-            restart_past(branch, learning, load, rivals.anchor.time_s)
-            widen(branch, kind, learning, load, rivals.anchor)
+        if kind != covariance.NOTHING:
+            covariance.restart_past(branch, learning, load, rivals.anchor.time_s)
+            covariance.widen(branch, kind, learning, load, rivals.anchor)
     rivals.samples = 0
     for number in range(rivals.waiting):
         follow(rivals, learning, load, rivals.kept[number])
     rivals.waiting = 0
 
 
-def follow(rivals: Rivals, learning: Learning, load: Load, sample: Datum) -> None:
+def follow(rivals: Rivals, learning: settings.Learning, load: Load, sample: Datum) -> None:
     """Let every explanation take in a sample, and find the likeliest.
 
     Args:
@@ -278,7 +266,7 @@ def follow(rivals: Rivals, learning: Learning, load: Load, sample: Datum) -> Non
         learn_sample(branch, sample, learning, 0.0)
     rivals.kind = _likeliest(rivals)
     since_s = sample.time_s - likeliest(rivals).origin_s
-    fill_initial_state(sample.regressor, learning, load, since_s)
+    regression.fill_initial_state(sample.regressor, learning, load, since_s)
 
 
 def _rarity(rivals: Rivals, kind: int) -> float:
@@ -286,10 +274,10 @@ def _rarity(rivals: Rivals, kind: int) -> float:
 
     A load does not change again and again: what looks like that is a disturbance of another kind.
     """
-    if kind < LOAD:
+    if kind < covariance.LOAD:
         return 0.0
-    changes = 1.0 if kind == LOAD else 2.0
-    return RARER * (changes + rivals.loads)
+    changes = 1.0 if kind == covariance.LOAD else 2.0
+    return thresholds.RARER * (changes + rivals.loads)
 
 
 def likeliest(rivals: Rivals) -> Branch:
@@ -298,7 +286,7 @@ def likeliest(rivals: Rivals) -> Branch:
 
 
 def _likeliest(rivals: Rivals) -> int:
-    best = NOTHING
+    best = covariance.NOTHING
     for kind, branch in enumerate(rivals.branches):
         if branch.score > rivals.branches[best].score:
             best = kind
@@ -311,40 +299,46 @@ def is_clear(rivals: Rivals) -> bool:
     for kind, branch in enumerate(rivals.branches):
         if kind != best:
             rival = max(rival, branch.score)
-    return rivals.branches[best].score - rival > CLEAR
+    return rivals.branches[best].score - rival > thresholds.CLEAR
 
 
-def is_expected(rivals: Rivals, learning: Learning) -> bool:
+def is_expected(rivals: Rivals, learning: settings.Learning) -> bool:
     """Return whether an explanation that has not been left behind expected the last sample."""
-    least = rivals.branches[_likeliest(rivals)].score - CLEAR
+    least = rivals.branches[_likeliest(rivals)].score - thresholds.CLEAR
     largest, rho = DRIFT * rivals.anchor.power, learning.forgetting
     return any(one.score >= least and squared_error(one, rho) <= largest for one in rivals.branches)
 
 
-def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
+def is_settled(rivals: Rivals, learning: settings.Learning, load: Load) -> bool:
     """Decide when the evidence suffices or time is over; the explanation is in `kind` then.
 
     Another explanation than `nothing` needs proof, and a load must be one that can exist.
     """
     best = _likeliest(rivals)
-    if rivals.samples < EARLIEST or (rivals.samples < WINDOW and not is_clear(rivals)):
+    if rivals.samples < thresholds.EARLIEST or (
+        rivals.samples < thresholds.WINDOW and not is_clear(rivals)
+    ):
         return False
-    if best >= LOAD and not is_possible(rivals.branches[best].theta, learning, load):
-        if rivals.samples < 2 * WINDOW:
+    if best >= covariance.LOAD and not is_possible(rivals.branches[best].theta, learning, load):
+        if rivals.samples < 2 * thresholds.WINDOW:
             return False
-        best = DISTURBANCE
-    if best >= LOAD and not is_clear(rivals):
+        best = covariance.DISTURBANCE
+    if best >= covariance.LOAD and not is_clear(rivals):
         power = rivals.anchor.power
-        best = best if is_sure(rivals.branches[best], power, learning, load) else DISTURBANCE
-    if rivals.branches[best].score - rivals.branches[NOTHING].score < _PROOF:
-        best = NOTHING
+        best = (
+            best
+            if covariance.is_sure(rivals.branches[best], power, learning, load)
+            else covariance.DISTURBANCE
+        )
+    if rivals.branches[best].score - rivals.branches[covariance.NOTHING].score < _PROOF:
+        best = covariance.NOTHING
     rivals.kind = best
     return True
 
 
 def settle(rivals: Rivals) -> None:
     """End a comparison that is under way: the explanation in `kind` is the one."""
-    if rivals.samples > 0 and rivals.kind >= LOAD:
+    if rivals.samples > 0 and rivals.kind >= covariance.LOAD:
         rivals.loads += 1.0
     rivals.samples = 0
 
@@ -352,11 +346,11 @@ def settle(rivals: Rivals) -> None:
 def explained_power(rivals: Rivals) -> float:
     """Return σ² as the explanation in `kind` leaves it."""
     power = posterior_power(likeliest(rivals), rivals.anchor.power, rivals.samples)
-    return max(NOISE_FLOOR, power)
+    return max(thresholds.NOISE_FLOOR, power)
 
 
-def is_possible(theta: Vector, learning: Learning, load: Load) -> bool:
+def is_possible(theta: vectors.Vector, learning: settings.Learning, load: Load) -> bool:
     """Return whether such a load can exist: it stores and loses, so it neither grows nor swings."""
-    _, denominator = filtered_model(theta, learning, load)
+    _, denominator = regression.filtered_model(theta, learning, load)
     losing = all(coefficient > 0.0 for coefficient in denominator)
     return losing and is_damped(denominator, learning.damping_min)

@@ -28,7 +28,7 @@ to Λ < 0.
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation import covariance, rls
 from adaptdrive.control.estimation.branch import (
     Branch,
     Datum,
@@ -40,7 +40,6 @@ from adaptdrive.control.estimation.branch import (
     squared_error,
     widen_last,
 )
-from adaptdrive.control.estimation.covariance import ANEW, restart_past, widen
 from adaptdrive.control.estimation.rivals import DRIFT, THRESHOLD, Rivals, is_possible, move_median
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import Learning
@@ -87,8 +86,8 @@ def begin(
         load: Order and structure.
     """
     copy_estimate(challenger.branch, rivals.calm)
-    restart_past(challenger.branch, learning, load, rivals.anchor.time_s)
-    widen(challenger.branch, ANEW, learning, load, rivals.anchor)
+    covariance.restart_past(challenger.branch, learning, load, rivals.anchor.time_s)
+    covariance.widen(challenger.branch, covariance.ANEW, learning, load, rivals.anchor)
     challenger.power = rivals.anchor.power
     challenger.samples = 0
     recount(challenger, estimate)

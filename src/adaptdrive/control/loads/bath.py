@@ -9,9 +9,7 @@ square-law map of the boost voltage (8): p = N2² v² R_h / (R_d + R_h)², inver
 
 from dataclasses import replace
 
-from adaptdrive.control.loads.discretise import exponential
-from adaptdrive.control.loads.load import Load
-from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.loads import discretise, load, motor
 from adaptdrive.control.vectors import Vector
 
 NAMES = ("resistance_K_per_W", "tau_s")
@@ -25,7 +23,7 @@ def bath_load(
     heater_Ohm: float,
     lag_s: float = 0.0,
     delay_s: float = 0.0,
-) -> Load:
+) -> load.Load:
     """A bath with the given nominal parameters.
 
     Args:
@@ -39,12 +37,12 @@ def bath_load(
     """
     input_gain = turns_ratio**2 * heater_Ohm / (droop_Ohm + heater_Ohm) ** 2
     if lag_s > 0.0:
-        lagging = motor_load(resistance_K_per_W, tau_s, lag_s)
+        lagging = motor.motor_load(resistance_K_per_W, tau_s, lag_s)
         names = (NAMES[0], *lagging.names[1:])
         return replace(
             lagging, input_gain=input_gain, input_exponent=2, names=names, delay_s=delay_s
         )
-    return Load(
+    return load.Load(
         numerator=(0.0, resistance_K_per_W / tau_s),
         denominator=(1.0, 1.0 / tau_s),
         input_powers=(1,),
@@ -72,5 +70,5 @@ def realise(values: Vector) -> tuple[Vector, Vector]:
 def paper_model(numerator: Vector, denominator: Vector, period_s: float) -> tuple[Vector, Vector]:
     """The step-invariant model (12)-(13)."""
     resistance, tau_s = physical(numerator, denominator)
-    a1 = -exponential(-period_s / tau_s)
+    a1 = -discretise.exponential(-period_s / tau_s)
     return [1.0, a1], [0.0, resistance * (1.0 + a1)]

@@ -9,9 +9,8 @@ H is proper but not strictly proper: a step of the voltage is a step of the curr
 β_0), and the EMF is a constant that the estimator needs a bias for.
 """
 
+from adaptdrive.control.loads import discretise, load
 from adaptdrive.control.loads.charging import Charging
-from adaptdrive.control.loads.discretise import held_model
-from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 
 NAMES = ("direct_S", "gain_S", "tau_s")
@@ -23,7 +22,7 @@ def battery_load(
     relaxation_Ohm: float,
     relaxation_s: float,
     charging: Charging | None = None,
-) -> Load:
+) -> load.Load:
     """A battery with the given nominal parameters.
 
     Args:
@@ -34,7 +33,7 @@ def battery_load(
         charging: How it is charged; None to hold the current whatever the voltage.
     """
     scale = series_Ohm * relaxation_s
-    return Load(
+    return load.Load(
         numerator=(turns_ratio / series_Ohm, turns_ratio / scale),
         denominator=(1.0, (series_Ohm + relaxation_Ohm) / scale),
         input_powers=(0, 1),
@@ -65,4 +64,4 @@ def paper_model(numerator: Vector, denominator: Vector, period_s: float) -> tupl
     A sample taken at the slow instant cannot contain the voltage that is computed from it, so the
     direct term acts one period later: B is that of the load delayed by a whole period.
     """
-    return held_model(numerator, denominator, period_s, period_s, 0.0)
+    return discretise.held_model(numerator, denominator, period_s, period_s, 0.0)

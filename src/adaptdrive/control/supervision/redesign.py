@@ -5,29 +5,20 @@ The checks run in the order of their cost; the first that fails gives the verdic
 
 import math
 
+from adaptdrive.control import thresholds, vectors
+from adaptdrive.control.design import pole_placement
 from adaptdrive.control.design.noise import fast_loop, noise_gain, quiet_loop
-from adaptdrive.control.design.pole_placement import (
-    asked_loop,
-    closed_loop,
-    discrete_model,
-    equation,
-    loop_gains,
-    possible_models,
-    response_spread,
-)
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation.methods import continuous_model
-from adaptdrive.control.estimation.regression import SlowSample
-from adaptdrive.control.estimation.second_estimates import restart
+from adaptdrive.control.estimation import methods, regression, second_estimates
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.supervision import supervisor as sup
 from adaptdrive.control.supervision.state import SlowState
-from adaptdrive.control.thresholds import MEMORY, NOISE_FLOOR
-from adaptdrive.control.vectors import Vector, copy_into, total
 
 
-def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
+def adapt(
+    settings: ControllerSettings, load: Load, state: SlowState, sample: regression.SlowSample
+) -> None:
     """Judge the estimate and, if it is trusted, make gains of it."""
     gains = [0.0] * len(state.adaptive_gains)
     verdict = _redesign(settings, load, state, sample, gains)
@@ -41,7 +32,7 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
         _take_loop(load, state, settings.jacket.gain_slew, sample.pole)
         _take_fast_law(settings, load, state, sample)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
-        state.input_noise = _input_noise(settings, state, state.new_loop, NOISE_FLOOR)
+        state.input_noise = _input_noise(settings, state, state.new_loop, thresholds.NOISE_FLOOR)
         state.fast_noise = _input_noise(settings, state, state.fast_loop, 0.0)
 
 
@@ -67,20 +58,20 @@ def _look_for_a_way_back(
         estimator.lost_periods = 0
         return
     estimator.lost_periods += 1
-    if not state.estimator.method.physical or estimator.lost_periods <= MEMORY:
+    if not state.estimator.method.physical or estimator.lost_periods <= thresholds.MEMORY:
         return
     estimator.lost_periods = 0
     if estimator.integrated.in_force:
-        restart(estimator.integrated)
+        second_estimates.restart(estimator.integrated)
     else:
         est.begin_anew(estimator, settings.learning, load)
 
 
-def _take_gains(jacket: Jacket, state: SlowState, gains: Vector) -> None:
+def _take_gains(jacket: Jacket, state: SlowState, gains: vectors.Vector) -> None:
     """New gains: those in force move towards them, those that only wait are replaced."""
     share = jacket.gain_slew
     if share >= 1.0 or not state.adaptive:
-        copy_into(state.adaptive_gains, gains)
+        vectors.copy_into(state.adaptive_gains, gains)
         return
     for i in range(len(gains)):
         state.adaptive_gains[i] += share * (gains[i] - state.adaptive_gains[i])
@@ -89,9 +80,9 @@ def _take_gains(jacket: Jacket, state: SlowState, gains: Vector) -> None:
 def _take_loop(load: Load, state: SlowState, share: float, pole: float) -> None:
     """Make the reference filter fit the gains; these are affine in A_c, so both move alike."""
     target = state.reference_filter
-    if not state.adaptive or total(target.loop) == 0.0:
+    if not state.adaptive or vectors.total(target.loop) == 0.0:
         share = 1.0
-    asked = asked_loop(state.model_b, load.order, pole)
+    asked = pole_placement.asked_loop(state.model_b, load.order, pole)
     for i in range(len(asked)):
         target.asked[i] = asked[i]
     for i in range(len(state.new_loop)):
@@ -99,22 +90,22 @@ def _take_loop(load: Load, state: SlowState, share: float, pole: float) -> None:
 
 
 def _take_fast_law(
-    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
+    settings: ControllerSettings, load: Load, state: SlowState, sample: regression.SlowSample
 ) -> None:
     """Take over the fast law, or the quiet one where the covariance leaves the fast one unsure."""
     a, b, quiet, solved = state.model_a, state.model_b, state.new_loop, state.equation
     noise, limit = _output_noise(settings, state, 0.0), settings.jacket.noise_max
     loop = fast_loop(solved, a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
-    gains = loop_gains(solved, a, b, loop)
+    gains = pole_placement.loop_gains(solved, a, b, loop)
     most = settings.jacket.spread_max
     if most > 0.0 and not _spread(load, state, gains, loop, sample.pole) <= most:
-        loop, gains = quiet, loop_gains(solved, a, b, quiet)
-    copy_into(state.fast_loop, loop)
-    copy_into(state.fast_gains, gains)
+        loop, gains = quiet, pole_placement.loop_gains(solved, a, b, quiet)
+    vectors.copy_into(state.fast_loop, loop)
+    vectors.copy_into(state.fast_gains, gains)
 
 
 def _output_noise(
-    settings: ControllerSettings, state: SlowState, least: float = NOISE_FLOOR
+    settings: ControllerSettings, state: SlowState, least: float = thresholds.NOISE_FLOOR
 ) -> float:
     """σ_y of a slow sample: what a disturbance or an error of the estimate adds is not in it.
 
@@ -133,7 +124,7 @@ def _output_noise(
 
 
 def _input_noise(
-    settings: ControllerSettings, state: SlowState, loop: Vector, least: float
+    settings: ControllerSettings, state: SlowState, loop: vectors.Vector, least: float
 ) -> float:
     """σ_u of a loop, at most its limit; 0 where there is no limit."""
     limit = settings.jacket.noise_max
@@ -147,17 +138,19 @@ def _redesign(
     settings: ControllerSettings,
     load: Load,
     state: SlowState,
-    sample: SlowSample,
-    gains: Vector,
+    sample: regression.SlowSample,
+    gains: vectors.Vector,
 ) -> int:
     a, b, verdict = judged_model(settings, load, state, sample.period_s)
     if verdict != sup.Verdict.TRUSTED:
         return verdict
     limit = settings.jacket.noise_max
-    noise, solved = _output_noise(settings, state), equation(a, b)
-    copy_into(state.new_loop, quiet_loop(solved, a, b, load.order, sample.pole, noise, limit))
-    copy_into(gains, loop_gains(solved, a, b, state.new_loop))
-    verdict = sup.judge_loop(closed_loop(gains, a, b, load.order))
+    noise, solved = _output_noise(settings, state), pole_placement.equation(a, b)
+    vectors.copy_into(
+        state.new_loop, quiet_loop(solved, a, b, load.order, sample.pole, noise, limit)
+    )
+    vectors.copy_into(gains, pole_placement.loop_gains(solved, a, b, state.new_loop))
+    verdict = sup.judge_loop(pole_placement.closed_loop(gains, a, b, load.order))
     if verdict != sup.Verdict.TRUSTED:
         return verdict
     state.model_a, state.model_b, state.equation = a, b, solved
@@ -165,15 +158,19 @@ def _redesign(
 
 
 def _judge_response(
-    settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, sample: SlowSample
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    gains: vectors.Vector,
+    sample: regression.SlowSample,
 ) -> int:
     """Check how far the response may be off within the covariance of the estimate."""
     limit, learning = settings.jacket.spread_max, settings.learning
     if not (limit > 0.0 and state.estimator.method.physical):
         return sup.Verdict.TRUSTED
     root = state.estimator.method.root(state.estimator, learning, load, state.values)
-    models = possible_models(settings, load, state.values, root, sample.period_s)
-    copy_into(state.possible, models)
+    models = pole_placement.possible_models(settings, load, state.values, root, sample.period_s)
+    vectors.copy_into(state.possible, models)
     state.spread = _spread(load, state, gains, state.new_loop, sample.pole)
     return sup.Verdict.TRUSTED if state.spread <= limit else sup.Verdict.UNCERTAIN
 
@@ -181,24 +178,26 @@ def _judge_response(
 def _spread(
     load: Load,
     state: SlowState,
-    gains: Vector,
-    loop: Vector,
+    gains: vectors.Vector,
+    loop: vectors.Vector,
     pole: float,
 ) -> float:
     """Return how far the response may be off within the covariance of the estimate; 0 for none."""
     if not state.estimator.method.physical:
         return 0.0
-    return response_spread(load.order, state.possible, gains, loop, state.model_b, pole)
+    return pole_placement.response_spread(
+        load.order, state.possible, gains, loop, state.model_b, pole
+    )
 
 
 def judge_physical(
     settings: ControllerSettings,
     load: Load,
     state: SlowState,
-    numerator: Vector,
-    denominator: Vector,
+    numerator: vectors.Vector,
+    denominator: vectors.Vector,
     period_s: float,
-) -> tuple[Vector, Vector, int]:
+) -> tuple[vectors.Vector, vectors.Vector, int]:
     """Check the physical parameters of an estimated model in s.
 
     Args:
@@ -215,7 +214,7 @@ def judge_physical(
     verdict = sup.judge_model(numerator, denominator)
     if verdict != sup.Verdict.TRUSTED:
         return denominator, numerator, verdict
-    copy_into(state.values, load.physical(numerator, denominator))
+    vectors.copy_into(state.values, load.physical(numerator, denominator))
     verdict = sup.judge_bounds(state.values, state.nominal, settings.jacket, state.supervisor)
     if verdict == sup.Verdict.TRUSTED:
         verdict = sup.judge_damping(denominator, settings.jacket)
@@ -223,13 +222,13 @@ def judge_physical(
         verdict = sup.judge_residual(state.supervisor, settings.jacket)
     if verdict != sup.Verdict.TRUSTED:
         return denominator, numerator, verdict
-    a, b = discrete_model(settings, load, numerator, denominator, period_s)
+    a, b = pole_placement.discrete_model(settings, load, numerator, denominator, period_s)
     return a, b, sup.judge_load(a)
 
 
 def judged_model(
     settings: ControllerSettings, load: Load, state: SlowState, period_s: float
-) -> tuple[Vector, Vector, int]:
+) -> tuple[vectors.Vector, vectors.Vector, int]:
     """Return A and B of the estimate, and the verdict on its parameters."""
     estimator = state.estimator
     numerator, denominator = estimator.method.model(estimator, settings.learning, load)
@@ -240,10 +239,12 @@ def judged_model(
     return a, b, sup.judge_load(a)
 
 
-def _show(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
+def _show(
+    load: Load, state: SlowState, a: vectors.Vector, b: vectors.Vector, period_s: float
+) -> None:
     """Make the physical parameters that are published; NaN where the model has none."""
-    numerator, denominator = continuous_model(a, b, period_s)
+    numerator, denominator = methods.continuous_model(a, b, period_s)
     if sup.judge_model(numerator, denominator) == sup.Verdict.TRUSTED:
-        copy_into(state.values, load.physical(numerator, denominator))
+        vectors.copy_into(state.values, load.physical(numerator, denominator))
     else:
-        copy_into(state.values, [math.nan] * len(state.values))
+        vectors.copy_into(state.values, [math.nan] * len(state.values))

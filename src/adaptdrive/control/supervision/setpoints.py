@@ -34,9 +34,8 @@ from adaptdrive.control.estimation.learn import is_contested
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import Learning, PowerStage, Probing
-from adaptdrive.control.supervision.monitor import Fallback
+from adaptdrive.control.supervision import monitor, supervisor
 from adaptdrive.control.supervision.state import ProbeState, SlowState
-from adaptdrive.control.supervision.supervisor import Verdict, is_doubt
 from adaptdrive.control.vectors import total
 
 # Attainable outputs: the steady states at the lowest and at the highest V_c.
@@ -217,7 +216,7 @@ def is_wanted(probing: Probing, state: SlowState) -> bool:
         state: What is known.
     """
     old = state.estimator.unseen_periods > probing.stale_periods
-    return old or is_doubt(state.supervisor.verdict)
+    return old or supervisor.is_doubt(state.supervisor.verdict)
 
 
 def _is_free(probing: Probing, state: SlowState, sample: SlowSample, reference: float) -> bool:
@@ -225,14 +224,14 @@ def _is_free(probing: Probing, state: SlowState, sample: SlowSample, reference: 
     asked = sample.adaptive and sample.steady and not sample.manual
     asked = asked and state.estimator.periods >= probing.settle_periods
     same = reference == sample.reference and reference == state.probe.reference
-    return asked and same and not state.saturated and state.watch.fallback == Fallback.NONE
+    return asked and same and not state.saturated and state.watch.fallback == monitor.Fallback.NONE
 
 
 def _is_known(state: SlowState, excursion_periods: int) -> bool:
     """Return whether the last excursion has shown the load, and nothing contests the estimate."""
     estimator = state.estimator
     seen = estimator.unseen_periods < excursion_periods and not is_contested(estimator)
-    return seen and state.supervisor.verdict == Verdict.TRUSTED
+    return seen and state.supervisor.verdict == supervisor.Verdict.TRUSTED
 
 
 def _count(own: ProbeState, free: bool, near: bool) -> None:

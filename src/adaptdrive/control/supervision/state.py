@@ -3,20 +3,17 @@
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.design.noise import unit_circle
-from adaptdrive.control.design.pole_placement import past_inputs
+from adaptdrive.control import signals, thresholds, vectors
+from adaptdrive.control.design import noise, pole_placement
 from adaptdrive.control.design.reference import PreviewState, ReferenceFilter, new_reference_filter
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.charging import ChargeState
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings, Jacket, Probing
-from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervision import supervisor as sup
 from adaptdrive.control.supervision.monitor import FAR_BETTER, CyclingState, Fallback, WatchState
 from adaptdrive.control.supervision.supervisor import Verdict, better_than_nominal
-from adaptdrive.control.thresholds import WINDOW
-from adaptdrive.control.vectors import Vector
 
 # State of the slow half between periods.
 
@@ -88,14 +85,14 @@ class SlowState:
         cycling: Whether the fixed law is in a limit cycle.
     """
 
-    inputs: Vector
-    outputs: Vector
-    nominal: Vector
-    fixed_gains: Vector
-    adaptive_gains: Vector
-    fast_gains: Vector
-    fast_loop: Vector
-    values: Vector
+    inputs: vectors.Vector
+    outputs: vectors.Vector
+    nominal: vectors.Vector
+    fixed_gains: vectors.Vector
+    adaptive_gains: vectors.Vector
+    fast_gains: vectors.Vector
+    fast_loop: vectors.Vector
+    values: vectors.Vector
     pole: float
     period_s: float
     handover_step: float
@@ -105,22 +102,22 @@ class SlowState:
     supervisor: sup.SupervisorState
     charge: ChargeState
     reference: float
-    nominal_theta: Vector
-    possible: Vector
+    nominal_theta: vectors.Vector
+    possible: vectors.Vector
     spread: float
     watch: WatchState
     cycles: CyclingState
     probe: ProbeState
     preview: PreviewState
-    model_a: Vector
-    model_b: Vector
-    equation: Vector
-    trusted_a: Vector
-    trusted_b: Vector
+    model_a: vectors.Vector
+    model_b: vectors.Vector
+    equation: vectors.Vector
+    trusted_a: vectors.Vector
+    trusted_b: vectors.Vector
     reference_filter: ReferenceFilter
-    new_loop: Vector
-    circle: Vector
-    expected: Vector
+    new_loop: vectors.Vector
+    circle: vectors.Vector
+    expected: vectors.Vector
     recalled: bool = False
     saturated: bool = False
     blend: float = 0.0
@@ -135,7 +132,7 @@ def new_slow_state(
     settings: ControllerSettings, load: Load, output: float, boost_voltage_V: float
 ) -> SlowState:
     """A slow half at rest: the present output and voltage have been there for ever."""
-    taps, method = past_inputs(settings, load), METHODS[settings.learning.method]
+    taps, method = pole_placement.past_inputs(settings, load), METHODS[settings.learning.method]
     load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
     nominal = load.physical(list(load.numerator), list(load.denominator))
     resting = output
@@ -173,7 +170,7 @@ def new_slow_state(
         trusted_b=[0.0] * (taps + 1),
         reference_filter=new_reference_filter(load.order, taps),
         new_loop=[0.0] * (load.order + taps + 1),
-        circle=unit_circle(load.order + taps + 1),
+        circle=noise.unit_circle(load.order + taps + 1),
         expected=[output] * (2 * load.order),
         sent=load_input,
     )
@@ -198,10 +195,12 @@ _FALLBACKS = {
 }
 
 _RELEASE = "choose a slower pole, then fixed, and adaptive one slow period later"
-_RETURN = f"adaptive returns {WINDOW} slow periods after the cause is gone"
+_RETURN = f"adaptive returns {thresholds.WINDOW} slow periods after the cause is gone"
 
 
-def reason(state: SlowState, jacket: Jacket, probing: Probing, load: Load, mode: Mode) -> str:
+def reason(
+    state: SlowState, jacket: Jacket, probing: Probing, load: Load, mode: signals.Mode
+) -> str:
     """Return why the adaptive law is not in force, or how old what it knows is, and any probe.
 
     Args:
@@ -218,7 +217,7 @@ def reason(state: SlowState, jacket: Jacket, probing: Probing, load: Load, mode:
     return f"{why}; {probes}" if why else probes
 
 
-def _why(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
+def _why(state: SlowState, jacket: Jacket, load: Load, mode: signals.Mode) -> str:
     """Return why the adaptive law is not in force, empty where it is."""
     if state.watch.fallback != Fallback.NONE:
         latched = state.watch.fallback == Fallback.OSCILLATING
@@ -226,7 +225,7 @@ def _why(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
         return f"{cause}; {_RELEASE if latched else _RETURN}"
     verdict = Verdict(state.supervisor.verdict)
     if verdict is Verdict.TRUSTED:
-        return "" if mode is Mode.ADAPTIVE else f"mode {mode} asked for"
+        return "" if mode is signals.Mode.ADAPTIVE else f"mode {mode} asked for"
     if verdict is Verdict.WARMING_UP:
         return f"warming up: needs {jacket.warm_up_periods} slow periods"
     if verdict is Verdict.OUT_OF_BOUNDS:

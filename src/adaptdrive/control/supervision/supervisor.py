@@ -14,19 +14,17 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from adaptdrive.control import settings, thresholds, vectors
 from adaptdrive.control.design.pole_placement import MARGIN_RADIUS, STABLE_RADIUS
 from adaptdrive.control.loads.load import is_damped
-from adaptdrive.control.settings import Jacket
-from adaptdrive.control.thresholds import NOISE_FLOOR, WINDOW
-from adaptdrive.control.vectors import Vector, all_finite, is_stable
 
 _TINY = 1e-12
 """Below this a coefficient counts as zero: the model has no dc gain."""
 
-_RESIDUAL_RATE = 1.0 / WINDOW
+_RESIDUAL_RATE = 1.0 / thresholds.WINDOW
 """Rate of the mean residuals: a mean over about 20 slow periods."""
 
-_RESIDUAL_FLOOR = 100.0 * NOISE_FLOOR
+_RESIDUAL_FLOOR = 100.0 * thresholds.NOISE_FLOOR
 """Ten times the least deviation, squared, a thousandth of the scale: at rest, less is noise."""
 
 
@@ -70,15 +68,17 @@ class SupervisorState:
     fixed_mean: float = 0.0
 
 
-def judge_model(numerator: Vector, denominator: Vector) -> int:
+def judge_model(numerator: vectors.Vector, denominator: vectors.Vector) -> int:
     """Check whether a continuous model can be used at all: finite, and with a dc gain."""
-    finite = all_finite(numerator) and all_finite(denominator)
+    finite = vectors.all_finite(numerator) and vectors.all_finite(denominator)
     if not finite or abs(denominator[len(denominator) - 1]) < _TINY:
         return Verdict.NOT_FINITE
     return Verdict.TRUSTED
 
 
-def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: SupervisorState) -> int:
+def judge_bounds(
+    values: vectors.Vector, nominal: vectors.Vector, jacket: settings.Jacket, state: SupervisorState
+) -> int:
     """Check whether every parameter is within its bounds around the nominal one."""
     for i, value in enumerate(values):
         ratio = value / nominal[i]
@@ -88,7 +88,7 @@ def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: Supervi
     return Verdict.TRUSTED
 
 
-def judge_damping(denominator: Vector, jacket: Jacket) -> int:
+def judge_damping(denominator: vectors.Vector, jacket: settings.Jacket) -> int:
     """Check that a model of second order is damped like a passive load with losses."""
     least = jacket.damping_min
     damped = not least > 0.0 or is_damped(denominator, least)
@@ -108,7 +108,7 @@ def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
     state.fixed_mean += _RESIDUAL_RATE * (fixed - state.fixed_mean)
 
 
-def judge_residual(state: SupervisorState, jacket: Jacket) -> int:
+def judge_residual(state: SupervisorState, jacket: settings.Jacket) -> int:
     """Check whether the estimate predicts no worse than the nominal model does."""
     margin = jacket.residual_margin * jacket.residual_margin
     if margin > 0.0 and state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
@@ -137,22 +137,24 @@ def _over_own_errors(state: SupervisorState, power: float) -> float:
     return math.sqrt(power / max(state.own_power, _RESIDUAL_FLOOR))
 
 
-def judge_load(a: Vector) -> int:
+def judge_load(a: vectors.Vector) -> int:
     """Check whether the discrete model is finite and stable."""
-    if not all_finite(a):
+    if not vectors.all_finite(a):
         return Verdict.NOT_FINITE
-    return Verdict.TRUSTED if is_stable(a, STABLE_RADIUS) else Verdict.UNSTABLE_LOAD
+    return Verdict.TRUSTED if vectors.is_stable(a, STABLE_RADIUS) else Verdict.UNSTABLE_LOAD
 
 
-def judge_loop(closed_loop: Vector) -> int:
+def judge_loop(closed_loop: vectors.Vector) -> int:
     """Check whether the designed loop is finite and stable with a margin."""
-    if not all_finite(closed_loop):
+    if not vectors.all_finite(closed_loop):
         return Verdict.NOT_FINITE
-    return Verdict.TRUSTED if is_stable(closed_loop, MARGIN_RADIUS) else Verdict.UNSTABLE_LOOP
+    return (
+        Verdict.TRUSTED if vectors.is_stable(closed_loop, MARGIN_RADIUS) else Verdict.UNSTABLE_LOOP
+    )
 
 
 def take_verdict(
-    state: SupervisorState, verdict: int, jacket: Jacket, periods: int, in_force: bool
+    state: SupervisorState, verdict: int, jacket: settings.Jacket, periods: int, in_force: bool
 ) -> bool:
     """Remember a verdict; return whether the new gains may take effect.
 

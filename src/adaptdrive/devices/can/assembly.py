@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
+from adaptdrive.devices.can import integrity
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.can.mapping import CanMapping, CanSource, StatusFrame
 from adaptdrive.devices.port import NewestValues, Reading
 
@@ -154,14 +154,14 @@ _KINDS_HELD = 64
 """Kinds of refused frames remembered: a flood of ids must not fill the memory."""
 
 _REMEDIES = {
-    FrameVerdict.WRONG_LENGTH: "DLC {0}, needed {1}: the DBC describes another version "
+    integrity.FrameVerdict.WRONG_LENGTH: "DLC {0}, needed {1}: the DBC describes another version "
     "of the message",
-    FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; look at the "
-    "cable",
-    FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
-    FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
-    FrameVerdict.OUT_OF_RANGE: "{2}; a sensor of the drive is broken, or the DBC has another sign "
-    "or range",
+    integrity.FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; "
+    "look at the cable",
+    integrity.FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
+    integrity.FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
+    integrity.FrameVerdict.OUT_OF_RANGE: "{2}; a sensor of the drive is broken, or the DBC has "
+    "another sign or range",
 }
 
 
@@ -179,7 +179,7 @@ class Refusals:
     """Refused frames of each message, and frames that are not of this drive."""
 
     def __init__(self) -> None:
-        self._seen: dict[str, dict[FrameVerdict | None, _Refusal]] = {}
+        self._seen: dict[str, dict[integrity.FrameVerdict | None, _Refusal]] = {}
 
     @property
     def any(self) -> bool:
@@ -189,7 +189,7 @@ class Refusals:
     def note(
         self,
         frame: str,
-        verdict: FrameVerdict | None,
+        verdict: integrity.FrameVerdict | None,
         data: bytes,
         codec: MessageCodec | None = None,
     ) -> None:
@@ -234,8 +234,10 @@ class Refusals:
                 yield f"refused {frame}: {why}"
 
 
-def _remedy(verdict: FrameVerdict, refusal: _Refusal) -> str:
+def _remedy(verdict: integrity.FrameVerdict, refusal: _Refusal) -> str:
     codec, data = refusal.codec, refusal.data
-    needed = codec.required(data) if codec and verdict is FrameVerdict.WRONG_LENGTH else 0
-    outside = codec.outside(data) if codec and verdict is FrameVerdict.OUT_OF_RANGE else ""
+    needed = codec.required(data) if codec and verdict is integrity.FrameVerdict.WRONG_LENGTH else 0
+    outside = (
+        codec.outside(data) if codec and verdict is integrity.FrameVerdict.OUT_OF_RANGE else ""
+    )
     return _REMEDIES[verdict].format(len(data), needed, outside or "its alive counter")

@@ -11,19 +11,13 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.devices.can import layout
 from adaptdrive.devices.can.integrity import (
     AliveCounter,
     FrameVerdict,
     Span,
     checksum_function,
     covered_bytes,
-)
-from adaptdrive.devices.can.layout import (
-    compile_field,
-    compile_pack,
-    compile_unpack,
-    is_multiplexed,
-    signal_bits,
 )
 from adaptdrive.devices.field import Field, Raw
 
@@ -101,7 +95,7 @@ class MessageCodec:
         self.label = f"0x{message.frame_id:03X} ({message.name})"
         self.length = message.length
         self._fields = {
-            signal.name: compile_field(
+            signal.name: layout.compile_field(
                 signal,
                 measured=signal.name in measured,
                 state=signal.name in states,
@@ -111,7 +105,7 @@ class MessageCodec:
         }
         self._prepare_integrity(message, integrity, cycle_s)
         idle = {name: one.idle for name, one in self._fields.items()}
-        self._pack = compile_pack(message, {**idle, **self._fixed})
+        self._pack = layout.compile_pack(message, {**idle, **self._fixed})
         self._prepare_decoding(message, wanted)
 
     def _prepare_integrity(
@@ -131,17 +125,17 @@ class MessageCodec:
         self._fixed = {integrity.nibble: integrity.data_id >> 8 & 0xF} if integrity.nibble else {}
         seen = [integrity.counter] if follows_counter(integrity) else []
         seen += [integrity.nibble]
-        self._seen = compile_unpack(message, filter(None, seen)) if any(seen) else None
+        self._seen = layout.compile_unpack(message, filter(None, seen)) if any(seen) else None
 
     def _prepare_decoding(self, message: Message, wanted: Collection[str] | None) -> None:
         names = self._fields.keys() if wanted is None else wanted
         self._wanted = tuple(self._fields[name] for name in names if name not in self._proofs)
         used = [one.name for one in self._wanted]
-        self._unpack = compile_unpack(message, [*used, *filter(None, [self._counter])])
+        self._unpack = layout.compile_unpack(message, [*used, *filter(None, [self._counter])])
         self._is_exact = wanted is None or any(self._proofs)
         read = [one for one in message.signals if one.is_multiplexer or one.name in used]
         ends = {one.name: _end_of(message, one) for one in read}
-        self._paged = {one.name: ends[one.name] for one in read if is_multiplexed(one)}
+        self._paged = {one.name: ends[one.name] for one in read if layout.is_multiplexed(one)}
         in_all = (end for name, end in ends.items() if name not in self._paged)
         self.needed = message.length if self._is_exact else max(in_all, default=0)
 
@@ -308,8 +302,8 @@ class MessageCodec:
 
 def _end_of(message: Message, signal: Signal) -> int:
     """Return the bytes that a frame needs to have a signal, with what selects its page."""
-    end = (signal_bits(signal).bit_length() + 7) // 8
-    if not is_multiplexed(signal) or signal.multiplexer_signal is None:
+    end = (layout.signal_bits(signal).bit_length() + 7) // 8
+    if not layout.is_multiplexed(signal) or signal.multiplexer_signal is None:
         return end
     return max(end, _end_of(message, message.get_signal_by_name(signal.multiplexer_signal)))
 

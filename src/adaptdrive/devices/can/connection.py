@@ -16,11 +16,10 @@ from typing import Any, Generic, NoReturn, Protocol, TypeVar
 import can
 
 from adaptdrive.config.bus import CanLink
+from adaptdrive.devices import faults, port
 from adaptdrive.devices.bus import BusBackoff
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.integrity import ArrivalClock
-from adaptdrive.devices.faults import Uptake
-from adaptdrive.devices.port import Listener, SensorListener
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import BusError
 
@@ -143,7 +142,7 @@ def _is_garbage(problem: can.CanOperationError) -> bool:
 
 # The connection of a port to its CAN bus: opened, read, sent on, and opened again when lost.
 
-Hearer = TypeVar("Hearer", Listener, SensorListener)
+Hearer = TypeVar("Hearer", port.Listener, port.SensorListener)
 
 Serve = Callable[[Callable[[], None]], Awaitable[str]]
 """Use of an open bus until it is lost; calls its argument when it has begun, returns the reason."""
@@ -189,7 +188,7 @@ class CanConnection(Generic[Hearer]):
         self.bus: can.BusABC | None = None
         self.listener: Hearer | None = None
         self._reported = True, ""
-        self.uptake = Uptake()
+        self.uptake = faults.Uptake()
         self.asked: tuple[Sequence[can.Message], float] = (), 0.0
 
     async def run(

@@ -14,18 +14,11 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity, SignalRange
-from adaptdrive.devices.binding import Catalogue, Use
+from adaptdrive.devices import binding
+from adaptdrive.devices.can import codec, layout
 from adaptdrive.devices.can.bus import channel_flaws
-from adaptdrive.devices.can.codec import (
-    checksum_span,
-    counter_modulus,
-    follows_counter,
-    frame_key,
-    needs_fd,
-)
 from adaptdrive.devices.can.flaws import mended, sign_caution, signal_problem
 from adaptdrive.devices.can.integrity import CHECK_INPUT, crc_function
-from adaptdrive.devices.can.layout import compile_field, is_multiplexed, signal_bits
 from adaptdrive.devices.description import read_description
 from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
@@ -113,7 +106,7 @@ def _addressed(
             hint = nearest(name, [one.name for one in messages])
             yield Flaw(f"{place}.{name}", f"the database has no message {name!r}{hint}")
         for message in found:
-            if how == "rtr" and needs_fd(message):
+            if how == "rtr" and codec.needs_fd(message):
                 yield Flaw(f"{place}.{name}", "'rtr': CAN FD has no remote frames")
             elif how != "rtr" and not message.is_extended_frame:
                 problem = "an id of 11 bits has no source address"
@@ -163,7 +156,7 @@ class Located(NamedTuple):
     signal: Signal
 
 
-class SignalCatalogue(Catalogue[Located]):
+class SignalCatalogue(binding.Catalogue[Located]):
     """Finds messages and signals by name, and gathers a flaw for each that is not there."""
 
     has_copies = True
@@ -181,11 +174,11 @@ class SignalCatalogue(Catalogue[Located]):
         self._fd = fd
         self._integrity = integrity
 
-    def field(self, item: Located, use: Use) -> Field:
+    def field(self, item: Located, use: binding.Use) -> Field:
         """Return how a signal is coded."""
-        return compile_field(item.signal, measured=use == "measured", state=use == "state")
+        return layout.compile_field(item.signal, measured=use == "measured", state=use == "state")
 
-    def refusal(self, item: Located, use: Use) -> str | None:
+    def refusal(self, item: Located, use: binding.Use) -> str | None:
         """Return why a signal cannot be commanded, None where it can or is measured."""
         proof, name = self._integrity.get(item.message.name), item.signal.name
         if use not in {"command", "constant"}:
@@ -219,7 +212,7 @@ class SignalCatalogue(Catalogue[Located]):
         if others:
             ids = " and ".join(f"{one.frame_id:#x}" for one in found)
             self.note(place, f"message {name!r} is the name of {ids}: rename one")
-        if needs_fd(message) and not self._fd:
+        if codec.needs_fd(message) and not self._fd:
             self.note(place, f"message {name!r} is one of CAN FD: it needs bus.fd = true")
             return None
         if message.length not in CAN_FD_DLC:
@@ -261,7 +254,7 @@ class SignalCatalogue(Catalogue[Located]):
         owners: dict[int, tuple[str, str]] = {}
         for place, name in ((place, name) for place, names in uses.items() for name in names):
             message = self.known(name)
-            key = frame_key(message.frame_id, extended=message.is_extended_frame)
+            key = codec.frame_key(message.frame_id, extended=message.is_extended_frame)
             owner, first = owners.setdefault(key, (name, place))
             if owner != name:
                 number = f"0x{message.frame_id:03X}"
@@ -283,7 +276,10 @@ class SignalCatalogue(Catalogue[Located]):
             if item is None:
                 continue
             self.note(f"{place}.{key}", self._proof_problem(key, item, integrity))
-            modulus, jump = counter_modulus(compile_field(item.signal)), integrity.max_jump
+            modulus, jump = (
+                codec.counter_modulus(layout.compile_field(item.signal)),
+                integrity.max_jump,
+            )
             if key == "counter" and jump >= modulus:
                 self.note(f"{place}.max_jump", f"{jump} must be below its {modulus} values")
         for key, problem in _form_flaws(message, integrity):
@@ -296,8 +292,8 @@ class SignalCatalogue(Catalogue[Located]):
             return self.count_problem(item)
         if key == "checksum":
             bits = integrity.crc.width if integrity.crc else 8
-            span = checksum_span(message, signal.name)
-            fits = span and 8 * span.length == bits and not is_multiplexed(signal)
+            span = codec.checksum_span(message, signal.name)
+            fits = span and 8 * span.length == bits and not layout.is_multiplexed(signal)
             size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
             return None if fits else f"signal {signal.name!r} must fill {size} of every frame"
         fits = signal.length == _NIBBLE_BITS and _is_count(signal)
@@ -331,7 +327,7 @@ def _form_flaws(message: Message, integrity: FrameIntegrity) -> Iterator[tuple[s
         yield "", f"{integrity.counter!r} cannot be both counter and checksum"
     if algorithm != "autosar-p01" and has_data_id:
         yield ".algorithm", f"{algorithm!r} has no data id; 'autosar-p01' has one"
-    if follows_counter(integrity) and not integrity.counter:
+    if codec.follows_counter(integrity) and not integrity.counter:
         yield ".counter", "is missing: the data id of the checksum follows it"
     if (mode == "nibble") != (integrity.nibble is not None):
         yield ".nibble", "is what data_id_mode = 'nibble' needs, and no other mode"
@@ -355,11 +351,11 @@ def _place_remarks(
 ) -> Iterator[str]:
     """Yield the signals that cannot be used, and those on bits of another one of their frame."""
     for message in messages:
-        key = str(frame_key(message.frame_id, extended=message.is_extended_frame))
+        key = str(codec.frame_key(message.frame_id, extended=message.is_extended_frame))
         before: dict[str, tuple[Signal, int]] = {}
         for signal in message.signals:
             problem = signal_problem(message, [signal])
-            bits = 0 if problem else signal_bits(signal)
+            bits = 0 if problem else layout.signal_bits(signal)
             shared = (n for n, (one, own) in before.items() if own & bits and _meet(one, signal))
             problem = problem or next((f"has bits of {name!r}" for name in shared), None)
             before[signal.name] = signal, bits
@@ -381,5 +377,5 @@ def cycle_time_s(message: Message) -> float:
 
 def _is_count(signal: Signal) -> bool:
     """Return whether a signal is an integer from 0 on in every frame of its message."""
-    field = compile_field(signal)
-    return field.is_word and field.low == 0 and not is_multiplexed(signal)
+    field = layout.compile_field(signal)
+    return field.is_word and field.low == 0 and not layout.is_multiplexed(signal)

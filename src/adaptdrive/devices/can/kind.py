@@ -17,18 +17,15 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config import Configuration
+from adaptdrive.config import Configuration, section
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.root import CanSensorSection as Config
-from adaptdrive.config.section import known_unit
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices.binding import sensor_entries
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
+from adaptdrive.devices.can import codec, connection, integrity, port
 from adaptdrive.devices.can.bus import describe_bus, requests
-from adaptdrive.devices.can.codec import frame_key
-from adaptdrive.devices.can.connection import CanConnection
 from adaptdrive.devices.can.database import open_catalogue
-from adaptdrive.devices.can.integrity import ArrivalClock, FrameVerdict
 from adaptdrive.devices.can.mapping import (
     CanMapping,
     CanSource,
@@ -36,8 +33,6 @@ from adaptdrive.devices.can.mapping import (
     map_drive,
     status_frame,
 )
-from adaptdrive.devices.can.port import CanPort
-from adaptdrive.devices.description import NO_DEMANDS, Candidate, Demands, demands_of
 from adaptdrive.devices.port import Port, SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -48,7 +43,7 @@ _ALIVE = re.compile(r"alive|rolling|heartbeat|count|cnt|seq", re.IGNORECASE)
 _CHECKSUM = re.compile(r"crc|checksum|chk", re.IGNORECASE)
 
 
-def candidates(database: Database) -> Iterator[Candidate]:
+def candidates(database: Database) -> Iterator[description.Candidate]:
     """Yield every signal that may be a quantity."""
     for message in database.messages:
         commanded = _COMMANDING.search(message.name) is not None
@@ -64,14 +59,14 @@ def proofs(message: Message) -> tuple[str | None, str | None]:
     return counter, checksum
 
 
-def _candidate(message: Message, signal: Signal, *, commanded: bool) -> Candidate:
+def _candidate(message: Message, signal: Signal, *, commanded: bool) -> description.Candidate:
     low, high = signal.minimum, signal.maximum
     limits = "" if low is None or high is None or low == high else f"{low:g}…{high:g}"
     written = "".join(one for one in signal.unit or "" if one.isprintable())
-    return Candidate(
+    return description.Candidate(
         reference=f"{message.name}.{signal.name}",
         words=f"{message.name}.{signal.name}",
-        unit=known_unit(written) or written,
+        unit=section.known_unit(written) or written,
         range=limits,
         commanded=commanded,
         names=tuple(str(name) for name in (signal.choices or {}).values()),
@@ -95,7 +90,7 @@ def build_can_sensors(
     place: str,
     clock: Callable[[], float],
     source: Path | str = "configuration",
-    demands: Demands = NO_DEMANDS,
+    demands: description.Demands = description.NO_DEMANDS,
 ) -> CanSensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
@@ -113,7 +108,10 @@ def build_can_sensors(
 
 
 def map_sensors(
-    bus: Config, place: str, source: Path | str, demands: Demands = NO_DEMANDS
+    bus: Config,
+    place: str,
+    source: Path | str,
+    demands: description.Demands = description.NO_DEMANDS,
 ) -> tuple[StatusFrame, ...]:
     """Find every configured signal in the DBC.
 
@@ -128,7 +126,7 @@ def map_sensors(
     """
     catalogue = open_catalogue(bus, source, place)
     found: dict[str, list[CanSource]] = {}
-    for one in catalogue.sources(sensor_entries(bus, place), demands):
+    for one in catalogue.sources(binding.sensor_entries(bus, place), demands):
         message, signal = one.item
         value = CanSource(one.quantity, signal.name, one.scale, one.offset)
         found.setdefault(message.name, []).append(value)
@@ -153,8 +151,10 @@ class CanSensorPort(CountingPort):
         self._config = config
         self._messages = {one.codec.key: one for one in messages}
         self._clock = clock
-        self._arrivals = ArrivalClock(clock)
-        self._connection = CanConnection[SensorListener](config, self, self._arrivals, self._counts)
+        self._arrivals = integrity.ArrivalClock(clock)
+        self._connection = connection.CanConnection[SensorListener](
+            config, self, self._arrivals, self._counts
+        )
         asked = requests(config, [one.codec for one in messages])
         self._connection.asked = asked, config.cycle_s
         self._heard_s = 0.0
@@ -170,7 +170,7 @@ class CanSensorPort(CountingPort):
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""
-        key = frame_key(frame.arbitration_id, extended=frame.is_extended_id)
+        key = codec.frame_key(frame.arbitration_id, extended=frame.is_extended_id)
         message = self._messages.get(key)
         if message is None or frame.is_error_frame or frame.is_remote_frame:
             self.take_garbage()
@@ -178,9 +178,15 @@ class CanSensorPort(CountingPort):
         self._counts["received"] += 1
         decoded = message.codec.decode(bytes(frame.data))
         self._counts["counter_lost"] += decoded.lost
-        if decoded.values and decoded.verdict in {FrameVerdict.GOOD, FrameVerdict.OUT_OF_RANGE}:
+        if decoded.values and decoded.verdict in {
+            integrity.FrameVerdict.GOOD,
+            integrity.FrameVerdict.OUT_OF_RANGE,
+        }:
             self._pass_on(message, decoded.values, self._clock() - self._arrivals.waited_s(frame))
-        if decoded.verdict not in {FrameVerdict.GOOD, FrameVerdict.COUNTER_LOST}:
+        if decoded.verdict not in {
+            integrity.FrameVerdict.GOOD,
+            integrity.FrameVerdict.COUNTER_LOST,
+        }:
             self._counts[decoded.verdict] += 1
 
     def hand_out(self) -> None:
@@ -223,14 +229,14 @@ class CanSensorPort(CountingPort):
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
-    return CanPort(
+    return port.CanPort(
         bus_of(configuration, CanBus), _mapped(configuration, source), clock, hears_all=passive
     )
 
 
 def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
-    timing, demands = configuration.timing, demands_of(configuration)
+    timing, demands = configuration.timing, description.demands_of(configuration)
     return map_drive(bus_of(configuration, CanBus), configuration.signals, timing, source, demands)
 
 

@@ -11,13 +11,12 @@ from pathlib import Path
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
+from adaptdrive.config import root
 from adaptdrive.config.bus import CanBus, CanDescription, Signals
-from adaptdrive.config.root import VOLTAGE_TICKS
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices.binding import Source, is_word, other_names, watched_words
+from adaptdrive.devices import binding, description
+from adaptdrive.devices.can import database, layout
 from adaptdrive.devices.can.codec import MessageCodec, counter_modulus
-from adaptdrive.devices.can.database import Located, SignalCatalogue, cycle_time_s, open_catalogue
-from adaptdrive.devices.can.layout import is_multiplexed
 from adaptdrive.devices.can.orders import (
     CommandFrame,
     are_apart,
@@ -26,7 +25,6 @@ from adaptdrive.devices.can.orders import (
     find_copies,
     find_orders,
 )
-from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -107,7 +105,7 @@ def map_drive(
     signals: Signals,
     timing: Timing,
     source: Path | str = "configuration",
-    demands: Demands = NO_DEMANDS,
+    demands: description.Demands = description.NO_DEMANDS,
 ) -> CanMapping:
     """Find every configured signal in the DBC.
 
@@ -121,7 +119,7 @@ def map_drive(
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    catalogue = open_catalogue(bus, source)
+    catalogue = database.open_catalogue(bus, source)
     catalogue.warn_of_file("bus.database")
     clock = catalogue.message(bus.clock_message, "bus.clock")
     if clock is not None and bus.clock_signal and not catalogue.find(bus.clock, "bus.clock"):
@@ -156,7 +154,7 @@ def map_drive(
     codecs = {one.codec.name: one.codec for one in commanded}
     return CanMapping(
         statuses=tuple(
-            status_frame(catalogue, bus, *item, cycle_time_s(catalogue.known(item[0])))
+            status_frame(catalogue, bus, *item, database.cycle_time_s(catalogue.known(item[0])))
             for item in sources.items()
         ),
         orders=commanded,
@@ -164,8 +162,8 @@ def map_drive(
         clock=bus.clock_message,
         page=bus.clock_signal,
         counter_modulus=None if counter is None else counter_modulus(counter.field),
-        faults=watched_words(bound.values()),
-        others=other_names(bound.values()),
+        faults=binding.watched_words(bound.values()),
+        others=binding.other_names(bound.values()),
         timing=timing,
         cautions=tuple(catalogue.cautions),
     )
@@ -181,11 +179,11 @@ def _clock_problem(bus: CanBus, sources: Mapping[str, Iterable[CanSource]]) -> s
 
 
 def _source(
-    catalogue: SignalCatalogue,
+    catalogue: database.SignalCatalogue,
     bus: CanBus,
     timing: Timing,
     clock: Message | None,
-    source: Source[Located],
+    source: binding.Source[database.Located],
 ) -> CanSource:
     message, signal = source.item
     cycle = _cycle(message, bus, timing, pages=_pages(message, signal))
@@ -194,14 +192,16 @@ def _source(
     cycle_s, by, slowest = cycle
     slack_s = max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
     named = f"message {slowest.name!r} ({by}: every {cycle_s * 1e3:.4g} ms)"
-    seldom = slack_s > 0.0 or cycle_s > VOLTAGE_TICKS * timing.half_cycle_s
+    seldom = slack_s > 0.0 or cycle_s > root.VOLTAGE_TICKS * timing.half_cycle_s
     if seldom and source.quantity in timing.voltage_parts:
         problem = f"{named} comes too seldom for voltage_loop.where = 'daemon'"
         catalogue.note(source.place, problem)
     if timing.stale_s + slack_s > LONGEST_STALE_S:
         age = f"age for {timing.stale_s + slack_s:.4g} s, limit {LONGEST_STALE_S:g} s"
         catalogue.note(source.place, f"bus.stale_cycles lets a value of {named} {age}")
-    stated = message.name in {bus.clock_message, *bus.polled} or cycle_time_s(message) > 0.0
+    stated = (
+        message.name in {bus.clock_message, *bus.polled} or database.cycle_time_s(message) > 0.0
+    )
     return CanSource(
         quantity=source.quantity,
         signal=signal.name,
@@ -216,7 +216,7 @@ def _source(
 
 def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cycle:
     """Return the cycle of a signal that is in one of so many frames of a message."""
-    cycle_s = cycle_time_s(message)
+    cycle_s = database.cycle_time_s(message)
     clock_s = bus.clock_ticks * timing.half_cycle_s
     clocks = message.name == bus.clock_message
     page = next((one for one in message.signals if one.name == bus.clock_signal), None)
@@ -229,7 +229,7 @@ def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cy
 
 def _pages(message: Message, signal: Signal) -> int:
     """Return the number of pages of a multiplexed message between two frames of a signal."""
-    if not is_multiplexed(signal):
+    if not layout.is_multiplexed(signal):
         return 1
     selector = signal.multiplexer_signal
     siblings = [one for one in message.signals if one.multiplexer_signal == selector]
@@ -238,7 +238,7 @@ def _pages(message: Message, signal: Signal) -> int:
 
 
 def status_frame(
-    catalogue: SignalCatalogue,
+    catalogue: database.SignalCatalogue,
     bus: CanDescription,
     name: str,
     sources: Iterable[CanSource],
@@ -258,7 +258,7 @@ def status_frame(
         catalogue.known(name),
         bus.integrity.get(name),
         wanted=dict.fromkeys(source.signal for source in sources),
-        measured={source.signal for source in sources if not is_word(source.quantity)},
+        measured={source.signal for source in sources if not binding.is_word(source.quantity)},
         states={source.signal: source.on for source in sources if source.quantity == "bridge"},
         cycle_s=cycle_s,
     )

@@ -18,9 +18,8 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import FrameIntegrity, Signals
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.binding import BRIDGE, Sink, is_word
+from adaptdrive.devices.can import database, layout
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.can.database import Located, SignalCatalogue
-from adaptdrive.devices.can.layout import compile_field, initial_value, signal_bits
 from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.util.errors import nearest
 
@@ -42,9 +41,9 @@ class CommandFrame:
     """
 
     codec: MessageCodec
-    parts: Mapping[str, Sink[Located]]
+    parts: Mapping[str, Sink[database.Located]]
     fixed: Mapping[str, float]
-    copies: Mapping[str, Sink[Located]]
+    copies: Mapping[str, Sink[database.Located]]
     every_s: float = 0.0
 
     def encode(self, command: Command, measured: Mapping[str, float] = _NOTHING) -> bytes:
@@ -75,8 +74,8 @@ def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
 
 
 def find_copies(
-    catalogue: SignalCatalogue, signals: Signals, demands: Demands = NO_DEMANDS
-) -> Iterator[Sink[Located]]:
+    catalogue: database.SignalCatalogue, signals: Signals, demands: Demands = NO_DEMANDS
+) -> Iterator[Sink[database.Located]]:
     """Yield the destination of each measured value that is sent back; flaws are collected.
 
     Args:
@@ -99,10 +98,12 @@ def find_copies(
 
 
 def find_orders(
-    catalogue: SignalCatalogue, sinks: Iterable[Sink[Located]], section: str = "signals.command"
-) -> dict[str, list[Sink[Located]]]:
+    catalogue: database.SignalCatalogue,
+    sinks: Iterable[Sink[database.Located]],
+    section: str = "signals.command",
+) -> dict[str, list[Sink[database.Located]]]:
     """Return the values that each message carries; errors go to the catalogue."""
-    drafts: dict[str, list[Sink[Located]]] = {}
+    drafts: dict[str, list[Sink[database.Located]]] = {}
     for sink in sinks:
         drafts.setdefault(sink.item.message.name, []).append(sink)
     for name, draft in drafts.items():
@@ -118,9 +119,9 @@ def find_orders(
 
 
 def build_orders(
-    catalogue: SignalCatalogue,
+    catalogue: database.SignalCatalogue,
     integrity: Mapping[str, FrameIntegrity],
-    drafts: Mapping[str, Sequence[Sink[Located]]],
+    drafts: Mapping[str, Sequence[Sink[database.Located]]],
     codecs: Mapping[str, MessageCodec] = MappingProxyType({}),
 ) -> Iterator[CommandFrame]:
     """The frames of a command, from drafts without a flaw.
@@ -142,9 +143,9 @@ def build_orders(
 
 
 def check_rates(
-    catalogue: SignalCatalogue,
+    catalogue: database.SignalCatalogue,
     rates: Mapping[str, float],
-    drafts: Mapping[str, Sequence[Sink[Located]]],
+    drafts: Mapping[str, Sequence[Sink[database.Located]]],
 ) -> None:
     """Collect the messages that cannot have a rate of their own: they carry what is commanded.
 
@@ -165,7 +166,9 @@ def check_rates(
 
 
 def are_apart(
-    message: Message, setup: Sequence[Sink[Located]], command: Sequence[Sink[Located]]
+    message: Message,
+    setup: Sequence[Sink[database.Located]],
+    command: Sequence[Sink[database.Located]],
 ) -> bool:
     """Return whether no frame of a set-up carries a signal of the command.
 
@@ -218,10 +221,10 @@ def is_carried(message: Message, signal: Signal, chosen: Mapping[str, float]) ->
 
 
 def _selected(selector: Signal, chosen: Mapping[str, float]) -> float:
-    return chosen.get(selector.name, initial_value(selector) or 0)
+    return chosen.get(selector.name, layout.initial_value(selector) or 0)
 
 
-def _fixed(draft: Iterable[Sink[Located]]) -> dict[str, float]:
+def _fixed(draft: Iterable[Sink[database.Located]]) -> dict[str, float]:
     """The values among them that are always the same, as their signals hold them."""
     return {
         one.item.signal.name: one.field.physical(one.field.raw(one.base))
@@ -231,8 +234,8 @@ def _fixed(draft: Iterable[Sink[Located]]) -> dict[str, float]:
 
 
 def _frames(
-    message: Message, draft: Sequence[Sink[Located]]
-) -> Iterator[tuple[dict[str, float], list[Sink[Located]]]]:
+    message: Message, draft: Sequence[Sink[database.Located]]
+) -> Iterator[tuple[dict[str, float], list[Sink[database.Located]]]]:
     """The values that are always the same, and all that is carried, of each frame of a message."""
     for choice in choices(message, (one.item.signal for one in draft)):
         chosen = _fixed(draft) | choice
@@ -241,12 +244,12 @@ def _frames(
         yield {name: value for name, value in chosen.items() if name in held}, carried
 
 
-def _problems(message: Message, draft: Sequence[Sink[Located]]) -> Iterator[str]:
+def _problems(message: Message, draft: Sequence[Sink[database.Located]]) -> Iterator[str]:
     """Yield why the frames of a message cannot be sent."""
     given = {one.item.signal.name for one in draft}
     for fixed, carried in _frames(message, draft):
         given.update(fixed)
-        bits = {one.item.signal.name: signal_bits(one.item.signal) for one in carried}
+        bits = {one.item.signal.name: layout.signal_bits(one.item.signal) for one in carried}
         for name, other in combinations(bits, 2):
             if bits[name] & bits[other]:
                 yield f"{other!r} and {name!r} share bits: both are sent"
@@ -254,7 +257,7 @@ def _problems(message: Message, draft: Sequence[Sink[Located]]) -> Iterator[str]
             if selector.is_multiplexer and is_carried(message, selector, fixed):
                 yield from _selection_problems(message, selector, fixed)
     for signal in message.signals:
-        if signal.name not in given and initial_value(signal) is None:
+        if signal.name not in given and layout.initial_value(signal) is None:
             value = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
             yield f"signal {signal.name!r} of {signal.length} bits cannot hold its {value}"
 
@@ -263,7 +266,7 @@ def _selection_problems(
     message: Message, selector: Signal, fixed: Mapping[str, float]
 ) -> Iterator[str]:
     """Yield why a frame cannot be encoded with the value that its multiplexer has."""
-    if selector.name in fixed and not compile_field(selector).is_word:
+    if selector.name in fixed and not layout.compile_field(selector).is_word:
         yield f"its multiplexer {selector.name!r} has a factor or an offset"
     value = _selected(selector, fixed)
     paged = [one for one in message.signals if one.multiplexer_signal == selector.name]

@@ -20,22 +20,19 @@ import can
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.timing import OBEY_S
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.bus import pulse_reset
-from adaptdrive.devices.can.assembly import Refusals, StatusAssembly
+from adaptdrive.devices import bus, port
+from adaptdrive.devices.can import assembly, connection, integrity
 from adaptdrive.devices.can.bus import as_received, describe_bus, requests
 from adaptdrive.devices.can.codec import frame_key
-from adaptdrive.devices.can.connection import CanConnection
-from adaptdrive.devices.can.integrity import PROMPT_S, ArrivalClock, FrameVerdict
 from adaptdrive.devices.can.mapping import CanMapping, StatusFrame
 from adaptdrive.devices.can.orders import CommandFrame, bridge_first
 from adaptdrive.devices.faults import LEAPT, Obedience, Relink, Rival
-from adaptdrive.devices.port import Listener, PortStatistics, Reading
 
 _ASK_AGAIN_S = 1.0
 """Silence of the clock of a drive that is off after which its set-up is sent again: it may have
 started anew, and forgotten the requests for its messages."""
 
-_GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
+_GOOD: Final[integrity.FrameVerdict] = integrity.FrameVerdict.GOOD  # found at once by compiled code
 
 
 class CanPort:
@@ -69,16 +66,18 @@ class CanPort:
         self._config = config
         self._mapping = mapping
         self._clock = clock
-        self._arrivals = ArrivalClock(clock, wall_clock)
+        self._arrivals = integrity.ArrivalClock(clock, wall_clock)
         self._counts: Counter[str] = Counter()
-        self._connection = CanConnection[Listener](config, self, self._arrivals, self._counts)
+        self._connection = connection.CanConnection[port.Listener](
+            config, self, self._arrivals, self._counts
+        )
         asked = requests(config, [one.codec for one in mapping.statuses])
         self._connection.asked = asked, mapping.timing.reading_s
-        self._assembly = StatusAssembly(mapping)
+        self._assembly = assembly.StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
         self._rival = Rival(clock)
-        self._refusals = Refusals()
+        self._refusals = assembly.Refusals()
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._stopping = bridge_first(mapping.orders)
@@ -92,13 +91,13 @@ class CanPort:
         self._sent_s: dict[int, float] = {}
         self._relink = Relink()
         self._leapt_s = self._asked_s = -math.inf
-        self._newest: Reading | None = None
+        self._newest: port.Reading | None = None
         self._made_up = list(_made_up(config, mapping))
 
     @property
-    def statistics(self) -> PortStatistics:
+    def statistics(self) -> port.PortStatistics:
         """Counts since the port was built."""
-        return PortStatistics(**self._counts)
+        return port.PortStatistics(**self._counts)
 
     @property
     def complaint(self) -> str | None:
@@ -115,7 +114,7 @@ class CanPort:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
         return self._obedience.heard_s
 
-    def run(self, listener: Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
+    def run(self, listener: port.Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 
         Args:
@@ -220,7 +219,7 @@ class CanPort:
     def reset_fault(self) -> Coroutine[Any, Any, None]:
         """Switch the reset of the drive's fault on and off with the next frames, if it has one."""
         sinks = (part for order in self._mapping.orders for part in order.parts.values())
-        return pulse_reset(sinks, self._mapping.timing.reading_s)
+        return bus.pulse_reset(sinks, self._mapping.timing.reading_s)
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""
@@ -256,9 +255,9 @@ class CanPort:
             self._counts["counter_lost"] += decoded.lost
         if verdict is not _GOOD:
             self._refuse(status, verdict, frame)
-            if verdict is FrameVerdict.COUNTER_LOST:
+            if verdict is integrity.FrameVerdict.COUNTER_LOST:
                 self._doubt(arrival_s)
-            if verdict is not FrameVerdict.OUT_OF_RANGE:
+            if verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
                 self._assembly.doubt(status, decoded.values)
                 return
         elif self._refusals.any:
@@ -271,7 +270,7 @@ class CanPort:
                 arrival_s, bridge_sent=self._bridge_sent, stopped=stopped
             )
             self._newest = reading or self._newest
-            if frame.timestamp and waited_s < PROMPT_S:
+            if frame.timestamp and waited_s < integrity.PROMPT_S:
                 self.hand_out()
 
     def _has_page(
@@ -291,10 +290,12 @@ class CanPort:
         self._leapt_s = arrival_s
         self._relink.open(bridge=self._bridge_sent, how=LEAPT)
 
-    def _refuse(self, status: StatusFrame, verdict: FrameVerdict, frame: can.Message) -> None:
+    def _refuse(
+        self, status: StatusFrame, verdict: integrity.FrameVerdict, frame: can.Message
+    ) -> None:
         """Count a frame that failed a check, and remember it for reports."""
         # a counter that leapt is in `counter_lost` already, with the length of its leap
-        if verdict is not FrameVerdict.COUNTER_LOST:
+        if verdict is not integrity.FrameVerdict.COUNTER_LOST:
             self._counts[verdict] += 1
         codec = status.codec
         self._refusals.note(codec.label, verdict, bytes(frame.data), codec)

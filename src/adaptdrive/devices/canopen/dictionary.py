@@ -15,8 +15,7 @@ from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVari
 from canopen.objectdictionary.datatypes import FLOAT_TYPES, NUMBER_TYPES, SIGNED_TYPES
 from canopen.objectdictionary.eds import import_eds
 
-from adaptdrive.devices.binding import Catalogue, Use
-from adaptdrive.devices.description import read_description
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.field import Field, natural_limits, sensible_limits
 from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
@@ -214,10 +213,10 @@ def read_eds(
             raise ValueError("it describes no object")
         return dictionary, remarks
 
-    return read_description(path, source, "bus.eds", parse)
+    return description.read_description(path, source, "bus.eds", parse)
 
 
-class ObjectCatalogue(Catalogue[Entry]):
+class ObjectCatalogue(binding.Catalogue[Entry]):
     """Finds entries by name or number, and collects an error for each missing entry."""
 
     def __init__(self, dictionary: ObjectDictionary, remarks: Sequence[str] = ()) -> None:
@@ -225,11 +224,11 @@ class ObjectCatalogue(Catalogue[Entry]):
         self._dictionary = dictionary
         self.warn_of_file("bus.eds")
 
-    def field(self, item: Entry, use: Use) -> Field:  # noqa: ARG002 - limits hold for all uses
+    def field(self, item: Entry, use: binding.Use) -> Field:  # noqa: ARG002 - limits hold for all uses
         """Return how an entry is coded."""
         return item.coding
 
-    def refusal(self, item: Entry, use: Use) -> str | None:
+    def refusal(self, item: Entry, use: binding.Use) -> str | None:
         """Return why an entry cannot travel in a PDO of this direction, None where it can."""
         name, variable = item.coding.name, item.variable
         if use == "setup":

@@ -15,12 +15,11 @@ from cantools.database.conversion import BaseConversion
 
 from adaptdrive.config.bus import CanOpenBus, Signals
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.binding import Sink, Source, watched_words
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.can.bus import channel_flaws
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
-from adaptdrive.devices.description import NO_DEMANDS, Candidate, Demands
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -128,7 +127,7 @@ def _signal(entry: Entry, start: int) -> Signal:
 
 # Mapping of objects to quantities: checks the configuration against its EDS.
 
-Bound = TypeVar("Bound", Source[Entry], Sink[Entry])
+Bound = TypeVar("Bound", binding.Source[Entry], binding.Sink[Entry])
 
 DEVICE_TYPE = (0x1000, 0)
 SYNC_ID = (0x1005, 0)
@@ -163,7 +162,7 @@ class StatusPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sources: tuple[Source[Entry], ...]
+    sources: tuple[binding.Source[Entry], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +171,7 @@ class CommandPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sinks: tuple[Sink[Entry], ...]
+    sinks: tuple[binding.Sink[Entry], ...]
 
     def encode(self, command: Command, word: int) -> tuple[int, bytes]:
         """Return the id and the bytes of its frame.
@@ -219,7 +218,7 @@ class CanOpenMapping:
     faults: Mapping[str, FaultWord]
 
     @property
-    def sources(self) -> tuple[Source[Entry], ...]:
+    def sources(self) -> tuple[binding.Source[Entry], ...]:
         """Every quantity that is measured."""
         return tuple(source for status in self.statuses for source in status.sources)
 
@@ -228,7 +227,7 @@ def map_drive(
     bus: CanOpenBus,
     signals: Signals,
     source: Path | str = "configuration",
-    demands: Demands = NO_DEMANDS,
+    demands: description.Demands = description.NO_DEMANDS,
 ) -> CanOpenMapping:
     """Find every configured object in the EDS and plan the PDOs.
 
@@ -269,7 +268,7 @@ def map_drive(
         present=frozenset(one for one in _OPTIONAL if catalogue.at(one)),
         identity=catalogue.identity,
         cautions=tuple(catalogue.cautions),
-        faults=watched_words(sources),
+        faults=binding.watched_words(sources),
     )
 
 
@@ -337,7 +336,7 @@ def _setup(
         yield entry, entry.variable.encode_raw(sink.field.raw(sink.base)), reads
 
 
-def candidates(path: Path, node_id: int) -> Iterator[Candidate]:
+def candidates(path: Path, node_id: int) -> Iterator[description.Candidate]:
     """Yield every object that may be a quantity.
 
     Args:
@@ -355,7 +354,7 @@ def candidates(path: Path, node_id: int) -> Iterator[Candidate]:
         entry, index = catalogue.at((variable.index, variable.subindex)), variable.index
         own = index >= _FIRST_OF_DEVICE and index not in {CONTROLWORD[0], STATUSWORD[0]}
         if entry and variable.pdo_mappable and own:
-            yield Candidate(
+            yield description.Candidate(
                 reference=entry.label,
                 words=variable.qualname,
                 unit="",

@@ -15,33 +15,22 @@ import can
 
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.binding import BRIDGE, other_names
-from adaptdrive.devices.bus import CountingPort
+from adaptdrive.devices import binding, bus, port
+from adaptdrive.devices.can import connection, integrity
 from adaptdrive.devices.can.bus import describe_bus
-from adaptdrive.devices.can.connection import CanConnection
-from adaptdrive.devices.can.integrity import ArrivalClock, FrameVerdict
-from adaptdrive.devices.canopen.dictionary import label
+from adaptdrive.devices.canopen import dictionary, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo
-from adaptdrive.devices.canopen.profile import (
-    POWERED,
-    STATUSWORD,
-    DriveControl,
-    UnseenStop,
-    state_of,
-)
-from adaptdrive.devices.canopen.sdo import SdoLink, Server, describe_node
-from adaptdrive.devices.port import Listener, NewestValues, Reading
 from adaptdrive.util.errors import BusError
 
 # The drive's status PDOs as readings: the set after one SYNC, and the newest of several sets.
 
-_STATUSWORD = label(STATUSWORD)
+_STATUSWORD = dictionary.label(profile.STATUSWORD)
 
 
-def newest_values(mapping: CanOpenMapping) -> NewestValues:
+def newest_values(mapping: CanOpenMapping) -> port.NewestValues:
     """Return the values of a drive, none of which is known yet."""
-    slacks = dict.fromkeys([BRIDGE, *(one.quantity for one in mapping.sources)], 0.0)
-    return NewestValues(slacks, other_names(mapping.sources), mapping.faults)
+    slacks = dict.fromkeys([binding.BRIDGE, *(one.quantity for one in mapping.sources)], 0.0)
+    return port.NewestValues(slacks, binding.other_names(mapping.sources), mapping.faults)
 
 
 class Reports:
@@ -54,8 +43,8 @@ class Reports:
     def __init__(
         self,
         mapping: CanOpenMapping,
-        control: DriveControl,
-        unseen: UnseenStop,
+        control: profile.DriveControl,
+        unseen: profile.UnseenStop,
         counts: Counter[str],
     ) -> None:
         """Expect PDOs; none has come yet.
@@ -76,7 +65,7 @@ class Reports:
         self._sampled_s: float | None = None
         self._repeated = ""
         self._refused = 0
-        self._newest: Reading | None = None
+        self._newest: port.Reading | None = None
 
     @property
     def missing(self) -> list[str]:
@@ -100,10 +89,10 @@ class Reports:
             Whether it was the last of its set.
         """
         decoded, name = status.codec.decode(data), status.codec.name
-        if decoded.verdict is not FrameVerdict.GOOD:
+        if decoded.verdict is not integrity.FrameVerdict.GOOD:
             self._counts[decoded.verdict] += 1
             self._refused += 1
-            if decoded.verdict is not FrameVerdict.OUT_OF_RANGE:
+            if decoded.verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
                 return False
         elif self._sampled_s is None:
             self._counts["counter_stuck"] += 1
@@ -125,7 +114,7 @@ class Reports:
             self._refused, self._repeated = 0, ""
         return True
 
-    def hand_out(self) -> Reading | None:
+    def hand_out(self) -> port.Reading | None:
         """Return the newest reading once, None where none has come since the one before."""
         reading, self._newest = self._newest, None
         if reading is not None:
@@ -154,7 +143,7 @@ class Reports:
         """Await a report of the bridge: the node was lost, or is set up again."""
         self.begin(None)
         self._newest = None
-        self._values.forget(BRIDGE)
+        self._values.forget(binding.BRIDGE)
 
     def _hear(
         self, status: StatusPdo, found: Mapping[str, float], arrival_s: float
@@ -170,7 +159,7 @@ class Reports:
         if statusword is not None:
             self._control.hear(int(statusword))
             self._unseen.hear(arrival_s)
-            values[BRIDGE] = float(self._control.state in POWERED)
+            values[binding.BRIDGE] = float(self._control.state in profile.POWERED)
         return values
 
 
@@ -179,7 +168,7 @@ class Reports:
 # Parts that a port which drives a node, and one that only looks at it, have in common.
 
 
-class NodePort(CountingPort, ABC):
+class NodePort(bus.CountingPort, ABC):
     """One connection to one node.
 
     Attributes:
@@ -197,18 +186,20 @@ class NodePort(CountingPort, ABC):
             clock: Monotonic clock, in seconds.
         """
         super().__init__()
-        self.description = f"{describe_bus(config)} {describe_node(config)}"
+        self.description = f"{describe_bus(config)} {sdo.describe_node(config)}"
         self._config = config
         self._mapping = mapping
         self._clock = clock
-        self._arrivals = ArrivalClock(clock)
-        self._connection = CanConnection[Listener](config, self, self._arrivals, self._counts)
-        self._sdo = SdoLink(config, self._connection.put)
+        self._arrivals = integrity.ArrivalClock(clock)
+        self._connection = connection.CanConnection[port.Listener](
+            config, self, self._arrivals, self._counts
+        )
+        self._sdo = sdo.SdoLink(config, self._connection.put)
         self._takers: dict[int, Callable[[can.Message], None]] = {
             0x580 + config.node_id: self._sdo.take_reply
         }
 
-    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+    async def run(self, listener: port.Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 
         A drive that is not there yet is waited for, like one that is switched off.
@@ -283,13 +274,17 @@ class CanOpenWatch(NodePort):
                 self._pass_on(values, start_s)
             await asyncio.sleep(_PAUSE_S)
 
-    def _read(self, server: Server) -> dict[str, float]:
+    def _read(self, server: sdo.Server) -> dict[str, float]:
         """Every quantity, and whether the bridge is on by the drive's state."""
         values = {
             one.quantity: server.value(one.item) * one.scale + one.offset
             for one in self._mapping.sources
         }
-        return values | {BRIDGE: float(state_of(server.number(STATUSWORD)) in POWERED)}
+        return values | {
+            binding.BRIDGE: float(
+                profile.state_of(server.number(profile.STATUSWORD)) in profile.POWERED
+            )
+        }
 
     def _pass_on(self, values: dict[str, float], start_s: float) -> None:
         newest, listener = newest_values(self._mapping), self._connection.listener

@@ -19,22 +19,12 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices import description, faults, port
 from adaptdrive.devices.bus import BusKind, Row, bus_of, stale_limits
 from adaptdrive.devices.can.integrity import PROMPT_S
+from adaptdrive.devices.canopen import master, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
-from adaptdrive.devices.canopen.master import (
-    Emergency,
-    Master,
-    NodeState,
-    parse_emergency,
-    problem_of,
-)
 from adaptdrive.devices.canopen.node import CanOpenWatch, NodePort, Reports
-from adaptdrive.devices.canopen.profile import DISABLE_VOLTAGE, DriveControl, UnseenStop
-from adaptdrive.devices.canopen.sdo import SYNC_COB_ID, describe_node, set_up
-from adaptdrive.devices.description import demands_of
-from adaptdrive.devices.faults import Obedience, Rival
-from adaptdrive.devices.port import Port
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import Flaw
 
@@ -70,16 +60,16 @@ class CanOpenPort(NodePort):
         """
         super().__init__(config, mapping, clock)
         self.counter_modulus = mapping.counter_modulus
-        self._control = DriveControl()
-        self._unseen = UnseenStop(self._control, timing)
+        self._control = profile.DriveControl()
+        self._unseen = profile.UnseenStop(self._control, timing)
         self._reports = Reports(mapping, self._control, self._unseen, self._counts)
-        self._master = Master(config, self._set_up, self._connection.put, clock)
-        self._emergency: Emergency | None = None
+        self._master = master.Master(config, self._set_up, self._connection.put, clock)
+        self._emergency: master.Emergency | None = None
         self._half_cycle_s = timing.half_cycle_s
-        self._obedience = Obedience(timing.obeyed_s(0.0), clock)
+        self._obedience = faults.Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
         self._been_up = False
-        self._rival = Rival(clock)
+        self._rival = faults.Rival(clock)
         self._takers |= self._make_takers()
 
     @property
@@ -90,8 +80,8 @@ class CanOpenPort(NodePort):
                 return seen.complaint
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a separate cause
-        problem = problem_of(self._emergency, self._control, self._master)
-        return None if problem is None else f"{describe_node(self._config)}: {problem}"
+        problem = master.problem_of(self._emergency, self._control, self._master)
+        return None if problem is None else f"{sdo.describe_node(self._config)}: {problem}"
 
     @property
     def safe_s(self) -> float:
@@ -170,7 +160,7 @@ class CanOpenPort(NodePort):
         node, own, taken_by = self._config.node_id, self._config.own_node_id, functools.partial
         another = taken_by(self._take_rival, "SYNC of another node")
         takers: dict[int, Callable[[can.Message], None]] = {
-            SYNC_COB_ID: self._take_sync if self._config.sync == "drive" else another,
+            sdo.SYNC_COB_ID: self._take_sync if self._config.sync == "drive" else another,
             0x080 + node: self._take_emergency,
             0x600 + node: self._take_sdo_request,
             0x700 + node: self._take_heartbeat,
@@ -205,12 +195,12 @@ class CanOpenPort(NodePort):
             self._counts["wrong_length"] += 1
             return
         state = frame.data[0] & 0x7F
-        if state == NodeState.BOOT_UP:
+        if state == master.NodeState.BOOT_UP:
             self._emergency = None
         self._master.hear(state)
 
     def _take_emergency(self, frame: can.Message) -> None:
-        emergency = parse_emergency(bytes(frame.data))
+        emergency = master.parse_emergency(bytes(frame.data))
         if emergency is None:
             self._counts["wrong_length"] += 1
         elif emergency.over:
@@ -236,26 +226,28 @@ class CanOpenPort(NodePort):
 
     async def _set_up(self) -> None:
         half_s = self._half_cycle_s
-        await self._sdo.run(lambda server: set_up(server, self._config, self._mapping, half_s))
+        await self._sdo.run(lambda server: sdo.set_up(server, self._config, self._mapping, half_s))
 
     def _send_sync(self) -> None:
         self.catch_up()  # what waits belongs to the SYNC before
         if self._master.ready:
             self._reports.begin(self._clock())
-            self._connection.put(SYNC_COB_ID, b"")
+            self._connection.put(sdo.SYNC_COB_ID, b"")
 
     def _disable_lost(self) -> None:
         """Send the safe command, and no heartbeat, to a lost node that may still take it."""
         if self._master.mapped:
             for order in self._mapping.orders:
-                self._connection.put(*order.encode(SAFE_COMMAND, DISABLE_VOLTAGE))
+                self._connection.put(*order.encode(SAFE_COMMAND, profile.DISABLE_VOLTAGE))
 
     def _beat(self) -> None:
         """Send the daemon's heartbeat where the next command would be too late for it."""
         now_s = self._clock()
         if now_s - self._beat_s > self._config.heartbeat_s - self._half_cycle_s:
             self._beat_s = now_s
-            self._connection.put(0x700 + self._config.own_node_id, bytes((NodeState.OPERATIONAL,)))
+            self._connection.put(
+                0x700 + self._config.own_node_id, bytes((master.NodeState.OPERATIONAL,))
+            )
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""
@@ -299,7 +291,7 @@ _LOST_HEARTBEATS = 2
 
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
-) -> Port:
+) -> port.Port:
     bus, mapping = bus_of(configuration, CanOpenBus), _mapped(configuration, source)
     if passive:
         return CanOpenWatch(bus, mapping, clock)
@@ -308,7 +300,7 @@ def _build(
 
 def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:
     """Return the objects of a drive, held against what its limits ask."""
-    bus, demands = bus_of(configuration, CanOpenBus), demands_of(configuration)
+    bus, demands = bus_of(configuration, CanOpenBus), description.demands_of(configuration)
     return map_drive(bus, configuration.signals, source, demands)
 
 

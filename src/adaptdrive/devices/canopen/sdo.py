@@ -21,7 +21,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from adaptdrive.config.bus import CanOpenBus
-from adaptdrive.devices.canopen.dictionary import PRODUCT, VENDOR, Address, Entry, label
+from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.mapping import (
     ABORT_OPTION,
     DEVICE_TYPE,
@@ -69,7 +69,7 @@ class Server:
         """Return an error of this drive."""
         return BusError(self._name, problem)
 
-    def read(self, address: Address, size: int = _NUMBER_BYTES) -> bytes:
+    def read(self, address: dictionary.Address, size: int = _NUMBER_BYTES) -> bytes:
         """The bytes of an entry.
 
         Args:
@@ -87,12 +87,14 @@ class Server:
                     data += part
                     if len(data) > _LONGEST_BYTES:
                         self._client.abort()
-                        raise self.refuse(f"{label(address)} has over {_LONGEST_BYTES} bytes")
+                        raise self.refuse(
+                            f"{dictionary.label(address)} has over {_LONGEST_BYTES} bytes"
+                        )
         except (SdoError, struct.error) as problem:
             raise self._failure("read", address, problem) from problem
         return bytes(data[:size] if len(data) <= _NUMBER_BYTES else data)
 
-    def number(self, address: Address) -> int:
+    def number(self, address: dictionary.Address) -> int:
         """Return an unsigned entry, of which a drive may send more bytes than it has.
 
         Raises:
@@ -101,10 +103,10 @@ class Server:
         data = self.read(address)
         if len(data) > _NUMBER_BYTES:
             wanted = f"a number has at most {_NUMBER_BYTES}"
-            raise self.refuse(f"{label(address)} has {len(data)} bytes, {wanted}")
+            raise self.refuse(f"{dictionary.label(address)} has {len(data)} bytes, {wanted}")
         return int.from_bytes(data, "little")
 
-    def value(self, entry: Entry) -> float:
+    def value(self, entry: dictionary.Entry) -> float:
         """The raw value of an entry.
 
         Raises:
@@ -115,7 +117,7 @@ class Server:
         except ValueError as problem:
             raise self.refuse(str(problem)) from problem
 
-    def write(self, address: Address, data: bytes) -> None:
+    def write(self, address: dictionary.Address, data: bytes) -> None:
         """Write an entry.
 
         Raises:
@@ -126,7 +128,7 @@ class Server:
         except (SdoError, struct.error) as problem:
             raise self._failure("write", address, problem) from problem
 
-    def write_surely(self, address: Address, data: bytes) -> None:
+    def write_surely(self, address: dictionary.Address, data: bytes) -> None:
         """Write an entry and read it back.
 
         Raises:
@@ -136,9 +138,11 @@ class Server:
         kept = self.read(address, len(data))
         if kept != data:
             found, wanted = kept[::-1].hex(), data[::-1].hex()
-            raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
+            raise self.refuse(
+                f"{dictionary.label(address)} is 0x{found} after 0x{wanted} was written"
+            )
 
-    def settle(self, address: Address, data: bytes) -> None:
+    def settle(self, address: dictionary.Address, data: bytes) -> None:
         """Write an entry that does not hold some bytes yet: one that is read-only may hold them.
 
         Raises:
@@ -147,7 +151,7 @@ class Server:
         if self.read(address, len(data)) != data:
             self.write(address, data)
 
-    def offer(self, address: Address, data: bytes) -> None:
+    def offer(self, address: dictionary.Address, data: bytes) -> None:
         """Write an entry that the drive need not take.
 
         An answer that is late is waited for: it would be taken for that to the next request.
@@ -159,11 +163,13 @@ class Server:
         except (SdoError, struct.error):
             time.sleep(self._client.RESPONSE_TIMEOUT)
 
-    def _failure(self, verb: str, address: Address, problem: Exception) -> BusError:
+    def _failure(self, verb: str, address: dictionary.Address, problem: Exception) -> BusError:
         if not isinstance(problem, SdoAbortedError):
-            return self.refuse(f"no answer when asked to {verb} {label(address)}")
+            return self.refuse(f"no answer when asked to {verb} {dictionary.label(address)}")
         words = str(problem).partition(", ")[2] or f"abort code 0x{problem.code:08X}"
-        return self.refuse(f"cannot {verb} {label(address)}: {words[0].lower()}{words[1:]}")
+        return self.refuse(
+            f"cannot {verb} {dictionary.label(address)}: {words[0].lower()}{words[1:]}"
+        )
 
 
 class SdoLink(Network):
@@ -240,7 +246,7 @@ _NO_REMOTE_REQUEST = 1 << 30
 _EACH_SYNC = 1
 _ON_ARRIVAL = 255
 
-Write = tuple[Address, bytes]
+Write = tuple[dictionary.Address, bytes]
 
 
 def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_s: float) -> None:
@@ -300,7 +306,7 @@ def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
     profile = server.number(DEVICE_TYPE) & 0xFFFF
     if profile != _PROFILE:
         raise server.refuse(f"is no CiA 402 drive: its device type 0x1000 names profile {profile}")
-    names = {VENDOR: "vendor", PRODUCT: "product"}
+    names = {dictionary.VENDOR: "vendor", dictionary.PRODUCT: "product"}
     for address, expected in mapping.identity:
         found = server.number(address)
         if found != expected:

@@ -24,14 +24,7 @@ from pymodbus.transport.serialtransport import SerialTransport
 from serial import SerialException
 
 from adaptdrive.config.polled import ModbusLink, RtuLink, TcpLink
-from adaptdrive.devices.modbus.frames import (
-    SerialFrames,
-    TcpFrames,
-    answer,
-    exception_code,
-    explain_exception,
-    request,
-)
+from adaptdrive.devices.modbus import frames
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Void, never
 from adaptdrive.devices.polled.registers import RTU_FRAME, Exchange, silence_s
 from adaptdrive.util.clock import in_thread
@@ -187,7 +180,7 @@ class ModbusConnection(PolledLink):
         self._serial_port = serial
         self._patience = max(_PATIENCE, sharers)
         self._numbered = config.numbered
-        self._frames = TcpFrames() if config.numbered else SerialFrames()
+        self._frames = frames.TcpFrames() if config.numbered else frames.SerialFrames()
         self._stream.heard = self._hear
         self._settled_s = -math.inf
         self._missed = 0
@@ -215,7 +208,7 @@ class ModbusConnection(PolledLink):
             await self._await_silence(void)
         hasty = self.unsettled_s() > 0.0
         self._begin(void)
-        asked = request(exchange, words)
+        asked = frames.request(exchange, words)
         reply = await self._reply_to(asked, exchange)
         await asyncio.sleep(silence_s(self._config))
         registers = self._checked(reply, asked, exchange)
@@ -263,11 +256,11 @@ class ModbusConnection(PolledLink):
             ExchangeError: It is an exception reply, or one to another request.
         """
         self._missed, self._replied_s = 0, self._clock()
-        code = exception_code(reply)
+        code = frames.exception_code(reply)
         if code is not None:
             self._counts["exceptions"] += 1
-            raise ExchangeError(explain_exception(code, exchange), code)
-        registers = answer(reply, asked, exchange)
+            raise ExchangeError(frames.explain_exception(code, exchange), code)
+        registers = frames.answer(reply, asked, exchange)
         if registers is None:
             self.suspect()
             self._counts["foreign"] += 1

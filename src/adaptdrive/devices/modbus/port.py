@@ -18,26 +18,15 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
-from adaptdrive.config import Configuration
+from adaptdrive.config import Configuration, polled, root
 from adaptdrive.config.bus import Signals
-from adaptdrive.config.polled import ModbusRtu, ModbusTcp, RtuLink
-from adaptdrive.config.root import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.config.timing import LATE_READINGS, Timing
-from adaptdrive.devices.binding import Source, sensor_entries
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, polled_cautions, tcp_locks
-from adaptdrive.devices.description import NO_DEMANDS, Demands
 from adaptdrive.devices.modbus.frames import are_alike
 from adaptdrive.devices.modbus.link import ModbusConnection, SerialPort, describe_bus, miss_s
+from adaptdrive.devices.polled import mapping, port
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Polling
-from adaptdrive.devices.polled.mapping import (
-    Named,
-    Poll,
-    RegisterCatalogue,
-    inside,
-    planned,
-    value_in,
-)
-from adaptdrive.devices.polled.port import PolledPort
 from adaptdrive.devices.polled.registers import Exchange, cycle_flaws, plan_blocks
 from adaptdrive.devices.port import Port, SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
@@ -62,7 +51,7 @@ class SensorBlock:
     """
 
     exchange: Exchange
-    sources: tuple[Source[Named], ...]
+    sources: tuple[binding.Source[mapping.Named], ...]
     misses: int = 0
 
 
@@ -111,11 +100,11 @@ class Turns:
 
 
 def build_modbus_sensors(
-    bus: ModbusTcpSensors | ModbusRtuSensors,
+    bus: root.ModbusTcpSensors | root.ModbusRtuSensors,
     place: str,
     clock: Callable[[], float],
     source: Path | str = "configuration",
-    demands: Demands = NO_DEMANDS,
+    demands: description.Demands = description.NO_DEMANDS,
 ) -> ModbusSensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
@@ -129,8 +118,8 @@ def build_modbus_sensors(
     Raises:
         ConfigurationError: The wanted cycle does not fit on the link.
     """
-    catalogue = RegisterCatalogue(bus.registers)
-    sources = catalogue.sources(sensor_entries(bus, place), demands)
+    catalogue = mapping.RegisterCatalogue(bus.registers)
+    sources = catalogue.sources(binding.sensor_entries(bus, place), demands)
     blocks = tuple(_blocks(bus, sources))
     exchanges = [one.exchange for one in blocks]
     flaws = [*catalogue.flaws, *cycle_flaws(bus, exchanges, bus.cycle_s, f"{place}.cycle_s")]
@@ -144,12 +133,12 @@ class ModbusSensorPort(Polling[ModbusConnection, SensorListener]):
 
     def __init__(
         self,
-        config: ModbusTcpSensors | ModbusRtuSensors,
+        config: root.ModbusTcpSensors | root.ModbusRtuSensors,
         blocks: tuple[SensorBlock, ...],
         clock: Callable[[], float],
     ) -> None:
         super().__init__(describe_bus(config), config.cycle_s, clock)
-        self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
+        self._serial = SerialPort(config) if isinstance(config, polled.RtuLink) else None
         self._config = config
         self._blocks = blocks
         self._alike = are_alike(config, [block.exchange for block in blocks])
@@ -207,25 +196,27 @@ class ModbusSensorPort(Polling[ModbusConnection, SensorListener]):
         """The values of a block that may be used, by name."""
         read = block.exchange.read
         assert read is not None  # noqa: S101 - sensors are read, never written
-        values = {one.quantity: value_in(one, read, words) for one in block.sources}
+        values = {one.quantity: mapping.value_in(one, read, words) for one in block.sources}
         good = {name: value for name, value in values.items() if value is not None}
         self._counts["out_of_range"] += len(values) - len(good)
         return good
 
 
 def _blocks(
-    bus: ModbusTcpSensors | ModbusRtuSensors, sources: list[Source[Named]]
+    bus: root.ModbusTcpSensors | root.ModbusRtuSensors, sources: list[binding.Source[mapping.Named]]
 ) -> Iterator[SensorBlock]:
     """Blocks of every device on the link, one device after the other."""
 
-    def device(source: Source[Named]) -> int:
+    def device(source: binding.Source[mapping.Named]) -> int:
         return bus.registers[source.item.name].device_id or bus.device_id
 
     for device_id, found in groupby(sorted(sources, key=device), key=device):
         taken = [*found]
         registers = (one.item.register for one in taken)
         for block in plan_blocks(registers, bus.max_gap, bus.max_block):
-            yield SensorBlock(Exchange(read=block, device_id=device_id), inside(block, taken))
+            yield SensorBlock(
+                Exchange(read=block, device_id=device_id), mapping.inside(block, taken)
+            )
 
 
 # A drive on Modbus: its port, and how the daemon builds it.
@@ -234,15 +225,19 @@ _LOST_REPLIES = 2
 """Replies in a row that may be lost on a drive that runs."""
 
 
-class ModbusPort(PolledPort):
+class ModbusPort(port.PolledPort):
     """One connection to one drive on Modbus."""
 
     def __init__(
-        self, config: ModbusTcp | ModbusRtu, poll: Poll, timing: Timing, clock: Callable[[], float]
+        self,
+        config: polled.ModbusTcp | polled.ModbusRtu,
+        poll: mapping.Poll,
+        timing: Timing,
+        clock: Callable[[], float],
     ) -> None:
         super().__init__(describe_bus(config), config, poll, timing, clock)
         self._config = config
-        self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
+        self._serial = SerialPort(config) if isinstance(config, polled.RtuLink) else None
         self.must_open = self._serial is not None
         self._alike = are_alike(config, [Exchange(read=block) for block, _ in poll.reads])
 
@@ -254,7 +249,7 @@ def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
     bus = _bus(configuration)
-    poll = planned(configuration, bus, source, passive=passive)
+    poll = mapping.planned(configuration, bus, source, passive=passive)
     return ModbusPort(bus, poll, configuration.timing, clock)
 
 
@@ -265,7 +260,7 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     yield from _echo_cautions(_bus(configuration), configuration.signals)
 
 
-def _loss_cautions(bus: ModbusTcp | ModbusRtu, timing: Timing) -> Iterator[Flaw]:
+def _loss_cautions(bus: polled.ModbusTcp | polled.ModbusRtu, timing: Timing) -> Iterator[Flaw]:
     """Yield one word on a drive that trips as soon as few replies are lost or late."""
     least_s = LATE_READINGS * timing.reading_s + _LOST_REPLIES * miss_s(bus)
     if timing.stale_s < least_s and not math.isclose(timing.stale_s, least_s):
@@ -274,7 +269,7 @@ def _loss_cautions(bus: ModbusTcp | ModbusRtu, timing: Timing) -> Iterator[Flaw]
         yield Flaw("interlocks.stale_s", f"{text} {lost} (bus.timeout_s): they trip it")
 
 
-def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Flaw]:
+def _echo_cautions(bus: polled.ModbusTcp | polled.ModbusRtu, signals: Signals) -> Iterator[Flaw]:
     """Yield one word on a report of the bridge in the register of its command."""
     report, command = signals.bridge, signals.command.bridge
     if report is None or command is None:
@@ -295,13 +290,13 @@ def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Fla
 def _lock_names(configuration: Configuration) -> Iterator[str]:
     """Yield a device over TCP, by its addresses, too; a serial line is locked as a whole."""
     bus = _bus(configuration)
-    if isinstance(bus, ModbusTcp):
+    if isinstance(bus, polled.ModbusTcp):
         yield describe_bus(bus)
         yield from tcp_locks("modbus-tcp", bus.host, bus.port, f" device {bus.device_id}")
 
 
-def _bus(configuration: Configuration) -> ModbusTcp | ModbusRtu:
-    assert isinstance(configuration.bus, ModbusTcp | ModbusRtu)  # noqa: S101 - selected by its type
+def _bus(configuration: Configuration) -> polled.ModbusTcp | polled.ModbusRtu:
+    assert isinstance(configuration.bus, polled.ModbusTcp | polled.ModbusRtu)  # noqa: S101 - selected by its type
     return configuration.bus
 
 

@@ -7,11 +7,9 @@ from collections.abc import Callable
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.faults import Obedience
+from adaptdrive.devices.polled import mapping, pace, reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void
-from adaptdrive.devices.polled.mapping import HEARTBEAT, Poll, block_words
-from adaptdrive.devices.polled.pace import UntakenCommands, WritePace, has_switch
 from adaptdrive.devices.polled.registers import Block, Exchange
-from adaptdrive.devices.polled.reports import PollWitness
 
 
 class Commander:
@@ -23,8 +21,8 @@ class Commander:
 
     def __init__(
         self,
-        poll: Poll,
-        witness: PollWitness,
+        poll: mapping.Poll,
+        witness: reports.PollWitness,
         counts: Counter[str],
         clock: Callable[[], float],
         timing: Timing,
@@ -39,14 +37,14 @@ class Commander:
             timing: Times of the drive.
         """
         self._poll = poll
-        self._pace = WritePace(poll, clock)
+        self._pace = pace.WritePace(poll, clock)
         self._counts = counts
         self._clock = clock
         self._command: Command | None = None
         self._written: Command | None = None
         self._withheld = False
         self._witness = witness
-        self._untaken = UntakenCommands()
+        self._untaken = pace.UntakenCommands()
         self._alive = 0
         self._begun_s = -math.inf
         self._taken_s = timing.taken_s
@@ -92,7 +90,7 @@ class Commander:
             ValueError: A value is not finite, or its register cannot hold it.
         """
         for block, sinks in self._poll.writes:
-            block_words(block, sinks, command, 0)
+            mapping.block_words(block, sinks, command, 0)
         if command != SAFE_COMMAND:
             self._obedience.forget()
         self._witness.renew(command)
@@ -189,12 +187,12 @@ class Commander:
         void = None if self._at_once else lambda: not self._may_go(command)
         parts = [*zip(self._poll.writes, self._words(command), strict=True)]
         if not command.bridge:
-            parts.sort(key=lambda part: not has_switch(part[0][1]))
+            parts.sort(key=lambda part: not pace.has_switch(part[0][1]))
         must_stop = command == SAFE_COMMAND and (self.urgent or self._witness.may_be_on)
         self._doubt(command)
         taken, sent = True, False
         for (block, sinks), registers in parts:
-            if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
+            if self._disobeyed and all(sink.name == mapping.HEARTBEAT for sink in sinks):
                 continue
             if any(sink.only not in {None, command.bridge} for sink in sinks):
                 self._pace.note(block)  # the other coil ends what it has begun
@@ -286,7 +284,8 @@ class Commander:
         """
         self._alive += not self._disobeyed
         return [
-            block_words(block, sinks, command, self._alive) for block, sinks in self._poll.writes
+            mapping.block_words(block, sinks, command, self._alive)
+            for block, sinks in self._poll.writes
         ]
 
     def _doubt(self, command: Command) -> None:

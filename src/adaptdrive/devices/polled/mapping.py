@@ -13,16 +13,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CommandSwitch, Signals
 from adaptdrive.config.polled import ModbusBus, Register
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.binding import (
-    BRIDGE,
-    Catalogue,
-    Sink,
-    Source,
-    Use,
-    other_names,
-    watched_words,
-)
-from adaptdrive.devices.description import NO_DEMANDS, Demands, demands_of
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled.registers import (
@@ -45,7 +36,7 @@ _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
 
 
-Bound = TypeVar("Bound", Source["Named"], Sink["Named"])
+Bound = TypeVar("Bound", binding.Source["Named"], binding.Sink["Named"])
 
 
 class Named(NamedTuple):
@@ -55,7 +46,7 @@ class Named(NamedTuple):
     register: Register
 
 
-class RegisterCatalogue(Catalogue[Named]):
+class RegisterCatalogue(binding.Catalogue[Named]):
     """Finds registers by name."""
 
     on = None
@@ -68,7 +59,7 @@ class RegisterCatalogue(Catalogue[Named]):
         """The register that a reference of a validated configuration names."""
         return Named(reference, self._registers[reference])
 
-    def field(self, item: Named, use: Use) -> Field:
+    def field(self, item: Named, use: binding.Use) -> Field:
         """Return how a register is coded."""
         return register_field(item.name, item.register, use)
 
@@ -76,8 +67,10 @@ class RegisterCatalogue(Catalogue[Named]):
         """Return None: no tick is counted by a register."""
         return None
 
-    def _switches(self, switch: CommandSwitch | None, name: str = BRIDGE) -> Iterator[Sink[Named]]:
-        if switch is None or switch.off_signal is None or name != BRIDGE:
+    def _switches(
+        self, switch: CommandSwitch | None, name: str = binding.BRIDGE
+    ) -> Iterator[binding.Sink[Named]]:
+        if switch is None or switch.off_signal is None or name != binding.BRIDGE:
             yield from super()._switches(switch, name)
             return
         place = "signals.command.bridge"
@@ -88,14 +81,14 @@ class RegisterCatalogue(Catalogue[Named]):
             if item.register.table != "coil":
                 self.note(place, f"{coil!r} is no coil, which off_signal needs")
             field = self.field(item, "command")
-            yield Sink(BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
+            yield binding.Sink(binding.BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
 
     def switch(self, item: Named) -> tuple[float, float]:
         """Return the counts that switch on and off."""
         return float(item.register.on), float(item.register.off)
 
 
-def value_in(source: Source[Named], block: Block, words: list[int]) -> float | None:
+def value_in(source: binding.Source[Named], block: Block, words: list[int]) -> float | None:
     """Return a quantity from the registers of its block, None when it must not be used."""
     taken = _words(source, block, words)
     value = decode(source.item.register, source.field, taken)
@@ -108,21 +101,21 @@ def value_in(source: Source[Named], block: Block, words: list[int]) -> float | N
     return value * source.scale + source.offset
 
 
-def explain(source: Source[Named], block: Block, words: list[int]) -> str:
+def explain(source: binding.Source[Named], block: Block, words: list[int]) -> str:
     """Return why a quantity must not be used: its name, its place and what is there."""
     register, taken = source.item.register, _words(source, block, words)
     place = f"{source.quantity}: {Block(register.table, register.address, register.words)}"
     return f"{place} {refusal(register, source.field, taken)}"
 
 
-def _words(source: Source[Named], block: Block, words: list[int]) -> list[int]:
+def _words(source: binding.Source[Named], block: Block, words: list[int]) -> list[int]:
     register = source.item.register
     start = register.address - block.address
     return words[start : start + register.words]
 
 
 def block_words(
-    block: Block, sinks: Iterable[Sink[Named]], command: Command, heartbeat: int
+    block: Block, sinks: Iterable[binding.Sink[Named]], command: Command, heartbeat: int
 ) -> list[int]:
     """Return the registers of a block; fields of one register are put together.
 
@@ -137,7 +130,7 @@ def block_words(
     return words
 
 
-def written(sink: Sink[Named], command: Command, heartbeat: int) -> list[int]:
+def written(sink: binding.Sink[Named], command: Command, heartbeat: int) -> list[int]:
     """Return the registers of a part of a command, or of the daemon's heartbeat.
 
     Raises:
@@ -164,11 +157,11 @@ class Poll:
         faults: Watched words of the drive, of faults and warnings.
     """
 
-    reads: tuple[tuple[Block, tuple[Source[Named], ...]], ...]
-    writes: tuple[tuple[Block, tuple[Sink[Named], ...]], ...]
+    reads: tuple[tuple[Block, tuple[binding.Source[Named], ...]], ...]
+    writes: tuple[tuple[Block, tuple[binding.Sink[Named], ...]], ...]
     combined: bool
     interval_s: float = 0.0
-    setup: tuple[tuple[Block, Sink[Named], bool], ...] = ()
+    setup: tuple[tuple[Block, binding.Sink[Named], bool], ...] = ()
     other: tuple[str, ...] = ()
     faults: Mapping[str, FaultWord] = field(default_factory=dict)
 
@@ -178,7 +171,7 @@ class Poll:
         return next((read[0] for read in self.reads if _has_bridge(read)), None)
 
     @property
-    def bridge_last(self) -> tuple[tuple[Block, tuple[Source[Named], ...]], ...]:
+    def bridge_last(self) -> tuple[tuple[Block, tuple[binding.Source[Named], ...]], ...]:
         """The reads, that of the bridge last: a command that follows knows the newest report."""
         return tuple(sorted(self.reads, key=_has_bridge))
 
@@ -191,8 +184,8 @@ class Poll:
             yield Exchange(write=block)
 
 
-def _has_bridge(block: tuple[Block, tuple[Source[Named], ...]]) -> bool:
-    return any(source.quantity == BRIDGE for source in block[1])
+def _has_bridge(block: tuple[Block, tuple[binding.Source[Named], ...]]) -> bool:
+    return any(source.quantity == binding.BRIDGE for source in block[1])
 
 
 def map_drive(
@@ -200,7 +193,7 @@ def map_drive(
     signals: Signals,
     half_cycle_s: float,
     source: Path | str = "configuration",
-    demands: Demands = NO_DEMANDS,
+    demands: description.Demands = description.NO_DEMANDS,
 ) -> Poll:
     """Plan the polls of a drive.
 
@@ -221,10 +214,12 @@ def map_drive(
     if bus.heartbeat.drive is not None:
         beat = Named(bus.heartbeat.drive, bus.registers[bus.heartbeat.drive])
         field = catalogue.field(beat, "word")
-        sources.append(Source(HEARTBEAT, beat, field, 1.0, 0.0, None, "bus.heartbeat.drive"))
+        sources.append(
+            binding.Source(HEARTBEAT, beat, field, 1.0, 0.0, None, "bus.heartbeat.drive")
+        )
     if bus.heartbeat.daemon is not None:
         beat = Named(bus.heartbeat.daemon, bus.registers[bus.heartbeat.daemon])
-        sinks.append(Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
+        sinks.append(binding.Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
     reads = plan_blocks((one.item.register for one in sources), bus.max_gap, bus.max_block)
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
@@ -243,8 +238,8 @@ def map_drive(
             for one in setup
             for block in plan([one.item.register])
         ),
-        other=other_names(bound),
-        faults=watched_words(bound),
+        other=binding.other_names(bound),
+        faults=binding.watched_words(bound),
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     if not flaws:
@@ -269,7 +264,7 @@ def planned(
     Raises:
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
     """
-    half_cycle_s, demands = configuration.timing.half_cycle_s, demands_of(configuration)
+    half_cycle_s, demands = configuration.timing.half_cycle_s, description.demands_of(configuration)
     poll = map_drive(bus, configuration.signals, half_cycle_s, source, demands)
     return replace(poll, setup=()) if passive else poll  # without a command, nothing is written
 

@@ -5,9 +5,7 @@ from collections.abc import Callable, Iterable
 
 from adaptdrive.config.references import DAY_S
 from adaptdrive.devices.binding import BRIDGE, Sink
-from adaptdrive.devices.polled.link import ExchangeError
-from adaptdrive.devices.polled.mapping import Named, Poll
-from adaptdrive.devices.polled.registers import Block
+from adaptdrive.devices.polled import link, mapping, registers
 
 _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing."""
@@ -25,7 +23,7 @@ _BUSY = frozenset({5, 6})
 class WritePace:
     """Keeps what the drive has acknowledged of each block, and since when."""
 
-    def __init__(self, poll: Poll, clock: Callable[[], float]) -> None:
+    def __init__(self, poll: mapping.Poll, clock: Callable[[], float]) -> None:
         """Let each block be written.
 
         Args:
@@ -39,14 +37,14 @@ class WritePace:
         self._resets = {
             block for block, sinks in poll.writes if all(one.reset is not None for one in sinks)
         }
-        self._held: dict[Block, list[int] | None] = {}
-        self._written_s: dict[Block, float] = {}
+        self._held: dict[registers.Block, list[int] | None] = {}
+        self._written_s: dict[registers.Block, float] = {}
 
     def forget(self) -> None:
         """Begin a link: the drive may hold other registers; the times of the writes stay."""
         self._held.clear()
 
-    def is_due(self, block: Block, words: list[int]) -> bool:
+    def is_due(self, block: registers.Block, words: list[int]) -> bool:
         """Return whether a block is written now.
 
         Args:
@@ -60,18 +58,18 @@ class WritePace:
             return repeated and age_s >= self._interval_s
         return age_s >= limited or block in self._switches
 
-    def note(self, block: Block, words: list[int] | None = None) -> None:
+    def note(self, block: registers.Block, words: list[int] | None = None) -> None:
         """Note what the drive holds of a block; None for what nobody knows until its reply."""
         self._held[block] = words
         self._written_s[block] = self._clock()
 
 
-def has_switch(sinks: Iterable[Sink[Named]]) -> bool:
+def has_switch(sinks: Iterable[Sink[mapping.Named]]) -> bool:
     """Return whether a block has the switch of the bridge, by which a stop begins."""
     return any(sink.name == BRIDGE and sink.factor != 0.0 for sink in sinks)
 
 
-def _least_s(sinks: Iterable[Sink[Named]]) -> float:
+def _least_s(sinks: Iterable[Sink[mapping.Named]]) -> float:
     """Return the least time between two writes, 0 for registers that endure any number."""
     limits = (one.item.register.write_limit for one in sinks)
     return max((DAY_S / limit for limit in limits if limit is not None), default=0.0)
@@ -99,7 +97,7 @@ class UntakenCommands:
         check = "check [bus.registers], its remote mode and write access"
         return f"the drive {does} commands: {self.last}; {check}"
 
-    def note(self, failure: ExchangeError, *, silent: bool) -> None:
+    def note(self, failure: link.ExchangeError, *, silent: bool) -> None:
         """Note that the drive has not taken a command, or not provably.
 
         Args:

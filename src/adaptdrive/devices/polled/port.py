@@ -13,17 +13,9 @@ from adaptdrive.config.polled import ModbusBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.bus import pulse_reset
-from adaptdrive.devices.polled.commander import Commander
+from adaptdrive.devices.polled import commander, registers, reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Polling
 from adaptdrive.devices.polled.mapping import Named, Poll, explain, written
-from adaptdrive.devices.polled.registers import Block, Exchange
-from adaptdrive.devices.polled.reports import (
-    STANDS_STILL,
-    DriveHeartbeat,
-    PollAssembly,
-    PollWitness,
-    look_limit_s,
-)
 from adaptdrive.devices.port import Listener
 from adaptdrive.util.errors import BusError
 
@@ -52,12 +44,12 @@ class PolledPort(Polling[PolledLink, Listener]):
         self._timeout_s = bus.timeout_s
         self._poll = poll
         self.stop_slack_s = 0.0 if poll.bridge_block else None
-        look_s = look_limit_s(bus.timeout_s, len(poll.writes))
-        self._witness = PollWitness(poll.bridge_block is not None, timing, look_s, clock)
-        self._commander = Commander(poll, self._witness, self._counts, clock, timing)
+        look_s = reports.look_limit_s(bus.timeout_s, len(poll.writes))
+        self._witness = reports.PollWitness(poll.bridge_block is not None, timing, look_s, clock)
+        self._commander = commander.Commander(poll, self._witness, self._counts, clock, timing)
         self._link: PolledLink | None = None
-        self._assembly = PollAssembly(poll, self._explain)
-        self._heartbeat = DriveHeartbeat(bus.heartbeat)
+        self._assembly = reports.PollAssembly(poll, self._explain)
+        self._heartbeat = reports.DriveHeartbeat(bus.heartbeat)
         self._failure = ""
 
     @property
@@ -162,12 +154,12 @@ class PolledPort(Polling[PolledLink, Listener]):
             words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
             try:
                 if not (reads or answered):  # what is heard of a read shows whether the line echoes
-                    await self._ask(link, Exchange(read=self._poll.reads[0][0]), [])
+                    await self._ask(link, registers.Exchange(read=self._poll.reads[0][0]), [])
                 answered = True
-                if reads and await self._ask(link, Exchange(read=block), []) == words:
+                if reads and await self._ask(link, registers.Exchange(read=block), []) == words:
                     continue
-                await self._ask(link, Exchange(write=block), words)
-                held = await self._ask(link, Exchange(read=block), []) if reads else words
+                await self._ask(link, registers.Exchange(write=block), words)
+                held = await self._ask(link, registers.Exchange(read=block), []) if reads else words
             except ExchangeError as failure:
                 problem = failure.problem
             else:
@@ -178,12 +170,14 @@ class PolledPort(Polling[PolledLink, Listener]):
             link.lost = link.lost or f"set-up of {name!r}: {problem}"
             return
 
-    def _unlike(self, _: Named, words: list[int], held: list[int], block: Block) -> str:
+    def _unlike(self, _: Named, words: list[int], held: list[int], block: registers.Block) -> str:
         """Name what a drive keeps in place of what it was set to."""
         found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
         return f"{block} holds {found} after {wanted} was written"
 
-    async def _ask(self, link: PolledLink, exchange: Exchange, words: list[int]) -> list[int]:
+    async def _ask(
+        self, link: PolledLink, exchange: registers.Exchange, words: list[int]
+    ) -> list[int]:
         """Exchange one part of the set-up; a safe command that is urgent goes before it."""
         if self._commander.urgent:
             await self._commander.write(link)
@@ -235,7 +229,7 @@ class PolledPort(Polling[PolledLink, Listener]):
         for block, sources in self._poll.reads if joined else self._poll.bridge_last:
             if self._commander.urgent:
                 await self._commander.write(link)
-            words = await self._commander.read(link, Exchange(read=block), joined=joined)
+            words = await self._commander.read(link, registers.Exchange(read=block), joined=joined)
             joined = False
             assembly.take(block, sources, words)
         self._failure = assembly.refusal
@@ -262,5 +256,5 @@ class PolledPort(Polling[PolledLink, Listener]):
         alive = self._heartbeat.beats(self._assembly.heartbeat, start_s)
         if alive is False:
             self._counts["counter_stuck"] += 1
-            self._failure = STANDS_STILL
+            self._failure = reports.STANDS_STILL
         return alive is True

@@ -6,11 +6,9 @@ from collections.abc import Callable, Sequence
 from adaptdrive.config.polled import Heartbeat
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.binding import BRIDGE, Source
-from adaptdrive.devices.faults import UNANSWERED, UNREAD, Relink
+from adaptdrive.devices import binding, faults, port
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in
 from adaptdrive.devices.polled.registers import Block
-from adaptdrive.devices.port import NewestValues, Reading
 
 # Reports of a drive that is polled, and the judgement whether what energises may follow them.
 
@@ -49,7 +47,7 @@ class PollWitness:
         self._timing = timing
         self._look_s = look_s
         self._clock = clock
-        self._relink = Relink()
+        self._relink = faults.Relink()
         self._blank = True
         self._powered = self._tried = self._outdated = False
         self._read_s = self._seen_s = -math.inf
@@ -101,7 +99,9 @@ class PollWitness:
         """
         self.silent = self.silent or not answered
         if self._is_unheard:
-            self._relink.open(bridge=self._given_on, how=UNANSWERED if self.silent else UNREAD)
+            self._relink.open(
+                bridge=self._given_on, how=faults.UNANSWERED if self.silent else faults.UNREAD
+            )
         self.silent, self._blank = not answered, True
 
     def note_bridge(self, *, powered: bool) -> None:
@@ -194,7 +194,7 @@ class PollAssembly:
         self._explain = explain
         sources = (one.quantity for _, read in poll.reads for one in read)
         slacks = {name: 0.0 for name in sources if name != HEARTBEAT}
-        self._newest = NewestValues(slacks, poll.other, poll.faults)
+        self._newest = port.NewestValues(slacks, poll.other, poll.faults)
         self._values: dict[str, float] = {}
         self._refused: dict[str, str] = {}
         self.faults = self._newest.faults
@@ -218,7 +218,9 @@ class PollAssembly:
         self._values.clear()
         self._refused.clear()
 
-    def take(self, block: Block, sources: Sequence[Source[Named]], words: list[int]) -> None:
+    def take(
+        self, block: Block, sources: Sequence[binding.Source[Named]], words: list[int]
+    ) -> None:
         """Take one block.
 
         Args:
@@ -242,12 +244,14 @@ class PollAssembly:
             sent: Bridge of the last command that the drive took: a drive that does not report its
                 bridge is assumed to follow it.
         """
-        reported = self._values.get(BRIDGE)
+        reported = self._values.get(binding.BRIDGE)
         if reported is None:
             return None if self._poll.bridge_block else sent
         return reported != 0.0
 
-    def reading(self, arrival_s: float, start_s: float, *, bridge_sent: bool) -> Reading | None:
+    def reading(
+        self, arrival_s: float, start_s: float, *, bridge_sent: bool
+    ) -> port.Reading | None:
         """Return the reading that a poll makes, None before every value has been good once.
 
         Args:

@@ -12,11 +12,9 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices.binding import Source
+from adaptdrive.devices import binding
 from adaptdrive.devices.bus import BusKind, bus_of, polled_cautions, tcp_locks
-from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Void, never
-from adaptdrive.devices.polled.mapping import Named, Poll, planned
-from adaptdrive.devices.polled.port import PolledPort
+from adaptdrive.devices.polled import link, mapping, port
 from adaptdrive.devices.polled.registers import Block, Exchange, count, encode_count
 from adaptdrive.devices.port import Port
 
@@ -27,7 +25,7 @@ _SHOWN_BYTES = 40
 """Bytes of an unfinished reply that a message quotes."""
 
 
-class ScpiConnection(PolledLink):
+class ScpiConnection(link.PolledLink):
     """An open connection to one supply."""
 
     def __init__(
@@ -64,7 +62,7 @@ class ScpiConnection(PolledLink):
         self.lost = self.lost or "a reply came that nothing asked for"
 
     async def exchange(
-        self, exchange: Exchange, words: list[int], void: Void | None = never
+        self, exchange: Exchange, words: list[int], void: link.Void | None = link.never
     ) -> list[int]:
         """Ask for a value, or set one and wait until the supply has done so."""
         if exchange.read is not None:
@@ -76,23 +74,23 @@ class ScpiConnection(PolledLink):
                 await self._set(value, value.line(number), void)
         return []
 
-    async def _set(self, value: ScpiValue, line: str, void: Void | None) -> None:
+    async def _set(self, value: ScpiValue, line: str, void: link.Void | None) -> None:
         """Send a command, and wait until the supply has done it, where it can say so."""
         done, lines = self._config.done, [line]
         if value.answer is not None:
             reply = await self._ask(lines, void)
             if not re.fullmatch(value.answer, reply):
-                raise ExchangeError(f"{reply!r} came in reply to {line!r}")
-            lines, void = [], never  # it has been sent
+                raise link.ExchangeError(f"{reply!r} came in reply to {line!r}")
+            lines, void = [], link.never  # it has been sent
         if done:
             reply = await self._ask([*lines, done], void)
             if done == _COMPLETE and reply.lstrip("+") != "1":
-                raise ExchangeError(f"{reply!r} came in reply to {line!r} and {done}")
+                raise link.ExchangeError(f"{reply!r} came in reply to {line!r} and {done}")
         elif lines:
             self._ready(void)
             self._stream.send(self._ended(lines))
 
-    async def _read(self, block: Block, void: Void | None) -> list[int]:
+    async def _read(self, block: Block, void: link.Void | None) -> list[int]:
         """Return the registers of a value; one that is no number is NaN, or fails."""
         value, register = self._values[block.address]
         question = value.query or ""
@@ -100,9 +98,9 @@ class ScpiConnection(PolledLink):
         try:
             return encode_count(register, value.number(reply))
         except ValueError as problem:
-            raise ExchangeError(f"{reply!r} came in reply to {question!r}") from problem
+            raise link.ExchangeError(f"{reply!r} came in reply to {question!r}") from problem
 
-    def _ready(self, void: Void | None) -> None:
+    def _ready(self, void: link.Void | None) -> None:
         """Begin a request, unless bytes came that nothing asked for.
 
         Raises:
@@ -113,7 +111,7 @@ class ScpiConnection(PolledLink):
             self.suspect()
         self._begin(void)
 
-    async def _ask(self, lines: list[str], void: Void | None) -> str:
+    async def _ask(self, lines: list[str], void: link.Void | None) -> str:
         """Send lines, and return the line that answers the last one.
 
         Raises:
@@ -125,7 +123,7 @@ class ScpiConnection(PolledLink):
         if reply is None:
             asked = " and ".join(map(repr, lines)) + self._unfinished()
             self.lost = self.lost or f"no reply within {self._timeout_s:g} s to {asked}"
-            raise ExchangeError(self.lost)
+            raise link.ExchangeError(self.lost)
         stream.received = stream.received[len(reply) :]
         self._counts["received"] += 1
         return reply.decode("ascii", "replace").strip()
@@ -150,11 +148,11 @@ def describe_supply(config: ScpiBus) -> str:
     return f"scpi {config.host}:{config.port}"
 
 
-class ScpiPort(PolledPort):
+class ScpiPort(port.PolledPort):
     """One connection to one supply."""
 
     def __init__(
-        self, supply: ScpiBus, poll: Poll, timing: Timing, clock: Callable[[], float]
+        self, supply: ScpiBus, poll: mapping.Poll, timing: Timing, clock: Callable[[], float]
     ) -> None:
         """Prepare a port; nothing is opened yet.
 
@@ -173,19 +171,19 @@ class ScpiPort(PolledPort):
         refused = [line for line in super().details() if line.startswith("refused")]
         return [*(f"{question} {reply}" for question, reply in self._replies.items()), *refused]
 
-    def _explain(self, source: Source[Named], *_: object) -> str:
+    def _explain(self, source: binding.Source[mapping.Named], *_: object) -> str:
         """Name the reply that is refused."""
         question = self._supply.values[source.item.name].query or ""
         reply = self._replies[question]
         return f"{source.quantity}: {question} gives {reply!r}, no number in its range"
 
-    def _unlike(self, item: Named, words: list[int], *_: object) -> str:
+    def _unlike(self, item: mapping.Named, words: list[int], *_: object) -> str:
         """Name the reply of a supply that was set to something else."""
         value = self._supply.values[item.name]
         reply, line = self._replies[value.query or ""], value.line(count(item.register, words))
         return f"{value.query} gives {reply!r} after {line!r}"
 
-    def _new_link(self) -> PolledLink:
+    def _new_link(self) -> link.PolledLink:
         return ScpiConnection(self._supply, self._counts, self._clock, self._replies)
 
 
@@ -193,7 +191,7 @@ def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
     bus = bus_of(configuration, ScpiBus)
-    poll = planned(configuration, bus.as_registers(), source, passive=passive)
+    poll = mapping.planned(configuration, bus.as_registers(), source, passive=passive)
     return ScpiPort(bus, poll, configuration.timing, clock)
 
 
