@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app import reload
 from adaptdrive.app.reload import ANSWER_S, Given, RunCourse
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.requests import Reload
 from adaptdrive.runtime.tick_support import ServiceManager
+from adaptdrive.util import clock
 from adaptdrive.util.errors import RefusedError
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
@@ -39,7 +39,7 @@ def at_once(read: Callable[[], Given], _: str) -> Future[Given]:
 
 @pytest.fixture
 def course(path: Path, monkeypatch: pytest.MonkeyPatch) -> RunCourse:
-    monkeypatch.setattr(reload, "in_thread", at_once)
+    monkeypatch.setattr(clock, "in_thread", at_once)
     course = RunCourse(path, Given(load_configuration(path), path.read_text(encoding="utf-8")))
     assert course.next_run() is not None
     return course
@@ -61,7 +61,7 @@ class Fed(ServiceManager):
 async def test_between_two_runs_the_watchdog_is_fed_until_the_bus_is_open(
     course: RunCourse, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reload, "now_s", asyncio.get_running_loop().time)
+    monkeypatch.setattr(clock, "now_s", asyncio.get_running_loop().time)
     manager, opened, fed = Fed({}), asyncio.Event(), []
 
     async def look() -> None:
