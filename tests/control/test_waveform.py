@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from adaptdrive.control.signals import Shape, Waveform, heard
+from adaptdrive.control.signals import KnownWaveform, Shape, Waveform
 
 ORACLES = {
     Shape.SQUARE: lambda phase: 0.5 + 0.5 * signal.square(2.0 * np.pi * phase),
@@ -24,8 +24,8 @@ def test_a_period_has_the_shape_that_its_name_says(shape: Shape) -> None:
 
 
 @given(st.sampled_from(Shape), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.integers(-9, 10**9))
-def test_the_controller_hears_what_it_is_told(
+def test_a_known_waveform_is_recorded_without_a_loss(
     shape: Shape, low: float, high: float, tick: int
 ) -> None:
-    wave = Waveform(shape, low, high, 0.1 * (1.0 + abs(high)))
-    assert heard(wave.told(tick)) == (wave, tick)
+    known = KnownWaveform(Waveform(shape, low, high, 0.1 * (1.0 + abs(high))), tick)
+    assert KnownWaveform.parse(str(known)) == known

@@ -272,13 +272,15 @@ class Controller:
             upcoming=self._upcoming(measurement.tick, order.waveform),
         )
 
-    def _upcoming(self, tick: int, told: str) -> tuple[float, ...]:
+    def _upcoming(self, tick: int, known: signals.KnownWaveform | None) -> tuple[float, ...]:
         """Return the set-points of the slow periods to come, none where they are not known."""
-        if not told:
+        if known is None:
             return ()
-        (waveform, begin), rates = signals.heard(told), self._settings.rates
+        waveform, rates = known.waveform, self._settings.rates
         ticks = [tick + i * rates.ticks_per_period for i in range(1, AHEAD)]
-        asked = [waveform.value((later - begin) * rates.nominal_tick_s) for later in ticks]
+        asked = [
+            waveform.value((later - known.begin_tick) * rates.nominal_tick_s) for later in ticks
+        ]
         return tuple(map(self._reach.nearest, asked) if self._settings.govern else asked)
 
     def _set_by_hand(self, measurement: signals.Measurement, order: signals.Order) -> None:

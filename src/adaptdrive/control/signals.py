@@ -14,7 +14,8 @@ from dataclasses import dataclass, is_dataclass
 from enum import StrEnum
 from functools import cache
 from operator import attrgetter
-from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
+from types import UnionType
+from typing import Annotated, Any, Self, TypeVar, get_args, get_origin, get_type_hints
 
 # Columns: the fields of a fast tick and of a slow step, as published, recorded and documented.
 
@@ -66,14 +67,27 @@ def columns_of(report: type, path: str = "") -> tuple[Column, ...]:
     columns: list[Column] = []
     for name, (kind, quantity) in _fields(report).items():
         place = f"{path}{name}"
-        if is_dataclass(kind):
-            columns += columns_of(kind, f"{place}.")
-        elif quantity is not None:
+        if quantity is not None:
             choices = tuple(kind) if issubclass(kind, StrEnum) else ()
-            label, stored = quantity.name or name, str if choices else kind
+            is_text = bool(choices) or is_dataclass(kind)
+            label, stored = quantity.name or name, str if is_text else kind
             about = (quantity.unit, quantity.meaning, place)
-            columns.append(Column(label, stored, *about, attrgetter(place), choices))
+            read = _text_getter(place) if is_dataclass(kind) else attrgetter(place)
+            columns.append(Column(label, stored, *about, read, choices))
+        elif is_dataclass(kind):
+            columns += columns_of(kind, f"{place}.")
     return tuple(columns)
+
+
+def _text_getter(place: str) -> Callable[[Any], str]:
+    """Return what reads a field as text, empty for None."""
+    read = attrgetter(place)
+
+    def text(report: Any) -> str:  # noqa: ANN401 - any report
+        value = read(report)
+        return "" if value is None else str(value)
+
+    return text
 
 
 def rebuild(report: Callable[..., T], row: dict[str, Any]) -> T:
@@ -81,7 +95,8 @@ def rebuild(report: Callable[..., T], row: dict[str, Any]) -> T:
     values: dict[str, Any] = {}
     for name, (kind, quantity) in _fields(report).items():
         if quantity is not None:
-            values[name] = kind(row[quantity.name or name])
+            stored = row[quantity.name or name]
+            values[name] = getattr(kind, "parse", kind)(stored)
         elif is_dataclass(kind):
             values[name] = rebuild(kind, row)
     return report(**values)
@@ -91,14 +106,93 @@ def rebuild(report: Callable[..., T], row: dict[str, Any]) -> T:
 def _fields(report: Hashable) -> dict[str, tuple[type, Quantity | None]]:
     """Return type and annotation of each field by its name."""
     plain, annotated = get_type_hints(report), get_type_hints(report, include_extras=True)
-    return {
-        name: (get_origin(hint) or hint, _quantity(annotated[name])) for name, hint in plain.items()
-    }
+    return {name: (_kind(hint), _quantity(annotated[name])) for name, hint in plain.items()}
+
+
+def _kind(hint: Any) -> type:  # noqa: ANN401 - any annotation
+    """Return the class of an annotation, without its parameters and without None."""
+    origin = get_origin(hint)
+    found: type = get_args(hint)[0] if origin is UnionType else origin or hint
+    return found
 
 
 def _quantity(hint: Any) -> Quantity | None:  # noqa: ANN401 - any annotation
     found = getattr(hint, "__metadata__", ())
     return next((one for one in found if isinstance(one, Quantity)), None)
+
+
+# Set-point waveforms: pure functions of the time since they were started.
+
+
+class Shape(StrEnum):
+    """Shapes a set-point can follow."""
+
+    SQUARE = "square"
+    SINE = "sine"
+    TRIANGLE = "triangle"
+
+
+@dataclass(frozen=True, slots=True)
+class Waveform:
+    """A periodic set-point; the high half comes first.
+
+    Attributes:
+        shape: Form of one period.
+        low: Lowest value, unit of the output.
+        high: Highest value, unit of the output.
+        period_s: Length of one period.
+    """
+
+    shape: Shape
+    low: float
+    high: float
+    period_s: float
+
+    def value(self, elapsed_s: float) -> float:
+        """The set-point `elapsed_s` after the waveform was started."""
+        phase = math.fmod(elapsed_s, self.period_s) / self.period_s
+        return self.low + (self.high - self.low) * _LEVELS[self.shape](phase)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownWaveform:
+    """A waveform of which the controller may preview what comes.
+
+    Attributes:
+        waveform: The set-point.
+        begin_tick: Tick of its start.
+    """
+
+    waveform: Waveform
+    begin_tick: int
+
+    def __str__(self) -> str:
+        wave = self.waveform
+        return f"{wave.shape} {wave.low!r} {wave.high!r} {wave.period_s!r} {self.begin_tick}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self | None:
+        """Return the waveform that a text describes, None for an empty one."""
+        if not text:
+            return None
+        shape, low, high, period_s, tick = text.split()
+        wave = Waveform(Shape(shape), float(low), float(high), float(period_s))
+        return cls(wave, int(tick))
+
+
+def _square(phase: float) -> float:
+    return 1.0 if phase < 0.5 else 0.0
+
+
+def _sine(phase: float) -> float:
+    return 0.5 + 0.5 * math.sin(2.0 * math.pi * phase)
+
+
+def _triangle(phase: float) -> float:
+    return 1.0 - abs(1.0 - math.fmod(2.0 * phase + 0.5, 2.0))
+
+
+_LEVELS = {Shape.SQUARE: _square, Shape.SINE: _sine, Shape.TRIANGLE: _triangle}
 
 
 # The values that enter and leave the controller.
@@ -152,13 +246,13 @@ class Order:
         bool, Quantity("", "true while the set-point is constant, so that it may be probed")
     ] = False
     waveform: Annotated[
-        str,
+        KnownWaveform | None,
         Quantity(
             "",
             "waveform of which the controller knows what comes: shape, low, high, period in s and "
             "tick of its start; empty for none",
         ),
-    ] = ""
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,61 +382,3 @@ class Decision:
             "as a share of the step",
         ),
     ] = math.nan
-
-
-# Set-point waveforms: pure functions of the time since they were started.
-
-
-class Shape(StrEnum):
-    """Shapes a set-point can follow."""
-
-    SQUARE = "square"
-    SINE = "sine"
-    TRIANGLE = "triangle"
-
-
-@dataclass(frozen=True, slots=True)
-class Waveform:
-    """A periodic set-point; the high half comes first.
-
-    Attributes:
-        shape: Form of one period.
-        low: Lowest value, unit of the output.
-        high: Highest value, unit of the output.
-        period_s: Length of one period.
-    """
-
-    shape: Shape
-    low: float
-    high: float
-    period_s: float
-
-    def value(self, elapsed_s: float) -> float:
-        """The set-point `elapsed_s` after the waveform was started."""
-        phase = math.fmod(elapsed_s, self.period_s) / self.period_s
-        return self.low + (self.high - self.low) * _LEVELS[self.shape](phase)
-
-    def told(self, tick: int) -> str:
-        """Facts that the controller is told of a waveform that was started at a tick."""
-        return f"{self.shape} {self.low!r} {self.high!r} {self.period_s!r} {tick}"
-
-
-def heard(told: str) -> tuple[Waveform, int]:
-    """Return the waveform that the controller is told of, and the tick of its start."""
-    shape, low, high, period_s, tick = told.split()
-    return Waveform(Shape(shape), float(low), float(high), float(period_s)), int(tick)
-
-
-def _square(phase: float) -> float:
-    return 1.0 if phase < 0.5 else 0.0
-
-
-def _sine(phase: float) -> float:
-    return 0.5 + 0.5 * math.sin(2.0 * math.pi * phase)
-
-
-def _triangle(phase: float) -> float:
-    return 1.0 - abs(1.0 - math.fmod(2.0 * phase + 0.5, 2.0))
-
-
-_LEVELS = {Shape.SQUARE: _square, Shape.SINE: _sine, Shape.TRIANGLE: _triangle}

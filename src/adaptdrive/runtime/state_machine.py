@@ -12,7 +12,7 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from adaptdrive.control.signals import Mode, Order, Stage, Waveform
+from adaptdrive.control.signals import KnownWaveform, Mode, Order, Stage, Waveform
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.reports import State
@@ -59,9 +59,9 @@ class Machine:
         self._precharging = False
         self._awaited_s = math.inf
         self._waveform_tick = 0
-        self._told = ""
+        self._known: KnownWaveform | None = None
         self._order: Order | None = None
-        self._parts: tuple[Stage, float, Mode, float, float, bool, str] | None = None
+        self._parts: tuple[object, ...] | None = None
 
     @property
     def energised(self) -> bool:
@@ -130,9 +130,9 @@ class Machine:
 
     def order(self, tick: int) -> Order:
         """The order to the controller at a tick; a new object only when something changed."""
-        told = "" if self.waveform is None else self._told
+        known = None if self.waveform is None else self._known
         reference, manual_V = self.reference(tick), self.manual_V(tick)
-        parts = (self.stage, reference, self.mode, self.pole, manual_V, self.steady, told)
+        parts = (self.stage, reference, self.mode, self.pole, manual_V, self.steady, known)
         if self._order is None or parts != self._parts:
             self._parts, self._order = parts, Order(*parts)
         return self._order
@@ -236,7 +236,8 @@ class Machine:
                 self._limits.require_reference(f"waveform {name}", value)
                 self._limits.require_reach(f"waveform {name}", value, self.reach)
             self._limits.require_period("waveform period_s", waveform.period_s)
-            self._waveform_tick, self._told = tick, waveform.told(tick) if preview else ""
+            self._waveform_tick = tick
+            self._known = KnownWaveform(waveform, tick) if preview else None
             if self.coasting:
                 self._start()
         self.waveform = waveform
