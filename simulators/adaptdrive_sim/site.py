@@ -52,7 +52,7 @@ class Site:
         self.snapshot: signals.Snapshot | None = None
         self.decision: signals.Decision | None = None
         self.upcoming: tuple[float, ...] = ()
-        self._rates = controller._settings.rates  # noqa: SLF001
+        self._rates = controller.settings.rates
         self._schedule = schedule.Schedule(controller, self._rates.latency_ticks)
 
     def measure(self, tick: int) -> signals.Measurement:
@@ -112,7 +112,7 @@ class Site:
             keep_ticks: Keep output and boost voltage of every tick.
         """
         self.rest(course)
-        run = Run.empty(len(course.references), self.controller._load.names)  # noqa: SLF001
+        run = Run.empty(len(course.references), self.controller.load.names)
         run.interlock = self._run(course, run, keep_ticks=keep_ticks)
         return run
 
@@ -143,9 +143,9 @@ class Site:
 
     def note(self, run: Run, k: int) -> signals.Decision:
         """Fill the row of a slow period in which a decision was made."""
-        snapshot, decision, slow = self.snapshot, self.decision, self.controller._slow  # noqa: SLF001
+        snapshot, decision, slow = self.snapshot, self.decision, self.controller.state
         assert snapshot is not None and decision is not None  # noqa: S101, PT018 - it has decided
-        load = self.controller._load  # noqa: SLF001
+        load = self.controller.load
         estimates = [decision.estimates[name] for name in load.names]
         run.decisions.append(decision)
         run.trace[k] = (

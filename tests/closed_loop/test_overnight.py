@@ -24,7 +24,7 @@ TRUTH = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0}
 
 
 def covariance_trace(bench: Bench) -> float:
-    estimator = bench.controller._slow.estimator
+    estimator = bench.controller.state.estimator
     count = len(estimator.estimate.theta)
     flat = ud.covariance(estimator.estimate.upper, estimator.estimate.diagonal)
     return float(np.trace(np.reshape(flat, (count, count))))

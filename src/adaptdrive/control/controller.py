@@ -62,16 +62,16 @@ class Controller:
             resolution: Step of the output that an earlier run has found in its samples, 0 for none.
         """
         self._prior = prior if methods.METHODS[settings.learning.method].physical else None
-        self._settings = settings if self._prior is None else _recalling(settings)
+        self.settings = settings if self._prior is None else _recalling(settings)
         self._trusted: tuple[float, ...] | None = None
         self._proposed: dict[int, tuple[float, ...]] = {}
         self._learnt: tuple[float, ...] | None = None
-        self._load = load
+        self.load = load
         self._stage = signals.Stage.OFF
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
         self._bank = self._new_bank(settings.rates.nominal_tick_s, 0.0, 0.0)
         self._bank.grid = filters.remembered_grid(resolution)
-        self._slow = new_slow_state(settings, load, 0.0, 0.0)
+        self.state = new_slow_state(settings, load, 0.0, 0.0)
         self._reach = setpoints.nominal_reach(load, settings.stage)
         self._snapshot: signals.Snapshot | None = None
 
@@ -93,7 +93,7 @@ class Controller:
             if order.mode is _MANUAL:
                 self._set_by_hand(measurement, order)
             self._run_filters(measurement, order)
-        bridge = order.stage is _RUN or self._settings.stage.boost_needs_bridge
+        bridge = order.stage is _RUN or self.settings.stage.boost_needs_bridge
         return self._drive(measurement, bridge)
 
     def take_snapshot(self) -> signals.Snapshot | None:
@@ -103,9 +103,9 @@ class Controller:
 
     def decide(self, snapshot: signals.Snapshot) -> signals.Decision:
         """Run the slow half on a snapshot."""
-        state, settings, charging = self._slow, self._settings, self._load.charging
-        load_input = slow.slow_step(settings, self._load, state, self._sample(snapshot))
-        voltage = to_voltage(load_input, self._load.input_gain, self._load.input_exponent)
+        state, settings, charging = self.state, self.settings, self.load.charging
+        load_input = slow.slow_step(settings, self.load, state, self._sample(snapshot))
+        voltage = to_voltage(load_input, self.load.input_gain, self.load.input_exponent)
         if state.accepted and state.watch.fallback == monitor.Fallback.NONE:
             self._trusted = self._proposed[snapshot.k] = tuple(state.values)
         self._note_reach()
@@ -116,9 +116,7 @@ class Controller:
             boost_reference_V=voltage,
             controller=_in_force(snapshot.order.mode, adaptive=state.adaptive),
             accepted=state.accepted,
-            reason=reason(
-                state, settings.jacket, settings.probing, self._load, snapshot.order.mode
-            ),
+            reason=reason(state, settings.jacket, settings.probing, self.load, snapshot.order.mode),
             estimates=self._estimates(),
             gains=(*gains, sum(gains[taps:])),
             innovation=state.estimator.innovation,
@@ -138,7 +136,7 @@ class Controller:
 
         While the last trusted gains wait for a better estimate, what was known last stays.
         """
-        settings, load, state = self._settings, self._load, self._slow
+        settings, load, state = self.settings, self.load, self.state
         if state.accepted:
             self._reach = setpoints.estimated_reach(settings.learning, load, settings.stage, state)
         elif not state.supervisor.trusted:
@@ -152,7 +150,7 @@ class Controller:
     @property
     def resolution(self) -> float:
         """The step of the output that was found in its samples; 0 while none is known."""
-        return filters.step_found(self._bank.grid, self._settings.learning.output_scale)
+        return filters.step_found(self._bank.grid, self.settings.learning.output_scale)
 
     def apply(self, decision: signals.Decision) -> None:
         """Let a decision take effect from the next tick on.
@@ -175,10 +173,10 @@ class Controller:
     def _recall(self) -> None:
         """Begin a run with what the one before had trusted."""
         self._proposed = {}
-        settings = self._settings
-        if self._learnt is not None and settings.exact and self._slow.estimator.method.physical:
+        settings = self.settings
+        if self._learnt is not None and settings.exact and self.state.estimator.method.physical:
             self._prior = self._learnt
-            self._settings = _recalling(settings)
+            self.settings = _recalling(settings)
 
     def _enter(self, stage: signals.Stage, measurement: signals.Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
@@ -187,7 +185,7 @@ class Controller:
         )  # until now the load had little input or none
         self._stage = stage
         self._snapshot = None
-        limits = self._settings.stage
+        limits = self.settings.stage
         output, voltage = measurement.output, measurement.boost_voltage_V
         unfed = stage is signals.Stage.RUN and not fed
         held = self._held_voltage(output, voltage) if unfed else voltage
@@ -205,13 +203,13 @@ class Controller:
             grid = self._bank.grid  # the sensor is the same in every run
             self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
             self._bank.grid = grid
-            first = held if self._load.charging is None else voltage
-            self._slow = new_slow_state(self._settings, self._load, output, first)
-            self._reach = setpoints.nominal_reach(self._load, limits)
+            first = held if self.load.charging is None else voltage
+            self.state = new_slow_state(self.settings, self.load, output, first)
+            self._reach = setpoints.nominal_reach(self.load, limits)
             if self._prior is not None:
-                learning, values = self._settings.learning, list(self._prior)
-                estimator.start_from(self._slow.estimator, learning, self._load, values)
-                self._slow.recalled = True
+                learning, values = self.settings.learning, list(self._prior)
+                estimator.start_from(self.state.estimator, learning, self.load, values)
+                self.state.recalled = True
 
     def _held_voltage(self, output: float, voltage: float) -> float:
         """The voltage from which V_c begins: the measured one, at most what the load rests at.
@@ -219,8 +217,8 @@ class Controller:
         The capacitor may still be full from the run before: holding it would move a load, and
         charge a battery at any current.
         """
-        floor_V = self._settings.stage.boost_reference_min_V
-        if self._load.charging is not None:
+        floor_V = self.settings.stage.boost_reference_min_V
+        if self.load.charging is not None:
             return floor_V
         return min(voltage, max(self._resting_voltage(output, voltage), floor_V))
 
@@ -230,30 +228,30 @@ class Controller:
         The λ filters of a load that has not been fed must not remember the voltage that was kept
         from it. A battery rests at its own EMF, whatever that is; there the measured one is kept.
         """
-        load = self._load
+        load = self.load
         if load.charging is not None:
             return voltage
         load_input = output * load.denominator[-1] / load.numerator[-1]
         return max(0.0, to_voltage(load_input, load.input_gain, load.input_exponent))
 
     def _new_bank(self, tick_period_s: float, output: float, voltage: float) -> fast.FilterBank:
-        tau = self._settings.learning.tau_lambda_s
-        return fast.new_filter_bank(self._load, tick_period_s, tau, output, voltage)
+        tau = self.settings.learning.tau_lambda_s
+        return fast.new_filter_bank(self.load, tick_period_s, tau, output, voltage)
 
     def _run_filters(self, measurement: signals.Measurement, order: signals.Order) -> None:
-        rates = self._settings.rates
-        if fast.take_in(self._settings, self._load, self._fast, self._bank, measurement):
+        rates = self.settings.rates
+        if fast.take_in(self.settings, self.load, self._fast, self._bank, measurement):
             k = measurement.tick // rates.ticks_per_period
             self._snapshot = self._take(measurement, order, k)
 
     def _take(
         self, measurement: signals.Measurement, order: signals.Order, k: int
     ) -> signals.Snapshot:
-        rates, learning, order_m = self._settings.rates, self._settings.learning, self._load.order
+        rates, learning, order_m = self.settings.rates, self.settings.learning, self.load.order
         held_V = self._fast.boost_reference_V if self._fast.by_hand else math.nan
         means = fast.take_means(self._bank)
-        applied_V, followed, held = fast.close_period(self._fast, self._settings)
-        resolution, rounding = fast.take_rounding(self._settings, self._bank)
+        applied_V, followed, held = fast.close_period(self._fast, self.settings)
+        resolution, rounding = fast.take_rounding(self.settings, self._bank)
         fast.tune_filters(self._bank, measurement.tick_period_s, learning.tau_lambda_s)
         return signals.Snapshot(
             k=k,
@@ -276,35 +274,35 @@ class Controller:
         """Return the set-points of the slow periods to come, none where they are not known."""
         if known is None:
             return ()
-        waveform, rates = known.waveform, self._settings.rates
+        waveform, rates = known.waveform, self.settings.rates
         ticks = [tick + i * rates.ticks_per_period for i in range(1, AHEAD)]
         asked = [
             waveform.value((later - known.begin_tick) * rates.nominal_tick_s) for later in ticks
         ]
-        return tuple(map(self._reach.nearest, asked) if self._settings.govern else asked)
+        return tuple(map(self._reach.nearest, asked) if self.settings.govern else asked)
 
     def _set_by_hand(self, measurement: signals.Measurement, order: signals.Order) -> None:
         """Set V_c to the operator's value; a battery's terminals stay at their limit."""
         highest_V = self._bearable(measurement, highest_boost_voltage)
-        fast.set_by_hand(self._fast, self._settings.stage, order.manual_V, highest_V)
+        fast.set_by_hand(self._fast, self.settings.stage, order.manual_V, highest_V)
 
     def _drive(self, measurement: signals.Measurement, bridge: bool) -> signals.Command:
         highest_V = self._bearable(measurement, voltage_limit)
-        scale, reference = fast.drive(self._fast, self._settings.stage, measurement, highest_V)
+        scale, reference = fast.drive(self._fast, self.settings.stage, measurement, highest_V)
         return signals.Command(scale, reference, bridge)
 
     def _bearable(
         self, measurement: signals.Measurement, limit: Callable[[Charging, float], float]
     ) -> float:
         """Return the V_c that a battery bears; infinite for a load that bears any."""
-        charging, voltage_V = self._load.charging, measurement.boost_voltage_V
+        charging, voltage_V = self.load.charging, measurement.boost_voltage_V
         if charging is None:
             return math.inf
         power_W = measurement.load_power_W
         return limit(charging, proven_current(charging, measurement.output, voltage_V, power_W))
 
     def _sample(self, snapshot: signals.Snapshot) -> regression.SlowSample:
-        load, stage = self._load, self._settings.stage
+        load, stage = self.load, self.settings.stage
         gain, exponent = load.input_gain, load.input_exponent
         applied = to_input(snapshot.applied_V, gain, exponent)
         return regression.SlowSample(
@@ -314,7 +312,7 @@ class Controller:
             input_filtered=list(snapshot.input_filtered),
             applied=applied,
             followed=snapshot.followed,
-            held_share=snapshot.held_ticks / self._settings.rates.ticks_per_period,
+            held_share=snapshot.held_ticks / self.settings.rates.ticks_per_period,
             reference=snapshot.order.reference,
             adaptive=snapshot.order.mode is signals.Mode.ADAPTIVE,
             pole=snapshot.order.pole,
@@ -330,7 +328,7 @@ class Controller:
         )
 
     def _estimates(self) -> dict[str, signals.Estimate]:
-        state, load, learning = self._slow, self._load, self._settings.learning
+        state, load, learning = self.state, self.load, self.settings.learning
         deviations = [math.nan] * len(load.names)
         if math.isfinite(state.values[0]):
             deviations = state.estimator.method.shown_deviations(
