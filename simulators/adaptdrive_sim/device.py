@@ -17,7 +17,7 @@ from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.cli.options import Integer, read_address
 from adaptdrive.config import file, root, services
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
-from adaptdrive.util.lines import log
+from adaptdrive.util.log import log
 from adaptdrive_sim import wire
 from adaptdrive_sim.devices import kinds, sensor_values
 from adaptdrive_sim.devices.drive import (

@@ -18,7 +18,7 @@ from adaptdrive.config.file import digest_of, read_text
 from adaptdrive.mqtt.service import COMMAND_PATIENCE_S
 from adaptdrive.recording.journal_files import Recalled
 from adaptdrive.runtime import reports, requests, tick_support
-from adaptdrive.util import clock, files, lines
+from adaptdrive.util import clock, files, log
 from adaptdrive.util.errors import ConfigurationError, RefusedError
 
 # The configuration of the next run of a daemon, taken from the file between two runs.
@@ -152,7 +152,7 @@ class RunCourse:
 
 # Events of a daemon: those that its building gives, and all of them in the log of its process.
 
-_LEVELS: dict[reports.Severity, lines.Level] = {
+_LEVELS: dict[reports.Severity, log.Level] = {
     reports.Severity.INFO: "info",
     reports.Severity.WARNING: "warning",
     reports.Severity.ALARM: "error",
@@ -223,4 +223,4 @@ async def log_events(events: reports.Subscription, kept: reports.Keep) -> None:
 def _log(events: Iterable[reports.Report]) -> None:
     for event in events:
         if isinstance(event, reports.Event):
-            lines.log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)
+            log.log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)

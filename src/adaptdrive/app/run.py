@@ -41,8 +41,7 @@ from adaptdrive.runtime import realtime, reports, tick_support
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.util import clock
 from adaptdrive.util.errors import AdaptdriveError, first_error
-from adaptdrive.util.lines import line as line_of
-from adaptdrive.util.lines import log
+from adaptdrive.util.log import bind, configured, line, log
 
 # Output that never waits for its reader: lines go through a bounded queue to a thread.
 
@@ -112,9 +111,9 @@ class QueuedStream(io.TextIOBase):
     def _work(self) -> None:
         self._start_thread()
         while True:
-            line, lost = self._next()
-            announced = not lost or self._put(line_of("warning", _LOST, lost=lost))
-            written = self._put(line)
+            next_line, lost = self._next()
+            announced = not lost or self._put(line("warning", _LOST, lost=lost))
+            written = self._put(next_line)
             with self._changed:
                 self._lost += (0 if announced else lost) + (0 if written else 1)
                 self._busy = False
@@ -232,6 +231,7 @@ async def _serve(
     start_thread: Callable[[], None],
 ) -> bool:
     """Serve until asked to stop; False when the end of a session is not recorded."""
+    configured()
     course = reload.RunCourse(path, given)
     # blocking calls do not have the priority of the control thread
     helpers = ThreadPoolExecutor(thread_name_prefix="helper", initializer=start_thread)
@@ -248,7 +248,7 @@ async def _serve(
         complete &= await _run(present, course, start_thread)
     for service in services:
         await _end(service)
-    log("info", "stopped", drive=given.configuration.drive.name)
+    log("info", "stopped")
     return complete
 
 
@@ -285,8 +285,8 @@ async def _run(
         recorded=lambda: not recorder.failing,
         prepare=course.prepare,
     )
-    facts = {"drive": configuration.drive.name, "version": __version__, "build": build_name()}
-    log("info", "starting", **facts, bus=port.description)
+    bind(drive=configuration.drive.name, session=recorder.session_name)
+    log("info", "starting", version=__version__, build=build_name(), bus=port.description)
     async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
         # ended in reverse: broker and log receive the last reports of those that end before them
         def start(name: str, service: Coroutine[Any, Any, None]) -> None:

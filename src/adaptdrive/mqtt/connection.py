@@ -24,7 +24,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.clock import BrokerBackoff, Monotonic
 from adaptdrive.mqtt.steady import SteadyClient
-from adaptdrive.util import clock, files, lines
+from adaptdrive.util import clock, files, log
 from adaptdrive.util.errors import first_error
 
 # The name of the daemon at the broker, and what happens when another client uses it too.
@@ -158,7 +158,7 @@ class BrokerLink:
         async with connection(self._settings, protocol, name, self._will) as client:
             self._since_s = asyncio.get_running_loop().time()
             self._problem = ""
-            lines.log(
+            log.log(
                 "info", "broker connected", broker=self._place, protocol=protocol.name, name=name
             )
             try:
@@ -188,7 +188,7 @@ class BrokerLink:
         text = str(problem) if expected else f"{type(problem).__name__}: {problem}"
         if text != self._problem:
             self._problem = text
-            lines.log("warning", "broker lost", broker=self._place, problem=text)
+            log.log("warning", "broker lost", broker=self._place, problem=text)
 
 
 @asynccontextmanager

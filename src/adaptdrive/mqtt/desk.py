@@ -18,7 +18,7 @@ from adaptdrive.mqtt import clock, commands, contract
 from adaptdrive.runtime.reports import CommandReport, Keep, State
 from adaptdrive.runtime.requests import Host, Request
 from adaptdrive.util.errors import NOT_JSON, AdaptdriveError, RefusedError
-from adaptdrive.util.lines import Level, log
+from adaptdrive.util.log import Level, log
 
 # Memory of the replies, so that a repeated command acts once and gets the same reply.
 

@@ -20,7 +20,7 @@ from adaptdrive.mqtt import clock, connection, contract, publisher, steady
 from adaptdrive.mqtt.desk import Desk, OperatorCommand
 from adaptdrive.runtime.reports import Severity, State
 from adaptdrive.util.clock import Step, repeat
-from adaptdrive.util.lines import log
+from adaptdrive.util.log import log
 
 # Notices that the broker delivers no commands: a message of the daemon's own must come back.
 

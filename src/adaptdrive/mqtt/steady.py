@@ -13,7 +13,7 @@ from aiomqtt.types import PahoSocket
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
-from adaptdrive.util.lines import log
+from adaptdrive.util.log import log
 
 T = TypeVar("T")
 

@@ -229,6 +229,11 @@ class Recorder:
         """
         self._log.append(kind, payload)
 
+    def session_name(self) -> str | None:
+        """Return the name of the folder of the session, None while there is none."""
+        folder = self._archiving.directory
+        return None if folder is None else folder.name
+
     async def run(self, begin: asyncio.Event | None = None) -> None:
         """Record until cancelled, then write what is left and close the session.
 
