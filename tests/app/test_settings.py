@@ -10,7 +10,7 @@ import pytest
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control.settings import Jacket, Learning
+from adaptdrive.control.settings import EstimatorSettings, SupervisionLimits
 from tests.config.documents import parse
 from tests.devices.bench import EXAMPLES
 
@@ -32,7 +32,7 @@ def test_the_drives_own_lag_enters_the_design() -> None:
 def test_the_noise_of_the_input_is_limited_in_volts_of_a_motor(
     changes: dict[str, str], noise_V: float
 ) -> None:
-    assert controller_settings(parse(**changes)).jacket.noise_max == pytest.approx(noise_V)
+    assert controller_settings(parse(**changes)).supervision.noise_max == pytest.approx(noise_V)
 
 
 def test_in_watts_of_a_bath() -> None:
@@ -43,7 +43,7 @@ def test_in_watts_of_a_bath() -> None:
     slope_W_per_V = load.input_gain * (low_V + high_V)
     assert load.input_exponent == 2
     expected_W = 0.04 * (high_V - low_V) * slope_W_per_V
-    assert controller_settings(configuration).jacket.noise_max == pytest.approx(expected_W)
+    assert controller_settings(configuration).supervision.noise_max == pytest.approx(expected_W)
 
 
 STRICT = {
@@ -68,7 +68,7 @@ def test_the_papers_design_has_the_papers_numbers_and_no_limits() -> None:
     settings = controller_settings(parse(load__design='"paper"'))
     assert settings.exact is False
     assert settings.rates.samples == 1
-    assert settings.learning == Learning(
+    assert settings.learning == EstimatorSettings(
         method="lm-rls",
         forgetting=0.97,
         tau_lambda_s=10.0,
@@ -80,8 +80,10 @@ def test_the_papers_design_has_the_papers_numbers_and_no_limits() -> None:
         input_scale=1.0,
         start_at_nominal=False,
     )
-    assert settings.jacket == Jacket(90, -math.inf, math.inf, settings.jacket.patience_periods)
-    assert settings.jacket.patience_periods * 1.0 > 10 * 365 * 86_400.0
+    assert settings.supervision == SupervisionLimits(
+        90, -math.inf, math.inf, settings.supervision.patience_periods
+    )
+    assert settings.supervision.patience_periods * 1.0 > 10 * 365 * 86_400.0
 
 
 def test_rho_left_out_is_that_of_the_design_and_of_the_load() -> None:
@@ -100,7 +102,7 @@ def test_rho_left_out_is_that_of_the_design_and_of_the_load() -> None:
 def test_one_smallest_damping_holds_for_estimates_and_for_explanations() -> None:
     for text, expected in (("0.9", 0.9), ("0.5", 0.5), ("0", 0.0)):
         settings = controller_settings(parse(supervisor__damping_min=text))
-        assert settings.jacket.damping_min == settings.learning.damping_min == expected
+        assert settings.supervision.damping_min == settings.learning.damping_min == expected
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,13 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.settings import ControllerSettings, Jacket, Learning, PowerStage, Rates
+from adaptdrive.control.settings import (
+    ControllerSettings,
+    EstimatorSettings,
+    PowerStage,
+    Rates,
+    SupervisionLimits,
+)
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Stage
 from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.plants.boost import Sample
@@ -59,7 +65,7 @@ STAGE = PowerStage(
 RATES = Rates(
     ticks_per_period=TICKS, latency_ticks=2, samples=60, lag_ticks=LAG_TICKS, nominal_tick_s=TICK_s
 )
-PLAIN_LEARNING = Learning(
+PLAIN_LEARNING = EstimatorSettings(
     method="lm-rls",
     forgetting=0.97,
     tau_lambda_s=10.0,
@@ -79,9 +85,9 @@ SCALED_LEARNING = replace(
     start_at_nominal=True,
     damping_min=0.9,
 )
-JACKET = Jacket(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=30)
+JACKET = SupervisionLimits(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=30)
 EXACT = ControllerSettings(
-    exact=True, stage=STAGE, rates=RATES, learning=SCALED_LEARNING, jacket=JACKET
+    exact=True, stage=STAGE, rates=RATES, learning=SCALED_LEARNING, supervision=JACKET
 )
 PAPER = replace(EXACT, exact=False, rates=replace(RATES, samples=1), learning=PLAIN_LEARNING)
 

@@ -47,8 +47,10 @@ def test_the_check_against_uncertainty_does_not_stand_in_the_way_of_a_change(noi
     learning = replace(EXACT.learning, bias=True, alert=True)
     found = []
     for confidence in (0.0, 2.0):
-        jacket = replace(EXACT.jacket, spread_max=0.05, dwell_periods=3, confidence=confidence)
-        settings = replace(EXACT, learning=learning, jacket=jacket)
+        supervision = replace(
+            EXACT.supervision, spread_max=0.05, dwell_periods=3, confidence=confidence
+        )
+        settings = replace(EXACT, learning=learning, supervision=supervision)
         found.append(
             experiment(settings, Mode.ADAPTIVE, segment_s=SEGMENT_s, disks=(1, 3, 1), noise=noise)
         )

@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import load_configuration
-from adaptdrive.control.estimation import rls as ud
+from adaptdrive.control.estimation import rls
 from adaptdrive.control.signals import Measurement, Mode
 from adaptdrive_sim.wire import NoiseParameters
 from tests.closed_loop.bench import HIGH, LOW, STEP, Bench, CYCLE_s, order, square_wave
@@ -26,7 +26,7 @@ TRUTH = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0}
 def covariance_trace(bench: Bench) -> float:
     estimator = bench.controller.state.estimator
     count = len(estimator.estimate.theta)
-    flat = ud.covariance(estimator.estimate.upper, estimator.estimate.diagonal)
+    flat = rls.covariance(estimator.estimate.upper, estimator.estimate.diagonal)
     return float(np.trace(np.reshape(flat, (count, count))))
 
 
@@ -103,7 +103,9 @@ def test_eight_hours_without_excitation_wind_nothing_up() -> None:
 
 
 def test_a_torque_that_is_not_in_the_model_does_not_bias_the_estimates() -> None:
-    bench = Bench(replace(DAEMON, jacket=replace(DAEMON.jacket, warm_up_periods=60)), noise=NOISE)
+    bench = Bench(
+        replace(DAEMON, supervision=replace(DAEMON.supervision, warm_up_periods=60)), noise=NOISE
+    )
     worth_20_V = 20.0 * 0.25 * 0.30 / 4.0
     bench.motor.torque_Nm = worth_20_V
     bench.world.settle(bench.world.boost_voltage_for(LOW))

@@ -87,6 +87,6 @@ def test_so_is_whatever_motor_after_whatever_break() -> None:
 
 
 def test_without_its_initial_state_the_load_is_mistaken_for_another() -> None:
-    """Nor with a challenger, which finds its error at the next alarm."""
+    """Nor with a second filter, which finds its error at the next alarm."""
     learning = replace(DAEMON.learning, initial_state=False, alert=False)
     assert largest_trusted_error(replace(DAEMON, learning=learning), Restart(20.0)) > 0.1

@@ -11,18 +11,18 @@ from scipy.signal import lfilter
 
 from adaptdrive.control import fast
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation import regression
 from adaptdrive.control.estimation.methods import METHODS, direct_model, fill_direct_regressor
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from tests.closed_loop.bench import SCALED_LEARNING
 from tests.control.systems import Array
 
 
 def learn_course(
     state: est.EstimatorState,
-    learning: Learning,
+    learning: EstimatorSettings,
     load: Load,
     course: tuple[Array, Array],
     *,
@@ -52,19 +52,19 @@ def learn_course(
             y, *rest = fast.take_means(bank)
             state.sample.time_s += ticks * tick_s
             fill_sample(state, learning, load, y, outputs=rest[:order], inputs=rest[order:])
-            est.learn(state, learning, load, y, usable=True)
+            est.update_estimate(state, learning, load, y, usable=True)
             yield n
 
 
 def fill_sample(
-    state: est.EstimatorState, learning: Learning, load: Load, y: float, *,
+    state: est.EstimatorState, learning: EstimatorSettings, load: Load, y: float, *,
     outputs: list[float], inputs: list[float],
 ) -> None:  # fmt: skip
     """Fill the regressor of the λ-method, and that with powers of λ one lower."""
     regressor, elapsed_s = state.sample.regressor, state.sample.time_s - state.estimate.origin_s
-    reg.fill_filtered_regressor(regressor, learning, load, outputs, inputs)
-    reg.fill_initial_state(regressor, learning, load, elapsed_s)
-    reg.fill_lowered_regressor(state.rivals.lowered, learning, load, y, outputs, inputs)
+    regression.fill_filtered_regressor(regressor, learning, load, outputs, inputs)
+    regression.fill_initial_state(regressor, learning, load, elapsed_s)
+    regression.fill_lowered_regressor(state.hypotheses.lowered, learning, load, y, outputs, inputs)
 
 
 R, TAU_s = 0.021, 500.0
@@ -91,13 +91,13 @@ def bath_temperatures(power_W: Array, inflow_K: Array, noise_K: Array) -> Array:
     return np.asarray(heated_K + cooled_K + noise_K)
 
 
-def bath_values(theta: list[float], learning: Learning = BATH_LEARNING) -> list[float]:
+def bath_values(theta: list[float], learning: EstimatorSettings = BATH_LEARNING) -> list[float]:
     """R and τ of an estimate."""
-    return BATH.physical(*reg.filtered_model(theta, learning, BATH))
+    return BATH.physical(*regression.filtered_model(theta, learning, BATH))
 
 
 def learn_sampled(
-    learning: Learning, load: Load, inputs: Array, outputs: Array
+    learning: EstimatorSettings, load: Load, inputs: Array, outputs: Array
 ) -> tuple[list[float], list[float]]:
     """Learn A and B directly from inputs that were held and the outputs at their ends."""
     order = load.order
@@ -105,5 +105,5 @@ def learn_sampled(
     for k in range(order, len(inputs)):
         past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
         fill_direct_regressor(state.sample.regressor, learning, load, *past)
-        est.learn(state, learning, load, float(outputs[k]), usable=True)
+        est.update_estimate(state, learning, load, float(outputs[k]), usable=True)
     return direct_model(state.estimate.theta, learning, load)

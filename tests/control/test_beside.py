@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import rls as ud
 from tests.control.systems import Array
 
 COVARIANCE = 100.0
@@ -28,12 +27,12 @@ class Beside:
         for i in range(len(r) - self.walks, len(r)):
             direction = [0.0] * len(r)
             direction[i] = 1.0
-            ud.widen(self.upper, self.diagonal, direction, self.walk**2)
+            rls.widen(self.upper, self.diagonal, direction, self.walk**2)
 
     @property
     def covariance(self) -> Array:
         size = len(self.theta)
-        return np.array(ud.covariance(self.upper, self.diagonal)).reshape(size, size)
+        return np.array(rls.covariance(self.upper, self.diagonal)).reshape(size, size)
 
 
 def kalman(filter_: Filter, r: Array, target: float, process: Array) -> Filter:
@@ -46,7 +45,7 @@ def kalman(filter_: Filter, r: Array, target: float, process: Array) -> Filter:
 def forgotten(p: Array, r: Array, walks: int, forgetting: float) -> Array:
     """P after forgetting in the density of d alone, by its definition.
 
-    d has the covariance P_dd, w = G d + what is left with covariance C. With w integrated out a
+    d has the covariance P_dd, w = G d + what is left with covariance C. With w incremental out a
     sample is r̃ᵀd plus noise. Kulhavy's forgetting of d keeps all but (1 - ρ) of the information
     along r̃: P_dd⁻¹ ← P_dd⁻¹ - (1 - ρ) r̃ r̃ᵀ/(r̃ᵀ P_dd r̃).
     """
@@ -132,7 +131,7 @@ def test_forgetting_along_the_sample_alone_would_keep_the_old_dynamics() -> None
     for sample, target in zip(r, targets, strict=True):
         vectors = along.theta, along.upper, along.diagonal
         rls.update_along(*vectors, sample.tolist(), float(target), 0.97)
-        ud.widen(along.upper, along.diagonal, [0.0, 0.0, 1.0], 0.25)
+        rls.widen(along.upper, along.diagonal, [0.0, 0.0, 1.0], 0.25)
         beside.take(sample, float(target))
     wrong = [np.abs(np.array(one.theta[:2]) - dynamics[-1]) for one in (along, beside)]
     sure = np.sqrt(np.diag(along.covariance)[:2])

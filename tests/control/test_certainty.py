@@ -19,10 +19,10 @@ from adaptdrive.control.design.pole_placement import (
 from adaptdrive.control.estimation.branch import Branch
 from adaptdrive.control.estimation.covariance import deviations_of, is_sure
 from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, remember_residual
-from adaptdrive.control.estimation.learn import correlation_factor, doubted_deviations
+from adaptdrive.control.estimation.learn import correlation_factor, inflated_deviations
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import filtered_model, theta_of
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from tests.closed_loop.bench import EXACT, MOTOR, SCALED_LEARNING
 from tests.control.systems import Array
 
@@ -34,7 +34,7 @@ UNBIASED = replace(SCALED_LEARNING, tau_lambda_s=8.0)
 KINDS = [UNBIASED, replace(UNBIASED, bias=True), replace(UNBIASED, short_lag_s=10.0)]
 
 
-def estimate(learning: Learning) -> Branch:
+def estimate(learning: EstimatorSettings) -> Branch:
     """θ of a motor with two disks, U and D, the last for a bias or cut to two parameters."""
     theta = theta_of(learning, MOTOR, *MOTOR.realise(VALUES))
     theta += [0.0] if learning.bias else []
@@ -45,11 +45,11 @@ def estimate(learning: Learning) -> Branch:
     return Branch(theta, list(upper.ravel()), [*DIAGONAL, 3e-5][:size])
 
 
-def physical(theta: Array, learning: Learning) -> Array:
+def physical(theta: Array, learning: EstimatorSettings) -> Array:
     return np.array(MOTOR.physical(*filtered_model(list(theta), learning, MOTOR)))
 
 
-def propagated(learning: Learning) -> Array:
+def propagated(learning: EstimatorSettings) -> Array:
     """Deviations by central differences and the full covariance."""
     one = estimate(learning)
     theta = np.array(one.theta)
@@ -64,7 +64,7 @@ def propagated(learning: Learning) -> Array:
 
 
 @pytest.mark.parametrize("learning", KINDS)
-def test_deviations_are_those_of_the_propagated_covariance(learning: Learning) -> None:
+def test_deviations_are_those_of_the_propagated_covariance(learning: EstimatorSettings) -> None:
     found = deviations_of(estimate(learning), NOISE, learning, MOTOR, VALUES)
     assert found == pytest.approx(propagated(learning), rel=1e-4)
 
@@ -72,7 +72,7 @@ def test_deviations_are_those_of_the_propagated_covariance(learning: Learning) -
 @pytest.mark.parametrize("learning", KINDS)
 @pytest.mark.parametrize(("share", "sure"), [(0.499, True), (0.501, False)])
 def test_it_is_sure_of_parameters_that_are_all_known_within_half(
-    learning: Learning, share: float, *, sure: bool
+    learning: EstimatorSettings, share: float, *, sure: bool
 ) -> None:
     worst = float(np.max(propagated(learning) / np.abs(VALUES)))
     power = (NOISE * share / worst) ** 2
@@ -119,15 +119,15 @@ def test_a_mean_is_as_uncertain_as_the_factor_says(correlation: float) -> None:
 
 def test_the_deviations_shown_are_wider_by_the_factor() -> None:
     state, values = fed(np.full(500, 0.1)), [0.011, 33.4, 234.0]
-    wide = doubted_deviations(state, LONG, MOTOR, values)
+    wide = inflated_deviations(state, LONG, MOTOR, values)
     factor = correlation_factor(state)
     state.residual_lag = 0.0
-    known = doubted_deviations(state, LONG, MOTOR, values)
+    known = inflated_deviations(state, LONG, MOTOR, values)
     assert np.array(wide) == pytest.approx(factor * np.array(known), rel=1e-6)
     assert factor > 10.0
 
 
-BOLD = replace(EXACT, jacket=replace(EXACT.jacket, confidence=2.0))
+BOLD = replace(EXACT, supervision=replace(EXACT.supervision, confidence=2.0))
 
 
 HEAVY = [0.011, 33.4, 234.0]

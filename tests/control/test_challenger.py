@@ -1,4 +1,4 @@
-"""The challenger: what was changed and misjudged at an alarm is found by predicting, later."""
+"""The second_filter: what was changed and misjudged at an alarm is found by predicting, later."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation import regression
 from adaptdrive.control.estimation.learn import is_doubtful
 from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING, TICKS, TICK_s
 from tests.control.learning import learn_course
@@ -51,13 +51,13 @@ def course(
     return np.array(voltages), np.array(outputs) + noise * random.normal(size=len(outputs))
 
 
-def learn(voltages: Array, outputs: Array, learning: Learning = LEARNING) -> list[Row]:
+def learn(voltages: Array, outputs: Array, learning: EstimatorSettings = LEARNING) -> list[Row]:
     """Learn a course; second, values, shown deviations and doubt of each slow period."""
     state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
     METHODS[learning.method].begin(state, learning, MOTOR)
     rows, samples = [], (voltages, outputs)
     for n in learn_course(state, learning, MOTOR, samples, tick_s=TICK_s, ticks=TICKS, samples=90):
-        values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
+        values = MOTOR.physical(*regression.filtered_model(state.estimate.theta, learning, MOTOR))
         shown = METHODS[learning.method].shown_deviations(state, learning, MOTOR, values)
         rows.append((n // TICKS, values, shown, is_doubtful(state)))
     return rows

@@ -127,8 +127,8 @@ def test_the_terminals_may_be_as_far_above_the_limit_as_its_key_says(current_A: 
 
 RATIO, SERIES_Ohm, END_A = 0.25, 1.2, 1.0
 BATTERY = battery_load(RATIO, SERIES_Ohm, 0.3, 60.0, Charging(RATIO, 1.0, 0.2, 58.0, END_A))
-JACKET = replace(EXACT.jacket, response_periods=10, response_distance=0.2)
-SETTINGS = replace(EXACT, jacket=JACKET)
+JACKET = replace(EXACT.supervision, response_periods=10, response_distance=0.2)
+SETTINGS = replace(EXACT, supervision=JACKET)
 LOWEST_V, HIGHEST_V = 100.0, 400.0
 
 

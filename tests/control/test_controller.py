@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
-from adaptdrive.control.settings import ControllerSettings, Jacket, Rates
+from adaptdrive.control.settings import ControllerSettings, Rates, SupervisionLimits
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
     Command,
@@ -159,11 +159,11 @@ def test_the_same_calls_give_the_same_commands_bit_for_bit() -> None:
 
 def test_an_accepted_estimate_says_how_far_the_response_may_be_off() -> None:
     """A share of the step: the more of the noise it has seen, the less."""
-    noise, jacket = (
+    noise, supervision = (
         NoiseParameters(sigma=0.01),
-        replace(EXACT.jacket, spread_max=0.05, confidence=2.0),
+        replace(EXACT.supervision, spread_max=0.05, confidence=2.0),
     )
-    bench = Bench(replace(EXACT, jacket=jacket), noise=noise)
+    bench = Bench(replace(EXACT, supervision=supervision), noise=noise)
     for second in range(300):
         bench.run(1.0, order(square_wave(second), Mode.ADAPTIVE))
     spreads = [one.response_spread for one in bench.decisions if one.accepted]
@@ -180,7 +180,7 @@ NOMINAL = list(MOTOR.numerator), list(MOTOR.denominator)
 @pytest.fixture(scope="module")
 def learnt() -> Bench:
     """A motor whose true load differs from the nominal one, learnt, and back at rest."""
-    bench = Bench(replace(EXACT, jacket=replace(EXACT.jacket, warm_up_periods=60)))
+    bench = Bench(replace(EXACT, supervision=replace(EXACT.supervision, warm_up_periods=60)))
     bench.motor.disks = 2
     for second in range(240):
         bench.run(1.0, order(square_wave(second), Mode.FIXED))
@@ -218,15 +218,15 @@ def test_the_gains_shown_are_those_of_the_law_in_force(learnt: Bench) -> None:
 SMALL = Rates(
     ticks_per_period=4, latency_ticks=1, samples=2, lag_ticks=LAG_TICKS, nominal_tick_s=TICK_s
 )
-EAGER = Jacket(warm_up_periods=1, ratio_min=1e-3, ratio_max=1e3, patience_periods=2)
+EAGER = SupervisionLimits(warm_up_periods=1, ratio_min=1e-3, ratio_max=1e3, patience_periods=2)
 KINDS = [
-    replace(EXACT, rates=SMALL, jacket=EAGER),
-    replace(EXACT, rates=SMALL, jacket=EAGER, learning=PLAIN_LEARNING),
-    replace(PAPER, rates=replace(SMALL, samples=1), jacket=EAGER),
+    replace(EXACT, rates=SMALL, supervision=EAGER),
+    replace(EXACT, rates=SMALL, supervision=EAGER, learning=PLAIN_LEARNING),
+    replace(PAPER, rates=replace(SMALL, samples=1), supervision=EAGER),
     replace(
         PAPER,
         rates=replace(SMALL, samples=1),
-        jacket=EAGER,
+        supervision=EAGER,
         learning=replace(PLAIN_LEARNING, method="rls"),
     ),
 ]

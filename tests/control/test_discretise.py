@@ -41,7 +41,7 @@ def test_without_delay_it_is_the_step_invariant_discretisation(
 
 
 def simulate_finely(system: System, inputs: Array, delay_ticks: int, window_ticks: int) -> Array:
-    """Output at the slow instants of a held, delayed input, exactly, on a grid of fast ticks.
+    """Output at the slow instants of a held, delayed input, exactly, on a quantiser of fast ticks.
 
     An integrator behind the output gives the mean over the window.
     """

@@ -12,7 +12,7 @@ from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import learn
 from adaptdrive.control.estimation.covariance import deviations_of
 from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from tests.control.learning import (
     BATH,
     BATH_LEARNING,
@@ -51,7 +51,9 @@ def simulated(drift_K_per_h: float, noise_K: float, seed: int) -> tuple[Array, A
     return power, bath_temperatures(power, inflow_K, random.normal(0.0, noise_K, times.size))
 
 
-def course(learning: Learning, drift_K_per_h: float, noise_K: float = 0.0, seed: int = 7) -> Course:
+def course(
+    learning: EstimatorSettings, drift_K_per_h: float, noise_K: float = 0.0, seed: int = 7
+) -> Course:
     """Learn a bath whose dynamics stand still."""
     samples = simulated(drift_K_per_h, noise_K, seed)
     state = est.new_estimator(METHODS[learning.method], learning, BATH, 2)
@@ -105,7 +107,7 @@ def test_it_finds_the_load_under_an_inflow_that_swings(period_s: float) -> None:
     worst = 0.0
     for seed in (0, 1, 7):
         state = learnt(0.1 * np.sin(2.0 * math.pi * TIMES_s / period_s), seed=seed)
-        assert state.integrated.in_force
+        assert state.incremental.in_force
         assert bath_values(learn.in_force(state).theta) == pytest.approx([R, TAU_s], rel=0.05)
         resting = np.array(bath_values(state.estimate.theta))
         worst = max(worst, float(np.max(np.abs(resting / [R, TAU_s] - 1.0))))
@@ -115,5 +117,5 @@ def test_it_finds_the_load_under_an_inflow_that_swings(period_s: float) -> None:
 @pytest.mark.parametrize(("seed", "noise_K"), [(0, 0.0), (1, 0.002), (2, 0.05), (3, 0.05)])
 def test_it_leaves_a_bias_that_rests_to_the_other_estimate(seed: int, noise_K: float) -> None:
     state = learnt(np.zeros_like(TIMES_s), noise_K, seed)
-    assert not state.integrated.in_force
+    assert not state.incremental.in_force
     assert learn.in_force(state) is state.estimate

@@ -13,14 +13,13 @@ from scipy.signal import cont2discrete, lfilter
 from adaptdrive.control import fast
 from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation import regression, rls
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.discretise import impulse_invariant_pair
 from adaptdrive.control.loads.load import Load, to_voltage
 from adaptdrive.control.loads.motor import motor_load
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.slow import control_law
 from tests.control.learning import learn_sampled
 from tests.control.systems import Array, System, distance, held_polynomials, matrix_of, motor_system
@@ -161,7 +160,7 @@ def test_either_estimator_is_there_for_either_load(
 ) -> None:
     """The print calls the bath's estimator LM-RLS in one section and plain RLS in the next."""
     system = System(list(load.numerator), list(load.denominator))
-    learning = Learning(
+    learning = EstimatorSettings(
         method="lm-rls" if filtered else "rls",
         forgetting=1.0,
         tau_lambda_s=10.0 * period_s,
@@ -180,7 +179,7 @@ def test_either_estimator_is_there_for_either_load(
 
 
 def _learn_filtered(
-    learning: Learning, load: Load, system: System, period_s: float, inputs: Array
+    learning: EstimatorSettings, load: Load, system: System, period_s: float, inputs: Array
 ) -> tuple[list[float], list[float]]:
     ticks = 60
     bottom, top = held_polynomials(system, period_s / ticks)
@@ -197,16 +196,16 @@ def _learn_filtered(
         fast.filter_sample(bank, float(output), bank.load_input, 1)
         if n % ticks == 0 and n:
             powers = [float(held[n - 1]), *bank.inputs]
-            reg.fill_filtered_regressor(
+            regression.fill_filtered_regressor(
                 state.sample.regressor, learning, load, bank.outputs, powers
             )
-            est.learn(state, learning, load, float(output), usable=True)
-    found = load.physical(*reg.filtered_model(state.estimate.theta, learning, load))
+            est.update_estimate(state, learning, load, float(output), usable=True)
+    found = load.physical(*regression.filtered_model(state.estimate.theta, learning, load))
     return found, load.physical(list(load.numerator), list(load.denominator))
 
 
 def _learn_direct(
-    learning: Learning, load: Load, system: System, period_s: float, inputs: Array
+    learning: EstimatorSettings, load: Load, system: System, period_s: float, inputs: Array
 ) -> tuple[list[float], list[float]]:
     bottom, top = held_polynomials(system, period_s)
     outputs = system.dc_gain * inputs[0] + lfilter(top, bottom, inputs - inputs[0])

@@ -12,11 +12,10 @@ from scipy.signal import lfilter, lsim
 
 from adaptdrive.control import fast
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import learn
-from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation import learn, regression
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.rls import covariance
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING
 from tests.control.learning import learn_course, learn_sampled
 from tests.control.systems import Array, held_polynomials, motor_system, row_norms
@@ -46,7 +45,7 @@ def simulate(
 
 
 def learn_filtered(
-    learning: Learning, voltages: Array, outputs: Array, samples: int
+    learning: EstimatorSettings, voltages: Array, outputs: Array, samples: int
 ) -> est.EstimatorState:
     state, course = (
         est.new_estimator(METHODS[learning.method], learning, MOTOR, 2),
@@ -59,8 +58,8 @@ def learn_filtered(
     return state
 
 
-def physical(state: est.EstimatorState, learning: Learning) -> list[float]:
-    return MOTOR.physical(*reg.filtered_model(state.estimate.theta, learning, MOTOR))
+def physical(state: est.EstimatorState, learning: EstimatorSettings) -> list[float]:
+    return MOTOR.physical(*regression.filtered_model(state.estimate.theta, learning, MOTOR))
 
 
 @pytest.mark.parametrize(
@@ -74,7 +73,7 @@ def physical(state: est.EstimatorState, learning: Learning) -> list[float]:
     ],
 )
 def test_a_motor_without_noise_is_found_within_a_tenth_of_a_percent(
-    learning: Learning, samples: int, disks: int
+    learning: EstimatorSettings, samples: int, disks: int
 ) -> None:
     learning = replace(learning, gate=0.0)
     state = learn_filtered(learning, *simulate(disks, 240), samples)
@@ -113,9 +112,9 @@ def test_a_constant_disturbance_biases_the_estimate_unless_a_constant_is_estimat
         assert error < tolerance
         assert bias or error > 0.03
         if bias:
-            assert reg.input_offset(state.estimate.theta, learning, MOTOR, 0.0) == pytest.approx(
-                -20.0, rel=0.02
-            )
+            assert regression.input_offset(
+                state.estimate.theta, learning, MOTOR, 0.0
+            ) == pytest.approx(-20.0, rel=0.02)
 
 
 def held_motor(count: int, noise: float) -> tuple[Array, Array, Array, Array]:
@@ -142,12 +141,14 @@ def random_regressors(count: int) -> Array:
     return np.random.default_rng(5).normal(size=(count, 3)) * [1.0, 1.0, 100.0]
 
 
-def taught(learning: Learning, count: int = 40, *, noise: float = 0.01) -> est.EstimatorState:
+def taught(
+    learning: EstimatorSettings, count: int = 40, *, noise: float = 0.01
+) -> est.EstimatorState:
     state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
     draws = np.random.default_rng(6).normal(size=count)
     for regressor, draw in zip(random_regressors(count), draws, strict=True):
         state.sample.regressor[:] = regressor.tolist()
-        est.learn(
+        est.update_estimate(
             state, learning, MOTOR, float(regressor @ [1.0, -0.5, 0.01] + noise * draw), usable=True
         )
     return state
@@ -168,8 +169,10 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
         state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
         noisy = outputs[slow] + 1e-4 * random.normal(size=len(rows))
         for (_, *rest), y in zip(rows, noisy, strict=True):
-            reg.fill_filtered_regressor(state.sample.regressor, learning, MOTOR, rest[:2], rest[2:])
-            est.learn(state, learning, MOTOR, float(y), usable=True)
+            regression.fill_filtered_regressor(
+                state.sample.regressor, learning, MOTOR, rest[:2], rest[2:]
+            )
+            est.update_estimate(state, learning, MOTOR, float(y), usable=True)
         values = physical(state, learning)
         found.append(values)
         claimed.append(row_norms(learn.parameter_root(state, learning, MOTOR, values)))
@@ -193,7 +196,7 @@ def test_no_stream_of_samples_makes_the_estimate_stop_being_a_number(values: lis
     state = est.new_estimator(METHODS[PLAIN_LEARNING.method], PLAIN_LEARNING, MOTOR, 2)
     for at in range(len(values) - 3):
         state.sample.regressor[:] = values[at : at + 3]
-        est.learn(state, PLAIN_LEARNING, MOTOR, values[at + 3], usable=True)
+        est.update_estimate(state, PLAIN_LEARNING, MOTOR, values[at + 3], usable=True)
         assert np.isfinite(memory(state)).all()
     assert min(state.estimate.diagonal) > 0.0
 
@@ -208,7 +211,7 @@ def test_numbers_that_no_sensor_gives_teach_nothing(
     """From 1e20 on, where 1 is usual: the squares of larger ones leave the doubles."""
     state = est.new_estimator(METHODS[PLAIN_LEARNING.method], PLAIN_LEARNING, MOTOR, 2)
     state.sample.regressor[:] = [1.0, entry, 0.0]
-    est.learn(state, PLAIN_LEARNING, MOTOR, output, usable=False)
+    est.update_estimate(state, PLAIN_LEARNING, MOTOR, output, usable=False)
     assert (state.idle_periods == 1) is taught
 
 
@@ -216,7 +219,7 @@ def test_a_sample_that_is_not_usable_is_predicted_but_not_learnt() -> None:
     state = taught(PLAIN_LEARNING)
     before, periods = memory(state), state.periods
     state.sample.regressor[:] = [1.0, 2.0, 300.0]
-    est.learn(state, PLAIN_LEARNING, MOTOR, 9.0, usable=False)
+    est.update_estimate(state, PLAIN_LEARNING, MOTOR, 9.0, usable=False)
     assert memory(state) == before
     assert state.periods == periods + 1
     assert state.innovation == pytest.approx(
@@ -233,7 +236,7 @@ def test_the_gate_keeps_out_what_teaches_nothing() -> None:
     before = memory(state)
     for share, learns in ((0.99, False), (1.01, True)):
         state.sample.regressor[:] = (direction * math.sqrt(limit * share)).tolist()
-        est.learn(state, learning, MOTOR, 5.0, usable=True)
+        est.update_estimate(state, learning, MOTOR, 5.0, usable=True)
         assert (memory(state) != before) == learns
 
 

@@ -10,8 +10,7 @@ import pytest
 from scipy.signal import lsim
 
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import learn
-from adaptdrive.control.estimation import regression as reg
+from adaptdrive.control.estimation import learn, regression
 from adaptdrive.control.estimation.covariance import BOTH, DISTURBANCE, LOAD, NOTHING
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import theta_of
@@ -97,14 +96,14 @@ def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> N
     state = seen.state
     state.sample.time_s += 1.0
     fill_sample(state, LEARNING, MOTOR, output, outputs=y, inputs=u)
-    est.learn(state, LEARNING, MOTOR, output, usable=True)
-    values = MOTOR.physical(*reg.filtered_model(state.estimate.theta, LEARNING, MOTOR))
+    est.update_estimate(state, LEARNING, MOTOR, output, usable=True)
+    values = MOTOR.physical(*regression.filtered_model(state.estimate.theta, LEARNING, MOTOR))
     seen.values.append(values)
     seen.shown.append(METHODS[LEARNING.method].shown_deviations(state, LEARNING, MOTOR, values))
     seen.doubtful.append(learn.is_doubtful(state))
-    seen.kinds.append(state.rivals.kind)
-    seen.waiting.append(state.rivals.samples)
-    seen.alarms.append(state.surprise.alarms)
+    seen.kinds.append(state.hypotheses.kind)
+    seen.waiting.append(state.hypotheses.samples)
+    seen.alarms.append(state.detector.alarms)
 
 
 def truth(disks: float) -> Array:
@@ -143,7 +142,7 @@ def test_a_torque_is_noticed_and_leaves_the_load_as_it_was(torque: Seen) -> None
     assert torque.alarms[CHANGE_s + 30] >= 1
     assert torque.kinds[CHANGE_s + 60] == DISTURBANCE
     assert max(error(values, 2.0) for values in torque.values[CHANGE_s:]) < 0.1
-    offset_V = reg.input_offset(torque.state.estimate.theta, LEARNING, MOTOR, 0.0)
+    offset_V = regression.input_offset(torque.state.estimate.theta, LEARNING, MOTOR, 0.0)
     assert offset_V == pytest.approx(-25.0, rel=0.1)
 
 
@@ -151,17 +150,17 @@ def test_a_spike_is_an_alarm_of_nothing_and_is_hardly_learnt(spike: Seen) -> Non
     assert spike.alarms[CHANGE_s - 2] == 0
     assert spike.alarms[CHANGE_s] >= 1
     assert spike.kinds[CHANGE_s + 40] == NOTHING
-    assert spike.state.rivals.samples == 0
+    assert spike.state.hypotheses.samples == 0
     assert error(spike.values[-1], 2.0) < 0.05
 
 
 def test_what_a_disturbance_may_have_moved_is_part_of_what_is_shown(torque: Seen) -> None:
     """Each value by the disturbance over the scale of the input, beside its own deviation."""
     state, values = torque.state, torque.values[-1]
-    share = math.sqrt(state.rivals.moved)
-    shown = np.array(learn.doubted_deviations(state, LEARNING, MOTOR, values))
-    state.rivals.moved = 0.0
-    own = np.array(learn.doubted_deviations(state, LEARNING, MOTOR, values))
+    share = math.sqrt(state.hypotheses.moved)
+    shown = np.array(learn.inflated_deviations(state, LEARNING, MOTOR, values))
+    state.hypotheses.moved = 0.0
+    own = np.array(learn.inflated_deviations(state, LEARNING, MOTOR, values))
     assert shown**2 - own**2 == pytest.approx((share * np.array(values)) ** 2, rel=1e-6)
     assert share > 0.03
 

@@ -16,11 +16,11 @@ from adaptdrive.control.design.noise import (
     OBSERVER_POLE,
     SLOWEST_SHARE,
     SPENT,
+    detuned_loop,
     fast_loop,
     has_margins,
     impulse_norm,
     noise_gain,
-    quiet_loop,
     slowed_loop,
     unit_circle,
 )
@@ -84,7 +84,7 @@ def largest_root(*terms: list[float]) -> float:
 
 @pytest.mark.parametrize("disks", [1, 2, 3])
 def test_without_noise_the_margins_are_used_and_kept(disks: int) -> None:
-    """The distance of L from -1 is just above its limit on a dense grid of frequencies."""
+    """The distance of L from -1 is just above its limit on a dense quantiser of frequencies."""
     a, b = model(disks)
     angles = np.geomspace(1e-3, np.pi, 20_000)
     distance = np.min(np.abs(1.0 + open_loop(a, b, made(disks, 0.0), angles)))
@@ -107,7 +107,7 @@ def test_the_loop_stands_another_gain_and_another_delay(disks: int) -> None:
         lag_ticks=EXACT.rates.lag_ticks,
     )
     system = motor_system(disks)
-    settings = EXACT.__class__(EXACT.exact, EXACT.stage, later, EXACT.learning, EXACT.jacket)
+    settings = EXACT.__class__(EXACT.exact, EXACT.stage, later, EXACT.learning, EXACT.supervision)
     late_a, late_b = discrete_model(settings, MOTOR, system.numerator, system.denominator, 1.0)
     assert largest_root(multiply(late_a, r), multiply(late_b, s)) < 1.0
 
@@ -194,7 +194,7 @@ def test_the_gain_is_what_a_noisy_loop_shows() -> None:
 @pytest.mark.parametrize(("noise", "limit"), [(1e-4, 15.0), (0.0, 15.0), (1.0, 0.0)])
 def test_poles_are_as_asked_while_the_noise_is_within_its_limit(noise: float, limit: float) -> None:
     a, b = model(3)
-    found = np.roots(quiet_loop(equation(a, b), a, b, MOTOR.order, POLE, noise, limit))
+    found = np.roots(detuned_loop(equation(a, b), a, b, MOTOR.order, POLE, noise, limit))
     assert distance(found, [POLE] * 4 + [0.0] * (len(found) - 4)) < 2e-3
 
 
@@ -204,7 +204,7 @@ def test_the_noise_of_the_input_is_just_within_its_limit(disks: int, times: floa
     a, b = model(disks)
     limit = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, POLE)) / times
     found = noise_gain(
-        equation(a, b), a, b, quiet_loop(equation(a, b), a, b, MOTOR.order, POLE, 1.0, limit)
+        equation(a, b), a, b, detuned_loop(equation(a, b), a, b, MOTOR.order, POLE, 1.0, limit)
     )
     assert 0.8 * limit <= found <= limit
 
@@ -225,7 +225,7 @@ def test_a_limit_makes_no_loop_louder_than_the_poles_asked_for(
         equation(a, b),
         a,
         b,
-        quiet_loop(equation(a, b), a, b, MOTOR.order, pole, 1.0, asked / times),
+        detuned_loop(equation(a, b), a, b, MOTOR.order, pole, 1.0, asked / times),
     )
     assert found <= asked * (1.0 + 1e-9)
 
@@ -233,7 +233,7 @@ def test_a_limit_makes_no_loop_louder_than_the_poles_asked_for(
 def test_observer_poles_come_first() -> None:
     a, b = model(3)
     asked = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, POLE))
-    found = np.roots(quiet_loop(equation(a, b), a, b, MOTOR.order, POLE, 1.0, asked / 2.0))
+    found = np.roots(detuned_loop(equation(a, b), a, b, MOTOR.order, POLE, 1.0, asked / 2.0))
     assert np.sort(np.abs(found))[1:] == pytest.approx([POLE] * 4, abs=2e-3)
     slowness = float(np.min(np.abs(found))) / 0.8
     assert 0.3 < slowness < 1.0
@@ -246,7 +246,7 @@ def test_observer_poles_come_first() -> None:
 @pytest.mark.parametrize("noise", [1e3, np.inf, np.nan])
 def test_no_noise_makes_the_poles_slower_than_a_quarter_of_the_asked_speed(noise: float) -> None:
     a, b = model(1)
-    found = np.roots(quiet_loop(equation(a, b), a, b, MOTOR.order, POLE, noise, 1.0))
+    found = np.roots(detuned_loop(equation(a, b), a, b, MOTOR.order, POLE, noise, 1.0))
     slowest = 1.0 - SLOWEST_SHARE * (1.0 - POLE)
     assert distance(found, [slowest] * 4 + [OBSERVER_POLE] * (len(found) - 4)) < 5e-3
 

@@ -119,7 +119,7 @@ def test_a_spike_reaches_the_filters_only_without_a_screen(clip: float) -> None:
     filters, books = bank(), state()
     for tick in range(1, 61):
         fast.take_in(settings, MOTOR, books, filters, measured(tick))
-    widest = 3.0 + clip * filters.screen.deviation
+    widest = 3.0 + clip * filters.outlier_filter.deviation
     fast.take_in(settings, MOTOR, books, filters, measured(61, output=30.0))
     assert filters.output == pytest.approx(widest if clip else 30.0, abs=1e-12)
 

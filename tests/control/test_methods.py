@@ -13,13 +13,11 @@ from scipy.signal import cont2discrete
 
 from adaptdrive.control import fast
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import learn
-from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation import rls as ud
+from adaptdrive.control.estimation import learn, regression, rls
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import ControllerSettings, Learning
+from adaptdrive.control.settings import ControllerSettings, EstimatorSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervision.redesign import judged_model
 from adaptdrive.control.supervision.state import SlowState, new_slow_state
@@ -56,7 +54,7 @@ MEASURED = replace(
 TAU_s = SCALED_LEARNING.tau_lambda_s
 
 
-def filled(learning: Learning, load: Load) -> SlowState:
+def filled(learning: EstimatorSettings, load: Load) -> SlowState:
     """A state 60 s after its start, 20 s after its origin, whose r has been filled in."""
     state = new_slow_state(replace(EXACT, learning=learning), load, 3.0, 280.0)
     estimator = state.estimator
@@ -68,7 +66,7 @@ def filled(learning: Learning, load: Load) -> SlowState:
 
 def covariance(state: est.EstimatorState) -> Array:
     count = len(state.estimate.theta)
-    flat = ud.covariance(state.estimate.upper, state.estimate.diagonal)
+    flat = rls.covariance(state.estimate.upper, state.estimate.diagonal)
     return np.reshape(np.array(flat), (count, count))
 
 
@@ -112,7 +110,7 @@ def test_a_ceiling_of_the_covariance_adds_its_information_to_each_sample(ceiling
     state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
     state.sample.regressor[:] = [-1.0, -0.9, 1.1]
     before = np.linalg.inv(covariance(state))
-    est.learn(state, learning, MOTOR, 3.0, usable=True)
+    est.update_estimate(state, learning, MOTOR, 3.0, usable=True)
     information = 0.9 * before + np.outer(state.sample.regressor, state.sample.regressor)
     if ceiling > 0.0:
         information += 0.1 / ceiling * np.eye(3)
@@ -148,7 +146,7 @@ def learnt(
         estimator, past = state.estimator, (state.outputs, state.inputs)
         estimator.method.fill_regressor(estimator, learning, MOTOR, sample, past)
         target = estimator.method.target(learning, sample)
-        est.learn(estimator, learning, MOTOR, target, usable=True)
+        est.update_estimate(estimator, learning, MOTOR, target, usable=True)
         innovations.append(state.estimator.innovation)
         shift_in(state.outputs, sample.output)
         inputs = [280.0 + 20.0 * random.normal(), inputs[0]]
@@ -183,7 +181,7 @@ def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> 
         state, innovations = learnt(settings, [1] * 200 + [3] * 60, noise=1e-4)
         errors[alert] = math.sqrt(float(np.mean(innovations[-30:] ** 2)))
         shown[alert] = learn.residual_noise(state.estimator) * learning.output_scale
-        assert state.estimator.surprise.alarms == (1 if alert else 0)
+        assert state.estimator.detector.alarms == (1 if alert else 0)
     assert shown[True] == pytest.approx(errors[True], rel=0.5)
     assert errors[True] < 5e-4
     assert errors[False] > 2.0 * errors[True]
@@ -227,7 +225,7 @@ def simulated_charge() -> tuple[Array, Array]:
     return voltages, currents
 
 
-def learnt_charge(learning: Learning) -> est.EstimatorState:
+def learnt_charge(learning: EstimatorSettings) -> est.EstimatorState:
     """An estimate from the tick-wise samples, which start at rest on the first ones."""
     voltages, currents = simulated_charge()
     state = est.new_estimator(METHODS[learning.method], learning, CHARGED, 2)
@@ -238,21 +236,23 @@ def learnt_charge(learning: Learning) -> est.EstimatorState:
             fast.accumulate(bank)
             y, *rest = fast.take_means(bank)
             state.charge = float(np.sum(currents[:n])) * TICK_s / 20.0 / learning.output_scale
-            reg.fill_filtered_regressor(
+            regression.fill_filtered_regressor(
                 state.sample.regressor, learning, CHARGED, rest[:1], rest[1:]
             )
-            reg.fill_charge(state.sample.regressor, learning, state.charge)
-            est.learn(state, learning, CHARGED, y, usable=True)
+            regression.fill_charge(state.sample.regressor, learning, state.charge)
+            est.update_estimate(state, learning, CHARGED, y, usable=True)
     return state
 
 
 def test_the_rise_of_an_emf_is_no_dynamics() -> None:
     state = learnt_charge(CHARGE_LEARNING)
-    found = CHARGED.physical(*reg.filtered_model(state.estimate.theta, CHARGE_LEARNING, CHARGED))
+    found = CHARGED.physical(
+        *regression.filtered_model(state.estimate.theta, CHARGE_LEARNING, CHARGED)
+    )
     assert found == pytest.approx(TRUTH, rel=0.02)
     ignorant = replace(CHARGE_LEARNING, charge=False)
     mistaken = CHARGED.physical(
-        *reg.filtered_model(learnt_charge(ignorant).estimate.theta, ignorant, CHARGED)
+        *regression.filtered_model(learnt_charge(ignorant).estimate.theta, ignorant, CHARGED)
     )
     assert abs(mistaken[1] / TRUTH[1] - 1.0) > 0.2
 
@@ -261,6 +261,6 @@ def test_the_offset_is_the_emf_of_now() -> None:
     state = learnt_charge(CHARGE_LEARNING)
     _, currents = simulated_charge()
     emf_V = 72.0 + RISE_V_PER_AS * float(np.sum(currents)) * TICK_s
-    offset_V = reg.input_offset(state.estimate.theta, CHARGE_LEARNING, CHARGED, state.charge)
+    offset_V = regression.input_offset(state.estimate.theta, CHARGE_LEARNING, CHARGED, state.charge)
     assert offset_V == pytest.approx(-emf_V / TURNS, rel=2e-3)
     assert emf_V - 72.0 > 0.8

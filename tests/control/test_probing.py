@@ -88,7 +88,7 @@ def test_an_estimate_that_is_contested_or_unseen_does_not_end_it(contest: str) -
     state = probing()
     state.supervisor.verdict = Verdict.TRUSTED
     if contest == "sum":
-        state.estimator.surprise.sum = 1.0
+        state.estimator.detector.sum = 1.0
     elif contest == "unseen":
         state.estimator.unseen_periods = 2 * HALF
     else:

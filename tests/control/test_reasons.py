@@ -14,15 +14,15 @@ from adaptdrive.control.supervision.state import SlowState, new_slow_state, reas
 from adaptdrive.control.supervision.supervisor import Verdict
 from tests.closed_loop.bench import EXACT, MOTOR
 
-JACKET = replace(EXACT.jacket, spread_max=0.05)
+JACKET = replace(EXACT.supervision, spread_max=0.05)
 PROBING = Probing(stale_periods=300)
 GAIN, SUM_s, PRODUCT_s2 = 0, 1, 2
 
 
-def judged(verdict: Verdict, culprit: int = GAIN) -> SlowState:
+def judged(verdict: Verdict, out_of_bounds: int = GAIN) -> SlowState:
     """A slow half whose estimate got a verdict."""
     state = new_slow_state(EXACT, MOTOR, 3.0, 3.0 / 0.011)
-    state.supervisor.verdict, state.supervisor.culprit = verdict, culprit
+    state.supervisor.verdict, state.supervisor.out_of_bounds = verdict, out_of_bounds
     state.values = list(state.nominal)
     state.spread = 0.01
     return state
@@ -70,17 +70,17 @@ def test_what_is_not_known_yet_is_named_with_its_figures(
     assert said(state) == text
 
 
-def out_of_bounds(culprit: int, ratio: float, better: float = 100.0) -> str:
+def out_of_bounds(parameter: int, ratio: float, better: float = 100.0) -> str:
     """The reason of an estimate that predicts so many times better than the nominal model."""
-    state = judged(Verdict.OUT_OF_BOUNDS, culprit)
-    state.values[culprit] *= ratio
+    state = judged(Verdict.OUT_OF_BOUNDS, parameter)
+    state.values[parameter] *= ratio
     state.supervisor.own_power = 1e-4
     state.supervisor.fixed_power = 1e-4 * better * better
     return said(state)
 
 
 @pytest.mark.parametrize(
-    ("culprit", "ratio", "contrast"),
+    ("parameter", "ratio", "contrast"),
     [
         (GAIN, 12.0, "12 times larger in gain"),
         (GAIN, 0.125, "8 times smaller in gain"),
@@ -94,9 +94,9 @@ def out_of_bounds(culprit: int, ratio: float, better: float = 100.0) -> str:
     ],
 )
 def test_a_load_that_is_another_than_configured_is_described(
-    culprit: int, ratio: float, contrast: str
+    parameter: int, ratio: float, contrast: str
 ) -> None:
-    text = out_of_bounds(culprit, ratio)
+    text = out_of_bounds(parameter, ratio)
     assert f"but predicts 100 times better than [load.model]: the load is {contrast}" in text
     assert text.endswith("than [load.model]; commission this load")
 

@@ -25,10 +25,10 @@ from tests.control.systems import distance
 
 POLE = 0.7
 JACKET = replace(
-    EXACT.jacket, warm_up_periods=0, spread_max=0.05, confidence=2.0, residual_margin=1.5
+    EXACT.supervision, warm_up_periods=0, spread_max=0.05, confidence=2.0, residual_margin=1.5
 )
 LEARNING = replace(EXACT.learning, bias=True, alert=True)
-CAREFUL = replace(EXACT, jacket=JACKET, learning=LEARNING)
+CAREFUL = replace(EXACT, supervision=JACKET, learning=LEARNING)
 
 
 def parameters(disks: float) -> list[float]:
@@ -78,7 +78,7 @@ def test_an_estimate_that_is_trusted_becomes_gains_and_the_trusted_model() -> No
 def test_gains_in_force_move_by_their_share_and_waiting_ones_at_once(
     adaptive: bool, slew: float, share: float
 ) -> None:
-    settings = replace(CAREFUL, jacket=replace(JACKET, gain_slew=slew))
+    settings = replace(CAREFUL, supervision=replace(JACKET, gain_slew=slew))
     state = known(1.0, settings)
     adapted(state, settings)
     state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
@@ -112,7 +112,7 @@ def test_a_model_without_a_gain_at_rest_is_not_finite() -> None:
 
 
 def test_a_load_that_swings_is_refused_before_its_certainty() -> None:
-    damped = replace(CAREFUL, jacket=replace(JACKET, damping_min=0.8))
+    damped = replace(CAREFUL, supervision=replace(JACKET, damping_min=0.8))
     for product, verdict in ((234.0, Verdict.TRUSTED), (900.0, Verdict.UNDERDAMPED)):
         state = known(2.0, damped)
         values = [0.011, 33.4, product]
@@ -125,15 +125,15 @@ def test_an_estimate_whose_loop_is_not_sure_is_refused_after_its_residuals() -> 
     state = known()
     state.estimator.estimate.diagonal[:] = [1e6] * len(state.estimator.estimate.theta)
     assert adapted(state) == Verdict.UNCERTAIN
-    careless = replace(CAREFUL, jacket=replace(JACKET, spread_max=0.0))
+    careless = replace(CAREFUL, supervision=replace(JACKET, spread_max=0.0))
     assert adapted(state, careless) == Verdict.TRUSTED
     state.supervisor.own_power, state.supervisor.fixed_power = 1.0, 0.1
     assert adapted(state) == Verdict.WORSE_THAN_FIXED
 
 
 def test_a_load_that_grows_is_refused() -> None:
-    wide = replace(CAREFUL, jacket=replace(JACKET, ratio_min=-1e9, ratio_max=1e9))
-    wide = replace(wide, jacket=replace(wide.jacket, spread_max=0.0, residual_margin=0.0))
+    wide = replace(CAREFUL, supervision=replace(JACKET, ratio_min=-1e9, ratio_max=1e9))
+    wide = replace(wide, supervision=replace(wide.supervision, spread_max=0.0, residual_margin=0.0))
     state = known()
     values = [0.011, -30.0, 234.0]
     state.estimator.estimate.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
@@ -150,9 +150,9 @@ def test_noise_of_the_output_makes_the_poles_slower(noise: float, rounding: floa
         * LEARNING.output_scale
         * noise_gain(equation(a, b), a, b, asked_loop(b, 2, POLE))
     )
-    settings = replace(CAREFUL, jacket=replace(JACKET, noise_max=limit))
+    settings = replace(CAREFUL, supervision=replace(JACKET, noise_max=limit))
     state = known(2.0, settings)
-    state.estimator.surprise.noise, state.estimator.sample.rounding = noise * noise, rounding
+    state.estimator.detector.noise, state.estimator.sample.rounding = noise * noise, rounding
     assert adapted(state, settings) == Verdict.TRUSTED
     noise_V = 4e-3 * LEARNING.output_scale * noise_gain(equation(a, b), a, b, state.new_loop)
     assert 0.9 * limit < noise_V <= limit
@@ -179,7 +179,11 @@ def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods() -> 
     state = known(30.0)
     estimator = state.estimator
     estimator.sample.time_s, estimator.estimate.theta[5] = 500.0, 0.7
-    estimator.surprise.sum, estimator.rivals.samples, estimator.challenger.samples = 3.0, 4, 5
+    estimator.detector.sum, estimator.hypotheses.samples, estimator.second_filter.samples = (
+        3.0,
+        4,
+        5,
+    )
     before = list(estimator.estimate.theta)
     assert lost(state, CAREFUL, 60) == list(range(1, 61))
     assert estimator.estimate.theta == before
@@ -187,7 +191,12 @@ def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods() -> 
     assert estimator.estimate.theta == pytest.approx([*state.nominal_theta])
     assert estimator.estimate.diagonal == [LEARNING.initial_covariance] * 6
     assert estimator.estimate.origin_s == 500.0
-    assert estimator.surprise.sum == estimator.rivals.samples == estimator.challenger.samples == 0
+    assert (
+        estimator.detector.sum
+        == estimator.hypotheses.samples
+        == estimator.second_filter.samples
+        == 0
+    )
     assert adapted(state) == Verdict.UNCERTAIN
 
 

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import rls as ud
 from tests.control.systems import Array
 
 
@@ -30,7 +29,7 @@ class Recursive:
     @property
     def covariance(self) -> Array:
         size = len(self.theta)
-        return np.array(ud.covariance(self.upper, self.diagonal)).reshape(size, size)
+        return np.array(rls.covariance(self.upper, self.diagonal)).reshape(size, size)
 
     @property
     def sound(self) -> bool:
@@ -102,7 +101,7 @@ def test_whatever_arrives_p_stays_positive_definite(
     for *regressor, target in samples:
         recursive.take(np.array(regressor), target, forgetting)
         assert recursive.sound
-        excitation = ud.excitation(recursive.upper, recursive.diagonal, regressor)
+        excitation = rls.excitation(recursive.upper, recursive.diagonal, regressor)
         assert excitation >= 0.0
 
 
@@ -137,7 +136,7 @@ def test_bound_after_every_update_keeps_p_below_its_limit_for_ever(kind: str) ->
     recursive = Recursive(3)
     for n in range(10_000):
         recursive.take(POOR[kind](n), 1.0, 0.97)
-        ud.bound(recursive.upper, recursive.diagonal, 0.03 / 1e4)
+        rls.bound(recursive.upper, recursive.diagonal, 0.03 / 1e4)
     assert recursive.sound
     assert np.linalg.eigvalsh(recursive.covariance).max() <= 1e4 * (1.0 + 1e-6)
 
@@ -172,7 +171,7 @@ def test_directional_forgetting_forgets_only_along_the_sample() -> None:
     information += (1.0 - (1.0 - 0.97) / (r @ before @ r)) * np.outer(r, r)
     factors, weights, parameters = upper.ravel().tolist(), list(diagonal), [0.1, 0.2, 0.3]
     rls.update_along(parameters, factors, weights, r.tolist(), 1.5, 0.97)
-    found = np.array(ud.covariance(factors, weights)).reshape(3, 3)
+    found = np.array(rls.covariance(factors, weights)).reshape(3, 3)
     np.testing.assert_allclose(np.linalg.inv(found), information, rtol=1e-9)
     gain = found @ r
     expected = np.array([0.1, 0.2, 0.3]) + gain * (1.5 - r @ [0.1, 0.2, 0.3])

@@ -27,14 +27,14 @@ def noise(sigma: float, count: int) -> Array:
     return sigma * np.random.default_rng(3).normal(size=count)
 
 
-def watched(samples: Iterable[float]) -> rd.Grid:
+def watched(samples: Iterable[float]) -> rd.Quantiser:
     values = [float(y) for y in samples]
-    grid = rd.Grid(values[0])
+    quantiser = rd.Quantiser(values[0])
     for n, y in enumerate(values, 1):
-        rd.note_sample(grid, y, SCALE)
+        rd.note_sample(quantiser, y, SCALE)
         if n % TICKS == 0:
-            rd.close_share(grid, TICKS)
-    return grid
+            rd.close_share(quantiser, TICKS)
+    return quantiser
 
 
 def found(samples: Iterable[float]) -> float:
@@ -70,8 +70,8 @@ def test_without_steps_none_is_found() -> None:
 
 def test_another_sensor_is_noticed() -> None:
     course = slow_course() + noise(0.004, len(slow_course()))
-    grid = watched(np.concatenate([np.round(course / q) * q for q in (0.01, 0.0037)]))
-    assert rd.step_found(grid, SCALE) == pytest.approx(0.0037, rel=0.01)
+    quantiser = watched(np.concatenate([np.round(course / q) * q for q in (0.01, 0.0037)]))
+    assert rd.step_found(quantiser, SCALE) == pytest.approx(0.0037, rel=0.01)
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1))
@@ -96,7 +96,7 @@ def test_noise_takes_the_rounding_error_out_of_a_mean(ratio: float) -> None:
 def test_a_configured_resolution_counts_before_one_that_is_found() -> None:
     """The paper's design looks for none."""
     bank = fast.new_filter_bank(MOTOR, TICK_s, 10.0, 3.0, 280.0)
-    bank.grid = watched(np.round(slow_course() / 0.01) * 0.01)
+    bank.quantiser = watched(np.round(slow_course() / 0.01) * 0.01)
     for exact, resolution, rounding in ((True, 0.0, 0.01), (True, 0.004, 0.004), (False, 0.0, 0.0)):
         learning = replace(EXACT.learning, resolution=resolution)
         settings = replace(EXACT, learning=learning, exact=exact)
@@ -105,8 +105,8 @@ def test_a_configured_resolution_counts_before_one_that_is_found() -> None:
 
 @pytest.mark.parametrize("step", [0.0, 0.05])
 def test_a_step_that_an_earlier_run_found_is_known_from_the_start(step: float) -> None:
-    grid = rd.remembered_grid(step)
-    assert rd.step_found(grid, 3.0) == step
+    quantiser = rd.known_quantiser(step)
+    assert rd.step_found(quantiser, 3.0) == step
     for sample in (3.0, 3.05, 3.1):
-        rd.note_sample(grid, sample, 3.0)
-    assert rd.step_found(grid, 3.0) == step
+        rd.note_sample(quantiser, sample, 3.0)
+    assert rd.step_found(quantiser, 3.0) == step

@@ -170,8 +170,8 @@ SMALL = Rates(
 RESPONDING = replace(
     EXACT,
     rates=SMALL,
-    jacket=replace(
-        EXACT.jacket, ratio_min=0.5, ratio_max=1.0, response_periods=5, response_distance=0.05
+    supervision=replace(
+        EXACT.supervision, ratio_min=0.5, ratio_max=1.0, response_periods=5, response_distance=0.05
     ),
 )
 
@@ -193,13 +193,13 @@ def test_a_load_that_does_not_answer_is_a_fault_and_named(reference: float) -> N
 
 THREE_DISKS = (0.011, 45.1, 351.0)
 JACKET = replace(
-    EXACT.jacket,
+    EXACT.supervision,
     spread_max=0.05,
     confidence=2.0,
     residual_margin=1.5,
     dwell_periods=3,
 )
-CAREFUL = replace(EXACT, jacket=JACKET, learning=replace(EXACT.learning, bias=True))
+CAREFUL = replace(EXACT, supervision=JACKET, learning=replace(EXACT.learning, bias=True))
 
 
 def first_adaptive(

@@ -1,4 +1,4 @@
-"""The screen: spikes are clipped, honest changes pass."""
+"""The outlier_filter: spikes are clipped, honest changes pass."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control.estimation.filters import LASTING, WIDE, Screen, pass_sample
+from adaptdrive.control.estimation.filters import LASTING, WIDE, OutlierFilter, reject_outlier
 from tests.control.systems import Array
 
 CLIP = 4.0
@@ -15,9 +15,11 @@ EXACT = 1e-12
 """Rounding of a sample that passes unclipped."""
 
 
-def screened(samples: Array, *, level: float = 3.0, ticks: int = 1) -> tuple[Array, Screen]:
-    screen = Screen(level, 0.0, WIDE * level)
-    return np.array([pass_sample(screen, float(y), CLIP, ticks) for y in samples]), screen
+def screened(samples: Array, *, level: float = 3.0, ticks: int = 1) -> tuple[Array, OutlierFilter]:
+    outlier_filter = OutlierFilter(level, 0.0, WIDE * level)
+    return np.array(
+        [reject_outlier(outlier_filter, float(y), CLIP, ticks) for y in samples]
+    ), outlier_filter
 
 
 def gaussian(count: int, sigma: float) -> Array:
@@ -26,8 +28,8 @@ def gaussian(count: int, sigma: float) -> Array:
 
 def test_the_deviation_is_that_of_gaussian_noise() -> None:
     samples = gaussian(5000, 0.01)
-    passed, screen = screened(samples)
-    assert screen.deviation == pytest.approx(0.8 * 0.01, rel=0.25)
+    passed, outlier_filter = screened(samples)
+    assert outlier_filter.deviation == pytest.approx(0.8 * 0.01, rel=0.25)
     assert np.mean(abs(passed - samples) > EXACT) < 0.01
     assert np.mean(passed) == pytest.approx(np.mean(samples), abs=1e-4)
 
@@ -52,7 +54,7 @@ def test_a_lasting_step_opens_the_screen_within_half_a_second() -> None:
 def test_a_rise_from_rest_passes_a_second_late_at_most_however_seldom_samples_come(
     ticks: int, tau_s: float
 ) -> None:
-    """A drive that is polled ten times a second must not be controlled for seconds on a screen."""
+    """A drive polled ten times a second is not controlled for seconds on old values."""
     times_s = np.arange(400) * ticks / 120.0
     start_s = times_s[200]
     rise = 120.0 * (1.0 - np.exp(-np.maximum(0.0, times_s - start_s) / tau_s))
@@ -72,21 +74,24 @@ def test_spikes_among_seldom_samples_are_clipped(ticks: int) -> None:
 
 @given(st.lists(st.floats(-1e6, 1e6), max_size=60))
 def test_what_passes_lies_between_the_prediction_and_the_sample(samples: list[float]) -> None:
-    screen = Screen(3.0, 0.0, 0.03)
+    outlier_filter = OutlierFilter(3.0, 0.0, 0.03)
     for sample in samples:
-        predicted, limit = screen.level + screen.slope, CLIP * screen.deviation
-        passed = pass_sample(screen, sample, CLIP, 1)
+        predicted, limit = (
+            outlier_filter.level + outlier_filter.slope,
+            CLIP * outlier_filter.deviation,
+        )
+        passed = reject_outlier(outlier_filter, sample, CLIP, 1)
         rounding = 1e-9 * (1.0 + abs(sample) + abs(predicted))
         assert min(predicted, sample) - rounding <= passed <= max(predicted, sample) + rounding
-        opened = screen.beyond == 0 and abs(sample - predicted) > limit
+        opened = outlier_filter.beyond == 0 and abs(sample - predicted) > limit
         assert opened or abs(passed - predicted) <= limit + rounding
 
 
 def test_a_noiseless_output_does_not_close_the_screen() -> None:
-    screen = Screen(3.0, 0.0, 1.0)
+    outlier_filter = OutlierFilter(3.0, 0.0, 1.0)
     for _ in range(5000):
-        pass_sample(screen, 3.0, CLIP, 1, least=1e-4)
-    assert screen.deviation == 1e-4
+        reject_outlier(outlier_filter, 3.0, CLIP, 1, least=1e-4)
+    assert outlier_filter.deviation == 1e-4
 
 
 STEP = 0.026
@@ -113,8 +118,10 @@ def still(kind: str, level: float) -> Iterator[float]:
 def test_a_change_after_a_standstill_passes_in_five(
     kind: str, level: float, change: float, ticks: int
 ) -> None:
-    screen = Screen(level, 0.0, 0.01 * level)
+    outlier_filter = OutlierFilter(level, 0.0, 0.01 * level)
     for sample in still(kind, level):
-        pass_sample(screen, sample, CLIP, ticks)
-    passed = [pass_sample(screen, level + change, CLIP, ticks) for _ in range(3 * LASTING)]
+        reject_outlier(outlier_filter, sample, CLIP, ticks)
+    passed = [
+        reject_outlier(outlier_filter, level + change, CLIP, ticks) for _ in range(3 * LASTING)
+    ]
     assert passed[LASTING - 1 :] == pytest.approx([level + change] * (2 * LASTING + 1), abs=STEP)

@@ -83,7 +83,7 @@ def test_a_pole_or_a_period_that_changes_makes_new_fixed_gains(
 
 def test_a_reference_faster_than_a_slow_pole_is_no_error_of_the_loop() -> None:
     """The loop lags far behind such a reference for ever, as it was asked to."""
-    settings = replace(EXACT, jacket=replace(EXACT.jacket, error_limit=0.1))
+    settings = replace(EXACT, supervision=replace(EXACT.supervision, error_limit=0.1))
     a, b = discrete_model(settings, MOTOR, list(MOTOR.numerator), list(MOTOR.denominator), 1.0)
     state, inputs, outputs, lags = at_rest(settings), [REST_V] * len(b), [3.0] * len(a), []
     for k in range(1000):
@@ -92,7 +92,7 @@ def test_a_reference_faster_than_a_slow_pole_is_no_error_of_the_loop() -> None:
         asked = sample(float(outputs[0]), reference=reference, pole=0.95, adaptive=True)
         inputs = [0.0, slow_step(settings, MOTOR, state, asked), *inputs[1:-1]]
         lags.append(abs(reference - outputs[0]))
-    assert min(lags[-20:]) > settings.jacket.error_limit
+    assert min(lags[-20:]) > settings.supervision.error_limit
     assert state.watch.fallback == Fallback.NONE
 
 
@@ -139,8 +139,8 @@ def test_the_course_stays_that_of_the_load_where_the_drive_cannot_follow(slownes
     """The output of the model is B/B(1) m, whatever input was applied."""
     system = motor_system(3)
     a, b = discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0)
-    jacket = replace(EXACT.jacket, warm_up_periods=10**6, patience_periods=10**6)
-    settings, state = replace(EXACT, jacket=jacket), in_force(a, b, slowness)
+    supervision = replace(EXACT.supervision, warm_up_periods=10**6, patience_periods=10**6)
+    settings, state = replace(EXACT, supervision=supervision), in_force(a, b, slowness)
     inputs, outputs, held_back, applied = [REST_V] * (len(b) - 1), [3.0] * 2, 0, REST_V
     for k in range(400):
         y = float(np.dot(b[1:], inputs) - np.dot(a[1:], outputs))
@@ -161,10 +161,10 @@ def mean_error_at_the_lower_limit(confidence: float) -> float:
     """Mean error of a noisy output whose rest is 5 V above the lowest V_c."""
     system, slowness, reference = motor_system(3), 1.0, 0.011 * 205.0
     a, b = discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0)
-    jacket = replace(
-        EXACT.jacket, warm_up_periods=10**6, patience_periods=10**6, confidence=confidence
+    supervision = replace(
+        EXACT.supervision, warm_up_periods=10**6, patience_periods=10**6, confidence=confidence
     )
-    settings, state = replace(EXACT, jacket=jacket), in_force(a, b, slowness)
+    settings, state = replace(EXACT, supervision=supervision), in_force(a, b, slowness)
     state.input_noise = state.fast_noise = 8.0
     noise = 8.0 / noise_gain(
         equation(a, b), a, b, slowed_loop([1.0], MOTOR.order, len(b) - 3, 0.7, slowness)
@@ -194,8 +194,8 @@ FIXED = replace(AT_REST, adaptive=False)
 @pytest.mark.parametrize("followed", [True, False])
 def test_an_error_counts_only_while_the_drive_follows(*, followed: bool) -> None:
     """The output stays although the set-point is 0.2 V away."""
-    jacket = replace(EXACT.jacket, error_limit=0.1, response_distance=1.0)
-    settings, state = replace(EXACT, jacket=jacket), at_rest()
+    supervision = replace(EXACT.supervision, error_limit=0.1, response_distance=1.0)
+    settings, state = replace(EXACT, supervision=supervision), at_rest()
     for _ in range(60):
         applied = REST_V if followed else REST_V + 1.0
         asked = replace(AT_REST, reference=3.2, followed=followed, applied=applied, high=1e9)
@@ -221,8 +221,8 @@ def test_an_input_by_hand_at_a_limit_shows_a_load_that_does_not_answer(
     held_V: float, *, unresponsive: bool
 ) -> None:
     """One within the limits is the operator's own, and judged by the operator."""
-    jacket = replace(EXACT.jacket, response_periods=20, response_distance=0.05)
-    settings, state = replace(EXACT, jacket=jacket), at_rest()
+    supervision = replace(EXACT.supervision, response_periods=20, response_distance=0.05)
+    settings, state = replace(EXACT, supervision=supervision), at_rest()
     for _ in range(400):
         slow_step(settings, MOTOR, state, replace(FIXED, manual=True, held=held_V))
     assert state.unresponsive is unresponsive
@@ -230,8 +230,10 @@ def test_an_input_by_hand_at_a_limit_shows_a_load_that_does_not_answer(
 
 POLE = 0.7
 BLEND = 4
-JACKET = replace(EXACT.jacket, warm_up_periods=0, blend_periods=BLEND, ratio_min=0.5, ratio_max=4.0)
-SETTINGS = replace(EXACT, jacket=JACKET)
+JACKET = replace(
+    EXACT.supervision, warm_up_periods=0, blend_periods=BLEND, ratio_min=0.5, ratio_max=4.0
+)
+SETTINGS = replace(EXACT, supervision=JACKET)
 LEAD = reference_lead(SETTINGS, MOTOR)
 UNTAUGHT = 0.2
 """Share of stand-in ticks from which a sample teaches nothing: the estimate stays."""
@@ -325,7 +327,7 @@ def test_a_law_that_is_not_a_number_repeats_the_newest_input() -> None:
 
 def cycling(state: SlowState, sample: SlowSample, periods: int = 70) -> bool:
     """Whether an output that swings across the set-point is called a limit cycle."""
-    settings = replace(SETTINGS, jacket=replace(JACKET, swing_min=0.1))
+    settings = replace(SETTINGS, supervision=replace(JACKET, swing_min=0.1))
     for number in range(periods):
         state.supervisor.own_power, state.supervisor.fixed_power = 0.0, 1e12
         state.supervisor.fixed_mean = 0.0

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from adaptdrive.control.settings import Jacket
+from adaptdrive.control.settings import SupervisionLimits
 from adaptdrive.control.supervision.supervisor import (
     SupervisorState,
     Verdict,
@@ -23,7 +23,7 @@ from adaptdrive.control.supervision.supervisor import (
     take_verdict,
 )
 
-JACKET = Jacket(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=3)
+JACKET = SupervisionLimits(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=3)
 DAMPED = replace(JACKET, damping_min=0.8)
 WRONG = [
     Verdict.NOT_FINITE,
@@ -60,7 +60,7 @@ def test_the_parameter_out_of_bounds_is_named(index: int, ratio: float, good: li
     assert judge_bounds(values, nominal, JACKET, state) == Verdict.TRUSTED
     values[index] = nominal[index] * ratio
     assert judge_bounds(values, nominal, JACKET, state) == Verdict.OUT_OF_BOUNDS
-    assert state.culprit == index
+    assert state.out_of_bounds == index
 
 
 @given(st.floats(0.01, 1e3), st.floats(0.01, 1e3))
@@ -128,10 +128,10 @@ def test_doubt_loses_only_the_gains_under_which_it_comes_up(
 def test_trust_begins_after_the_warm_up_and_lasts_as_long_as_patience(
     verdicts: list[Verdict], patience: int, warm_up: int
 ) -> None:
-    jacket = replace(JACKET, patience_periods=patience, warm_up_periods=warm_up)
+    supervision = replace(JACKET, patience_periods=patience, warm_up_periods=warm_up)
     state, good = SupervisorState(), -100
     for periods, verdict in enumerate(verdicts, 1):
-        accepted = take_verdict(state, verdict, jacket, periods, in_force=True)
+        accepted = take_verdict(state, verdict, supervision, periods, in_force=True)
         assert accepted == (verdict == Verdict.TRUSTED and periods > warm_up)
         good = periods if accepted else good
         assert state.trusted == (periods - good <= patience)

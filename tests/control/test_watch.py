@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control.settings import Jacket
+from adaptdrive.control.settings import SupervisionLimits
 from adaptdrive.control.supervision.monitor import (
-    CyclingState,
     Fallback,
-    WatchState,
+    LimitCycleState,
+    MonitorState,
     latch_fallback,
-    watch_cycling,
-    watch_loop,
-    watch_response,
+    monitor_limit_cycle,
+    monitor_loop,
+    monitor_response,
 )
 
-JACKET = Jacket(
+JACKET = SupervisionLimits(
     warm_up_periods=0,
     ratio_min=0.2,
     ratio_max=6.0,
@@ -34,15 +34,15 @@ LAG = 20.0
 
 
 def look(
-    state: WatchState,
+    state: MonitorState,
     *,
     error: float = 0.0,
     rest: float = 0.0,
     held: float = 0.0,
     saturated: bool = False,
-    jacket: Jacket = JACKET,
+    supervision: SupervisionLimits = JACKET,
 ) -> int:
-    return watch_loop(state, jacket, error, error, rest, 0.7, held, saturated)
+    return monitor_loop(state, supervision, error, error, rest, 0.7, held, saturated)
 
 
 def first(reasons: list[int], expected: int = 0) -> int | None:
@@ -67,7 +67,7 @@ def first(reasons: list[int], expected: int = 0) -> int | None:
 )
 def test_a_limit_away_from_rest_falls_back(rests: list[float], expected: int | None) -> None:
     """The input is at its limit in all periods but where there is no number."""
-    state = WatchState()
+    state = MonitorState()
     reasons = [look(state, rest=rest, saturated=not math.isnan(rest)) for rest in rests]
     assert first(reasons, Fallback.SATURATED) == expected
 
@@ -84,7 +84,7 @@ def test_a_limit_away_from_rest_falls_back(rests: list[float], expected: int | N
 def test_a_large_error_with_a_free_input_falls_back(
     errors: list[float], expected: int | None
 ) -> None:
-    state, limited = WatchState(), WatchState()
+    state, limited = MonitorState(), MonitorState()
     assert first([look(state, error=error) for error in errors], Fallback.ERROR) == expected
     assert not any(look(limited, error=9.0, saturated=True) for _ in range(300))
 
@@ -106,19 +106,19 @@ def test_a_large_error_with_a_free_input_falls_back(
     ],
 )
 def test_six_swings_that_grow_fall_back(errors: list[float], expected: int | None) -> None:
-    state, jacket = WatchState(), replace(JACKET, error_limit=0.0)
-    reasons = [look(state, error=error, jacket=jacket) for error in errors]
+    state, supervision = MonitorState(), replace(JACKET, error_limit=0.0)
+    reasons = [look(state, error=error, supervision=supervision) for error in errors]
     assert first(reasons, Fallback.OSCILLATING) == expected
 
 
 @pytest.mark.parametrize(("held", "expected"), [(0.5, 0), (0.51, Fallback.BLIND)])
 def test_failed_measurements_fall_back(held: float, expected: int) -> None:
-    assert look(WatchState(), held=held) == expected
+    assert look(MonitorState(), held=held) == expected
 
 
 def test_a_fallback_stays_until_adaptive_is_asked_for_anew() -> None:
     """That forgets what the watch has counted; without adaptive nothing is latched."""
-    state = WatchState(error_periods=30, swings=5)
+    state = MonitorState(error_periods=30, swings=5)
     course = [
         (Fallback.ERROR, False, Fallback.NONE),
         (0, True, Fallback.NONE),
@@ -147,7 +147,7 @@ def test_a_fallback_stays_until_adaptive_is_asked_for_anew() -> None:
 def test_a_fallback_ends_when_its_cause_is_gone_but_for_a_loop_that_swings_by_itself(
     fallback: Fallback, ends: bool
 ) -> None:
-    state = WatchState(asked=True)
+    state = MonitorState(asked=True)
     for reason in [fallback] * 3 + [0] * 19:
         latch_fallback(state, reason, asked=True)
         assert state.fallback == fallback
@@ -157,7 +157,7 @@ def test_a_fallback_ends_when_its_cause_is_gone_but_for_a_loop_that_swings_by_it
 
 @pytest.mark.parametrize("left", ["stuck_periods", "error_periods"])
 def test_what_is_left_of_a_cause_keeps_the_fallback(left: str) -> None:
-    state = WatchState(asked=True)
+    state = MonitorState(asked=True)
     latch_fallback(state, Fallback.SATURATED, asked=True)
     setattr(state, left, 1)
     for _ in range(100):
@@ -175,19 +175,19 @@ def response(
     seconds: int = 600,
 ) -> int | None:
     """Seconds until a trip, of a load that rests at one input and gets another one, its limit."""
-    state, output = WatchState(fast=before, slow=before), gain * before
+    state, output = MonitorState(fast=before, slow=before), gain * before
     for second in range(seconds):
         if not dead:
             output += (1.0 - math.exp(-1.0 / lag_s)) * (gain * after - output)
-        if watch_response(state, JACKET, after, LAG, output, saturated=True):
+        if monitor_response(state, JACKET, after, LAG, output, saturated=True):
             return second
     return None
 
 
 def test_a_moment_off_the_limit_begins_the_wait_for_a_response_anew() -> None:
-    state = WatchState(fast=3.0, slow=3.0)
+    state = MonitorState(fast=3.0, slow=3.0)
     trips = [
-        watch_response(state, JACKET, 4.4 + 0.1 * k, LAG, 3.0, saturated=k != 100)
+        monitor_response(state, JACKET, 4.4 + 0.1 * k, LAG, 3.0, saturated=k != 100)
         for k in range(222)
     ]
     assert trips == [False] * 221 + [True]
@@ -196,9 +196,9 @@ def test_a_moment_off_the_limit_begins_the_wait_for_a_response_anew() -> None:
 @pytest.mark.parametrize(("moved", "trips"), [(0.0499, True), (0.05, False), (-0.05, False)])
 def test_a_movement_of_the_response_distance_is_an_answer(moved: float, trips: bool) -> None:
     """Measured from where the output was when the input came to its limit."""
-    state = WatchState(fast=0.0, slow=0.0)
+    state = MonitorState(fast=0.0, slow=0.0)
     outputs = [0.0, moved, *[0.0] * 300]
-    found = [watch_response(state, JACKET, 4.4, LAG, y, saturated=True) for y in outputs]
+    found = [monitor_response(state, JACKET, 4.4, LAG, y, saturated=True) for y in outputs]
     assert found == [False] * 120 + [trips] * 182
 
 
@@ -206,9 +206,9 @@ def test_a_movement_of_the_response_distance_is_an_answer(moved: float, trips: b
 def test_the_smallest_load_must_move_by_the_response_distance(step: float, trips: bool) -> None:
     """A fifth of the way of the faster lag, of 4 periods, after the first period at the limit."""
     assert (0.2 * step * math.exp(-1.0 / 4.0) > 0.05) is trips
-    state = WatchState(fast=3.0, slow=3.0)
+    state = MonitorState(fast=3.0, slow=3.0)
     for _ in range(5000):
-        found = watch_response(state, JACKET, 3.0 + step, LAG, 3.0, saturated=True)
+        found = monitor_response(state, JACKET, 3.0 + step, LAG, 3.0, saturated=True)
     assert found is trips
 
 
@@ -236,9 +236,9 @@ def cycle_found(
     better: float = BETTER,
 ) -> int | None:
     """Periods until a limit cycle is found at a constant set-point."""
-    state = CyclingState()
+    state = LimitCycleState()
     for number, position in enumerate(positions):
-        if watch_cycling(state, position, 1.0, 0.01, better, fixed=True):
+        if monitor_limit_cycle(state, position, 1.0, 0.01, better, fixed=True):
             return number
     return None
 
@@ -279,18 +279,22 @@ def test_an_estimate_must_predict_three_times_better(better: float, cycles: bool
 
 @pytest.mark.parametrize(("step", "cycles"), [(0.0078125, True), (0.0079, False)])
 def test_a_set_point_that_trembles_by_less_than_its_step_rests(step: float, cycles: bool) -> None:
-    state = CyclingState(reference=1.0)
+    state = LimitCycleState(reference=1.0)
     seen = [
-        watch_cycling(state, float(k % 2), 1.0 + (k % 2) * step, 0.0078125, BETTER, fixed=True)
+        monitor_limit_cycle(
+            state, float(k % 2), 1.0 + (k % 2) * step, 0.0078125, BETTER, fixed=True
+        )
         for k in range(200)
     ]
     assert any(seen) is cycles
 
 
 def test_the_adaptive_controller_begins_the_count_anew() -> None:
-    state = CyclingState()
+    state = LimitCycleState()
     fixed = [True] * 50 + [False] + [True] * 200
-    seen = [watch_cycling(state, float(k % 2), 1.0, 0.01, BETTER, f) for k, f in enumerate(fixed)]
+    seen = [
+        monitor_limit_cycle(state, float(k % 2), 1.0, 0.01, BETTER, f) for k, f in enumerate(fixed)
+    ]
     assert not any(seen[:50])
     # at the period of the other controller the input arrives at a limit already
     assert seen.index(True) == 50 + WAYS

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from adaptdrive.control.estimation.estimator import EstimatorState
 from adaptdrive.control.estimation.methods import METHODS, LambdaMethod
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.vectors import Vector
 from adaptdrive_sim.campaign.motors import Stand, draw
@@ -45,7 +45,9 @@ class KnownLoad(LambdaMethod):
     loads: Sequence[Load]
     slow_s: float
 
-    def model(self, state: EstimatorState, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+    def model(
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load
+    ) -> tuple[Vector, Vector]:
         """Return numerator and denominator in s of the true load of this slow period."""
         k = round(state.sample.time_s / self.slow_s) - 1
         true = self.loads[min(max(k, 0), len(self.loads) - 1)]
@@ -63,11 +65,13 @@ def compare(campaign: Path, seed: int) -> Row:
     settings = stand.own.settings
     METHODS["known"] = KnownLoad(stand.true_loads(), stand.own.period_s)
     trusting = replace(
-        settings.jacket, ratio_min=-math.inf, ratio_max=math.inf, damping_min=0.0,
+        settings.supervision, ratio_min=-math.inf, ratio_max=math.inf, damping_min=0.0,
         residual_margin=0.0,
     )  # fmt: skip
     learning = replace(settings.learning, method="known")
-    stand.own = replace(stand.own, settings=replace(settings, learning=learning, jacket=trusting))
+    stand.own = replace(
+        stand.own, settings=replace(settings, learning=learning, supervision=trusting)
+    )
     known = judge(stand, fixed, stand.run(Mode.ADAPTIVE))
     estimated = judge(stand, fixed, adaptive)
     changed = float(bool(stand.change_times_s))

@@ -157,7 +157,7 @@ CONTROL: dict[str, str] = {
     "_SERIES_TERMS = 80": "the terms that are left out are below the rounding of a double",
     "control.design.noise:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
     "a, b = (list(denominator), [0.0] * (degree + 2))": _NOT_READ,
-    "control.estimation.rivals:_likeliest: if branch.score > rivals.branches[best].score: "
+    "control.estimation.hypothesis_test:_likeliest: if branch.score > rivals.branches[best].score: "
     "-> if branch.score >= rivals.branches[best].score:": "of explanations that "
     "are equal to the last digit, either may lead",
     "control.supervision.supervisor:_over_own_errors: if not power > _RESIDUAL_FLOOR: -> "

@@ -165,8 +165,8 @@ LEARNING = _control({
     "estimation.ud_factors": "test_rls test_beside",
     "estimation.branch": "test_explanation test_challenger test_drift test_methods test_estimator",
     "estimation.hypotheses": "test_explanation",
-    "estimation.rivals": "test_explanation",
-    "estimation.second_estimates": "test_challenger test_drift",
+    "estimation.hypothesis_test": "test_explanation",
+    "estimation.second_filters": "test_challenger test_drift",
     "estimation.explanation": "test_explanation test_challenger",
     "estimation.estimator": (
         "test_estimator test_runs test_redesign test_explanation "

@@ -160,8 +160,10 @@ def from_rest(
         period_s: T_k.
     """
     learning = dataclasses.replace(settings.learning, settle_periods=0)
-    jacket = dataclasses.replace(settings.jacket, warm_up_periods=round(warm_up_s / period_s))
-    return dataclasses.replace(settings, learning=learning, jacket=jacket)
+    supervision = dataclasses.replace(
+        settings.supervision, warm_up_periods=round(warm_up_s / period_s)
+    )
+    return dataclasses.replace(settings, learning=learning, supervision=supervision)
 
 
 def paper_settings(experiment: Experiment) -> ControllerSettings:

@@ -20,7 +20,7 @@ from adaptdrive.control.estimation import regression as reg
 from adaptdrive.control.estimation.filters import chain_decay, ramp_gains, step_gains
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load, to_input
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector, shift_in
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.case import Case, cycles_until_right, distances
@@ -149,7 +149,9 @@ def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> SweepPo
     return SweepPoint(setting, _speed(experiment, quiet), spread, _transient(experiment, quiet))
 
 
-def _estimate_filtered(heard: Heard, learning: Learning, noises: list[Array]) -> list[Array]:
+def _estimate_filtered(
+    heard: Heard, learning: EstimatorSettings, noises: list[Array]
+) -> list[Array]:
     """Physical parameters at every slow instant: without noise, and with each one."""
     load, rates = heard.case.experiment.nominal(), heard.case.settings.rates
     ticks = rates.ticks_per_period
@@ -165,19 +167,21 @@ def _estimate_filtered(heard: Heard, learning: Learning, noises: list[Array]) ->
 
 
 def _follow_filtered(
-    load: Load, learning: Learning, outputs: list[list[float]], inputs: list[list[float]]
+    load: Load, learning: EstimatorSettings, outputs: list[list[float]], inputs: list[list[float]]
 ) -> Array:
     state = est.new_estimator(methods.METHODS[learning.method], learning, load, load.paper_taps)
     found = []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
         reg.fill_filtered_regressor(state.sample.regressor, learning, load, filtered, applied)
-        est.learn(state, learning, load, target, usable=True)
+        est.update_estimate(state, learning, load, target, usable=True)
         numerator, denominator = reg.filtered_model(state.estimate.theta, learning, load)
         found.append(_physical(load, numerator, denominator))
     return np.array(found)
 
 
-def _estimate_directly(heard: Heard, learning: Learning, noises: list[Array]) -> list[Array]:
+def _estimate_directly(
+    heard: Heard, learning: EstimatorSettings, noises: list[Array]
+) -> list[Array]:
     """The same by least squares on the samples themselves."""
     ticks = heard.case.settings.rates.ticks_per_period
     clean = heard.output[::ticks]
@@ -185,7 +189,7 @@ def _estimate_directly(heard: Heard, learning: Learning, noises: list[Array]) ->
     return [_follow_directly(heard, learning, one.tolist()) for one in outputs]
 
 
-def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> Array:
+def _follow_directly(heard: Heard, learning: EstimatorSettings, outputs: list[float]) -> Array:
     load, period_s = heard.case.experiment.nominal(), heard.case.experiment.period_s
     state = est.new_estimator(methods.METHODS[learning.method], learning, load, load.paper_taps)
     past_outputs = [outputs[0]] * load.order
@@ -195,7 +199,7 @@ def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> 
         methods.fill_direct_regressor(
             state.sample.regressor, learning, load, past_outputs, past_inputs
         )
-        est.learn(state, learning, load, target, usable=True)
+        est.update_estimate(state, learning, load, target, usable=True)
         a, b = methods.direct_model(state.estimate.theta, learning, load)
         found.append(_physical(load, *methods.continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)

@@ -22,7 +22,7 @@ from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.section import si_unit
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import ControllerSettings, Jacket
+from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text
 from adaptdrive.recording import journal, journal_files, recorder, records, session
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
@@ -141,7 +141,7 @@ def recall(
         return Learnt(), None
     learnt, event = Learnt(), None
     if record:
-        learnt, event = _recalled(record, configuration, settings.jacket, load)
+        learnt, event = _recalled(record, configuration, settings.supervision, load)
     if measured:
         learnt = Learnt(_nominal(load), learnt.resolution)
         event = _start(load, learnt, "the measured model")
@@ -149,14 +149,14 @@ def recall(
 
 
 def _recalled(
-    record: bytes, configuration: Configuration, jacket: Jacket, load: Load
+    record: bytes, configuration: Configuration, supervision: SupervisionLimits, load: Load
 ) -> tuple[Learnt, Event]:
     try:
         checkpoint = msgspec.json.decode(record, type=Checkpoint)
     except NOT_JSON as problem:
         flaw = f"damaged: {problem}"
     else:
-        flaw = _flaw(checkpoint, configuration, jacket, load)
+        flaw = _flaw(checkpoint, configuration, supervision, load)
     if flaw:
         return Learnt(), _event(Severity.WARNING, f"checkpoint not used: {flaw}")
     values = tuple(checkpoint.estimates[name] for name in load.names)
@@ -164,7 +164,9 @@ def _recalled(
     return learnt, _start(load, learnt, "trusted estimates")
 
 
-def _flaw(checkpoint: Checkpoint, configuration: Configuration, jacket: Jacket, load: Load) -> str:
+def _flaw(
+    checkpoint: Checkpoint, configuration: Configuration, supervision: SupervisionLimits, load: Load
+) -> str:
     """Return why a checkpoint must not be used, empty for a sound one."""
     if checkpoint.key != configuration_key(configuration):
         return "it was made with another configuration"
@@ -172,7 +174,7 @@ def _flaw(checkpoint: Checkpoint, configuration: Configuration, jacket: Jacket, 
         return f"it holds {', '.join(checkpoint.estimates) or 'nothing'}"
     for name, usual in zip(load.names, _nominal(load), strict=True):
         value = checkpoint.estimates[name]
-        if not jacket.ratio_min <= value / usual <= jacket.ratio_max:
+        if not supervision.ratio_min <= value / usual <= supervision.ratio_max:
             return f"{name} = {value:.4g} is out of bounds"
     orders = configuration.load
     if not 0.0 <= checkpoint.resolution < orders.reference_max - orders.reference_min:

@@ -21,11 +21,11 @@ from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import (
     ControllerSettings,
-    Jacket,
-    Learning,
+    EstimatorSettings,
     PowerStage,
     Probing,
     Rates,
+    SupervisionLimits,
 )
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
@@ -168,7 +168,9 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
             lag_ticks=_lag_ticks(configuration),
         ),
         learning=_learning(configuration) if exact else paper_learning(configuration),
-        jacket=_jacket(configuration) if exact else Jacket(_periods(configuration, warm_up_s)),
+        supervision=_jacket(configuration)
+        if exact
+        else SupervisionLimits(_periods(configuration, warm_up_s)),
         probing=_probing(configuration),
         govern=load.govern,
     )
@@ -222,7 +224,7 @@ def _kicks(configuration: Configuration) -> tuple[int, float, float]:
     return ticks, *kick_factors(load, section.period_s, delay_s, ticks * tick)
 
 
-def _learning(configuration: Configuration) -> Learning:
+def _learning(configuration: Configuration) -> EstimatorSettings:
     estimator, load = configuration.estimator, build_load(configuration)
     charges = configuration.load.traits.charges
     limits = configuration.drive.limits
@@ -232,8 +234,8 @@ def _learning(configuration: Configuration) -> Learning:
     physical = METHODS[estimator.method].physical
     directional = estimator.alert and physical
     computed = ("method", "forgetting", "initial_covariance", "covariance_max", "bias")
-    return Learning(
-        **alike(Learning, estimator, but=computed),
+    return EstimatorSettings(
+        **alike(EstimatorSettings, estimator, but=computed),
         method=estimator.method,
         forgetting=estimator.forgetting or FORGETTING,
         initial_covariance=_initial_covariance(configuration),
@@ -259,11 +261,11 @@ def _initial_covariance(configuration: Configuration) -> float:
     return _OPEN if METHODS[estimator.method].physical else PAPER_COVARIANCE
 
 
-def _jacket(configuration: Configuration) -> Jacket:
+def _jacket(configuration: Configuration) -> SupervisionLimits:
     supervisor, load = configuration.supervisor, configuration.load
     reference_range, limit = load.reference_max - load.reference_min, supervisor.error_limit
-    return Jacket(
-        **alike(Jacket, supervisor, but=("error_limit", "response_distance")),
+    return SupervisionLimits(
+        **alike(SupervisionLimits, supervisor, but=("error_limit", "response_distance")),
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         saturated_periods=_periods(configuration, supervisor.saturated_s),
         error_limit=ERROR_SHARE * reference_range if limit is None else limit,
@@ -341,7 +343,7 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
     )
 
 
-def paper_learning(configuration: Configuration) -> Learning:
+def paper_learning(configuration: Configuration) -> EstimatorSettings:
     """Return the plain estimator (3), which starts at θ = 0; a battery's EMF is a bias of it.
 
     Nothing is added to the paper's controller: no bounds, no patience, no scaling, no gate, no
@@ -349,7 +351,7 @@ def paper_learning(configuration: Configuration) -> Learning:
     gains in force as they are; nothing else is checked.
     """
     estimator, load = configuration.estimator, configuration.load
-    return Learning(
+    return EstimatorSettings(
         method=estimator.method,
         forgetting=estimator.forgetting or load.traits.paper_forgetting,
         tau_lambda_s=estimator.tau_lambda_s,

@@ -70,7 +70,7 @@ class Controller:
         self._stage = signals.Stage.OFF
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
         self._bank = self._new_bank(settings.rates.nominal_tick_s, 0.0, 0.0)
-        self._bank.grid = filters.remembered_grid(resolution)
+        self._bank.quantiser = filters.known_quantiser(resolution)
         self.state = new_slow_state(settings, load, 0.0, 0.0)
         self._reach = setpoints.nominal_reach(load, settings.stage)
         self._snapshot: signals.Snapshot | None = None
@@ -116,7 +116,9 @@ class Controller:
             boost_reference_V=voltage,
             controller=_in_force(snapshot.order.mode, adaptive=state.adaptive),
             accepted=state.accepted,
-            reason=reason(state, settings.jacket, settings.probing, self.load, snapshot.order.mode),
+            reason=reason(
+                state, settings.supervision, settings.probing, self.load, snapshot.order.mode
+            ),
             estimates=self._estimates(),
             gains=(*gains, sum(gains[taps:])),
             innovation=state.estimator.innovation,
@@ -150,7 +152,7 @@ class Controller:
     @property
     def resolution(self) -> float:
         """The step of the output that was found in its samples; 0 while none is known."""
-        return filters.step_found(self._bank.grid, self.settings.learning.output_scale)
+        return filters.step_found(self._bank.quantiser, self.settings.learning.output_scale)
 
     def apply(self, decision: signals.Decision) -> None:
         """Let a decision take effect from the next tick on.
@@ -200,9 +202,9 @@ class Controller:
         if stage is signals.Stage.RUN:
             self._recall()
             at_rest = voltage if fed else self._resting_voltage(output, voltage)
-            grid = self._bank.grid  # the sensor is the same in every run
+            quantiser = self._bank.quantiser  # the sensor is the same in every run
             self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
-            self._bank.grid = grid
+            self._bank.quantiser = quantiser
             first = held if self.load.charging is None else voltage
             self.state = new_slow_state(self.settings, self.load, output, first)
             self._reach = setpoints.nominal_reach(self.load, limits)
@@ -353,8 +355,8 @@ def _in_force(mode: signals.Mode, *, adaptive: bool) -> signals.Mode:
 
 def _recalling(settings: ControllerSettings) -> ControllerSettings:
     """With a prior no warm-up is needed: its gains act at once."""
-    periods = min(settings.learning.settle_periods, settings.jacket.warm_up_periods)
-    return replace(settings, jacket=replace(settings.jacket, warm_up_periods=periods))
+    periods = min(settings.learning.settle_periods, settings.supervision.warm_up_periods)
+    return replace(settings, supervision=replace(settings.supervision, warm_up_periods=periods))
 
 
 def _fault(state: SlowState, charging: Charging | None) -> str:

@@ -20,7 +20,7 @@ _LOWEST_CEILING = 0.01
 """Lowest ceiling of V_c, as a share of the largest V_c: from 0 it would not rise again."""
 
 _LEAST_DEVIATION = math.sqrt(thresholds.NOISE_FLOOR)
-"""Least deviation of the output in the screen, as a share of its scale."""
+"""Least deviation of the output in the outlier filter, as a share of its scale."""
 
 _LIMITED_SHARE = 0.25
 """Share of a slow period with k or V_c at a limit above which V_c counts as not followed."""
@@ -43,8 +43,8 @@ class FilterBank:
         oldest: Place of the oldest of them.
         sums: Sums over the window: y, λy ... λ^m y, u, λu ... λ^m u.
         count: Samples in `sums`.
-        screen: What stands in front of the output's chain.
-        grid: What is known of the resolution of the output.
+        outlier_filter: What stands in front of the output's chain.
+        quantiser: What is known of the resolution of the output.
     """
 
     decay: vectors.Vector
@@ -59,8 +59,8 @@ class FilterBank:
     oldest: int
     sums: vectors.Vector
     count: int
-    screen: filters.Screen
-    grid: filters.Grid
+    outlier_filter: filters.OutlierFilter
+    quantiser: filters.Quantiser
 
 
 @dataclass(slots=True)
@@ -118,8 +118,10 @@ def new_filter_bank(
         oldest=0,
         sums=[0.0] * (2 * order + 2),
         count=0,
-        screen=filters.Screen(output, 0.0, filters.WIDE * max(abs(output), abs(expected))),
-        grid=filters.Grid(output),
+        outlier_filter=filters.OutlierFilter(
+            output, 0.0, filters.WIDE * max(abs(output), abs(expected))
+        ),
+        quantiser=filters.Quantiser(output),
     )
     tune_filters(bank, tick_period_s, tau_lambda_s)
     return bank
@@ -159,11 +161,11 @@ def take_in(
     counted = min(max(elapsed, 1), rates.ticks_per_period)
     if elapsed > 0:
         output = measurement.output
-        filters.note_sample(bank.grid, output, settings.learning.output_scale, counted)
+        filters.note_sample(bank.quantiser, output, settings.learning.output_scale, counted)
         if rates.clip > 0.0:
             learning = settings.learning
             least = max(_LEAST_DEVIATION * learning.output_scale, learning.resolution)
-            output = filters.pass_sample(bank.screen, output, rates.clip, elapsed, least)
+            output = filters.reject_outlier(bank.outlier_filter, output, rates.clip, elapsed, least)
         filter_sample(bank, output, load_input, counted)
     count_tick(state, measurement.boost_voltage_V, measurement.fresh, counted)
     if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:
@@ -221,14 +223,14 @@ def take_rounding(settings: ControllerSettings, bank: FilterBank) -> tuple[float
         settings: A resolution that is configured counts instead of what the samples show.
         bank: Overwritten: its count of changes begins again.
     """
-    learning, grid = settings.learning, bank.grid
-    filters.close_share(grid, settings.rates.ticks_per_period)
+    learning, quantiser = settings.learning, bank.quantiser
+    filters.close_share(quantiser, settings.rates.ticks_per_period)
     if not settings.exact:
         return 0.0, 0.0
     step = learning.resolution
     if not step > 0.0:
-        step = filters.step_found(grid, learning.output_scale)
-    return step, filters.rounding_error(step, grid.share)
+        step = filters.step_found(quantiser, learning.output_scale)
+    return step, filters.rounding_error(step, quantiser.share)
 
 
 def drive(

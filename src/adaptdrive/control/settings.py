@@ -62,7 +62,7 @@ class Rates:
 
 
 @dataclass(frozen=True, slots=True)
-class Learning:
+class EstimatorSettings:
     """Settings of the estimation.
 
     Attributes:
@@ -110,7 +110,7 @@ class Learning:
 
 
 @dataclass(frozen=True, slots=True)
-class Jacket:
+class SupervisionLimits:
     """Limits for estimates and for the loop; one of 0, or left out, switches its check off.
 
     Attributes:
@@ -185,7 +185,7 @@ class ControllerSettings:
         stage: The power stage.
         rates: The two rates.
         learning: The estimator.
-        jacket: The supervisor.
+        supervision: The supervisor.
         probing: The probing, off by default.
         govern: Whether set-points are moved into what V_c can hold.
     """
@@ -193,7 +193,7 @@ class ControllerSettings:
     exact: bool
     stage: PowerStage
     rates: Rates
-    learning: Learning
-    jacket: Jacket
+    learning: EstimatorSettings
+    supervision: SupervisionLimits
     probing: Probing = field(default_factory=Probing)
     govern: bool = False

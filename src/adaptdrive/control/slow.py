@@ -28,15 +28,14 @@ from adaptdrive.control.design.reference import (
     reference_of,
     rest,
 )
-from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import learn
+from adaptdrive.control.estimation.estimator import update_estimate
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.rls import predict
 from adaptdrive.control.loads.charging import begin_anew, taper, terminal_voltage
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.control.supervision import monitor, redesign, setpoints
-from adaptdrive.control.supervision import supervisor as sup
+from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
+from adaptdrive.control.supervision import monitor, redesign, setpoints, supervisor
 from adaptdrive.control.supervision.state import SlowState
 
 # The load loop's control law, on a history that every law shares.
@@ -98,7 +97,7 @@ def slow_step(
     """
     _note_applied(state, sample)
     _take_sample(settings, load, state, sample)
-    jacket = settings.jacket
+    supervision = settings.supervision
     _design_fixed(settings, load, state, sample)
     redesign.adapt(settings, load, state, sample)
     governed = _governed_reference(load, state, sample)
@@ -110,7 +109,7 @@ def slow_step(
     state.reference = reference
     if sample.manual:
         return _follow_hand(state, sample)
-    return _act(jacket, state, sample, led, planned, _highest(load, state, sample, reference))
+    return _act(supervision, state, sample, led, planned, _highest(load, state, sample, reference))
 
 
 def _look_ahead(
@@ -151,7 +150,7 @@ def _look_ahead(
         sample.pole,
         sample.low,
         sample.high,
-        settings.jacket.confidence * state.input_noise,
+        settings.supervision.confidence * state.input_noise,
     )
 
 
@@ -200,12 +199,12 @@ def _take_sample(
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
     usable = moved and sample.held_share <= _HELD_SHARE
     target = estimator.method.target(learning, sample)
-    est.learn(estimator, learning, load, target, usable)
+    update_estimate(estimator, learning, load, target, usable)
     if estimator.method.physical:
         learnt = estimator.sample
         fixed = learnt.target - predict(state.nominal_theta, learnt.regressor)
         own = learn.own_residual(estimator, learning)
-        sup.compare_residuals(state.supervisor, own, fixed)
+        supervisor.compare_residuals(state.supervisor, own, fixed)
     vectors.shift_in(state.outputs, sample.output)
 
 
@@ -244,34 +243,34 @@ def _look_at_loop(
     reference: float,
 ) -> None:
     """Return to the fixed controller, and stay there, when the loop is in trouble."""
-    jacket, watch, saturated = settings.jacket, state.watch, state.saturated
+    supervision, watch, saturated = settings.supervision, state.watch, state.saturated
     error = reference - sample.output
     strayed = _expected_output(state, sample, reference) - sample.output
     distance = setpoints.distance_from_rest(settings.learning, load, state, sample.output)
-    reason = monitor.watch_loop(
-        watch, jacket, error, strayed, distance, sample.pole, sample.held_share, saturated
+    reason = monitor.monitor_loop(
+        watch, supervision, error, strayed, distance, sample.pole, sample.held_share, saturated
     )
     monitor.latch_fallback(watch, reason, sample.adaptive)
-    _look_for_cycle(jacket, state, sample)
+    _look_for_cycle(supervision, state, sample)
     if load.charging is not None and state.sent < sample.high:
         saturated = False  # below its own voltage a battery answers no input
     expected = load.gain * state.sent
     lag_periods = load.lag_s / sample.period_s
     output = sample.output
-    state.unresponsive = monitor.watch_response(
-        watch, jacket, expected, lag_periods, output, saturated
+    state.unresponsive = monitor.monitor_response(
+        watch, supervision, expected, lag_periods, output, saturated
     )
 
 
-def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> None:
+def _look_for_cycle(supervision: SupervisionLimits, state: SlowState, sample: SlowSample) -> None:
     """Look for a limit cycle under the fixed controller."""
     span = sample.high - sample.low
     position = (state.sent - sample.low) / span if span > 0.0 else 0.5
-    better = sup.moves_better_than_nominal(state.supervisor)
+    better = supervisor.moves_better_than_nominal(state.supervisor)
     fixed = not (state.adaptive or sample.manual)
     reference = sample.reference + state.probe.shift
-    state.cycling = monitor.watch_cycling(
-        state.cycles, position, reference, jacket.swing_min, better, fixed
+    state.cycling = monitor.monitor_limit_cycle(
+        state.cycles, position, reference, supervision.swing_min, better, fixed
     )
 
 
@@ -302,7 +301,7 @@ def _highest(load: Load, state: SlowState, sample: SlowSample, reference: float)
 
 
 def _act(
-    jacket: Jacket,
+    supervision: SupervisionLimits,
     state: SlowState,
     sample: SlowSample,
     reference: float,
@@ -319,12 +318,12 @@ def _act(
     ready = vectors.total(state.adaptive_gains) != 0.0
     step = fixed - other if state.adaptive else other - fixed
     state.handover_step = step if ready else math.nan
-    wanted = _blended(jacket, state, fixed, other)
+    wanted = _blended(supervision, state, fixed, other)
     if not math.isfinite(wanted):
         wanted = state.sent
     limited = min(max(wanted, sample.low), highest)
     state.saturated, state.sent = limited != wanted, limited
-    _remember(jacket, state, wanted, quiet, sample.low, highest)
+    _remember(supervision, state, wanted, quiet, sample.low, highest)
     return limited
 
 
@@ -337,7 +336,12 @@ def _fast_law(state: SlowState, quiet: float) -> float:
 
 
 def _remember(
-    jacket: Jacket, state: SlowState, wanted: float, quiet: float, lowest: float, highest: float
+    supervision: SupervisionLimits,
+    state: SlowState,
+    wanted: float,
+    quiet: float,
+    lowest: float,
+    highest: float,
 ) -> None:
     """Take the input into the history of both laws, limited.
 
@@ -346,16 +350,16 @@ def _remember(
     The course gives way to a limit that the response to the reference needs, as the quiet law has
     it, not to one that a correction needs.
     """
-    share = jacket.confidence if state.blend >= 1.0 else 0.0
+    share = supervision.confidence if state.blend >= 1.0 else 0.0
     beyond = share * state.input_noise
     _condition(state, min(max(quiet, lowest - beyond), highest + beyond) - quiet)
     beyond = share * max(state.input_noise, state.fast_noise)
     vectors.shift_in(state.inputs, min(max(wanted, lowest - beyond), highest + beyond))
 
 
-def _blended(jacket: Jacket, state: SlowState, fixed: float, other: float) -> float:
+def _blended(supervision: SupervisionLimits, state: SlowState, fixed: float, other: float) -> float:
     """From one law to the other over some periods, so that even with an error nothing jumps."""
-    share = 1.0 / jacket.blend_periods
+    share = 1.0 / supervision.blend_periods
     if state.adaptive:
         state.blend = min(1.0, state.blend + share)
     else:

@@ -59,7 +59,7 @@ _HALVINGS = 6
 """Halvings of the way to the slowest poles, until the observer pole is found within 0.03."""
 
 
-def quiet_loop(
+def detuned_loop(
     solved: Vector, a: Vector, b: Vector, order: int, pole: float, noise: float, limit: float
 ) -> Vector:
     """Return A_c with the fastest poles that keep the noise of the input within its limit.

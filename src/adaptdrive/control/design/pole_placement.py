@@ -279,7 +279,7 @@ def possible_models(
     """
     if not vectors.all_finite(root):
         return [math.nan]
-    count, confidence = len(values), settings.jacket.confidence
+    count, confidence = len(values), settings.supervision.confidence
     models = _model(settings, load, values, period_s)
     for j in range(count):
         for sign in (confidence, -confidence):

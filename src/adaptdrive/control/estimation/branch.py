@@ -1,8 +1,9 @@
 """A branch: an estimate with its covariance, how well it predicts, and an offset that moves.
 
-The estimator holds several. One is its estimate; the others explain an alarm (`rivals`), challenge
-the estimate, or follow a disturbance that never rests (`second_estimates`). With σ² known
-only as σ0² from ν0 samples the logarithm of the likelihood of n samples is, up to a constant
+The estimator holds several. One is its estimate; the others explain an alarm
+(`hypothesis_test`), compete with the estimate, or follow a disturbance that never rests
+(`second_filters`). With σ² known only as σ0² from ν0 samples the logarithm of the likelihood of n
+samples is, up to a constant
 (Bayesian linear regression with an inverse-gamma prior of σ²; Gelman et al., Bayesian Data
 Analysis, chapter 14),
 
@@ -20,7 +21,6 @@ from dataclasses import dataclass
 
 from adaptdrive.control import settings, thresholds, vectors
 from adaptdrive.control.estimation import rls
-from adaptdrive.control.estimation import rls as ud
 from adaptdrive.control.estimation.regression import fill_initial_state
 from adaptdrive.control.loads.load import Load
 
@@ -28,7 +28,7 @@ from adaptdrive.control.loads.load import Load
 
 
 @dataclass(slots=True)
-class Datum:
+class Observation:
     """One slow sample, as the estimator sees it.
 
     Attributes:
@@ -86,13 +86,15 @@ def copy_estimate(target: Branch, source: Branch) -> None:
     target.innovation, target.excitation = source.innovation, source.excitation
 
 
-def predict(branch: Branch, sample: Datum) -> None:
+def predict(branch: Branch, sample: Observation) -> None:
     """Predict a sample, before it is learnt: innovation and excitation are overwritten."""
-    branch.excitation = ud.excitation(branch.upper, branch.diagonal, sample.regressor)
+    branch.excitation = rls.excitation(branch.upper, branch.diagonal, sample.regressor)
     branch.innovation = sample.target - rls.predict(branch.theta, sample.regressor)
 
 
-def predict_sample(branch: Branch, learning: settings.Learning, load: Load, sample: Datum) -> None:
+def predict_sample(
+    branch: Branch, learning: settings.EstimatorSettings, load: Load, sample: Observation
+) -> None:
     """Predict a sample whose functions of the initial state are counted from the branch's origin.
 
     Args:
@@ -131,16 +133,16 @@ def posterior_power(branch: Branch, power: float, count: int) -> float:
 def widen_last(branch: Branch, variance: float) -> None:
     """Widen P along the last parameter, the bias."""
     direction = vectors.unit(len(branch.theta), len(branch.theta) - 1)
-    ud.widen(branch.upper, branch.diagonal, direction, variance)
+    rls.widen(branch.upper, branch.diagonal, direction, variance)
 
 
-# Learning with an offset that moves: the EMF of a battery, the inflow temperature of a bath.
+# An offset that moves: the EMF of a battery, the inflow temperature of a bath.
 
 OFFSET_WALK = 1.0 / thresholds.WINDOW
 """Random walk of an offset that drifts, in σ for each slow period: it is a mean over a window."""
 
 
-def walking_count(learning: settings.Learning) -> int:
+def walking_count(learning: settings.EstimatorSettings) -> int:
     """Return how many parameters, the last ones of θ, follow a random walk."""
     if not learning.bias:
         return 0
@@ -149,10 +151,12 @@ def walking_count(learning: settings.Learning) -> int:
     return 1 if learning.drifts else 0
 
 
-def learn_sample(branch: Branch, sample: Datum, learning: settings.Learning, gate: float) -> None:
+def learn_sample(
+    branch: Branch, sample: Observation, learning: settings.EstimatorSettings, gate: float
+) -> None:
     """Take in one sample, with directional forgetting of what does not walk.
 
-    The walk of a charge is in `estimator.let_emf_wander`.
+    The walk of a charge is in `estimator.widen_emf`.
 
     Args:
         branch: θ and P, overwritten.

@@ -17,8 +17,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import settings, thresholds, vectors
-from adaptdrive.control.estimation import regression
-from adaptdrive.control.estimation import rls as ud
+from adaptdrive.control.estimation import regression, rls
 from adaptdrive.control.estimation.branch import Branch
 from adaptdrive.control.loads.load import Load
 
@@ -28,7 +27,7 @@ _TINY = 1e-12
 """Divisor that counts as 0: 4,500 rounding errors of 1."""
 
 
-def is_sure(branch: Branch, power: float, learning: settings.Learning, load: Load) -> bool:
+def is_sure(branch: Branch, power: float, learning: settings.EstimatorSettings, load: Load) -> bool:
     """Return whether every physical parameter is known within half of its value.
 
     Args:
@@ -46,7 +45,11 @@ def is_sure(branch: Branch, power: float, learning: settings.Learning, load: Loa
 
 
 def deviations_of(
-    branch: Branch, noise: float, learning: settings.Learning, load: Load, values: vectors.Vector
+    branch: Branch,
+    noise: float,
+    learning: settings.EstimatorSettings,
+    load: Load,
+    values: vectors.Vector,
 ) -> vectors.Vector:
     """Standard deviations of the physical parameters at any θ and P, to first order.
 
@@ -63,12 +66,16 @@ def deviations_of(
         return deviations
     for i in range(len(values)):
         row = rows[i * count : (i + 1) * count]
-        deviations[i] = ud.standard_deviation(row, branch.upper, branch.diagonal, noise)
+        deviations[i] = rls.standard_deviation(row, branch.upper, branch.diagonal, noise)
     return deviations
 
 
 def root_of(
-    branch: Branch, noise: float, learning: settings.Learning, load: Load, values: vectors.Vector
+    branch: Branch,
+    noise: float,
+    learning: settings.EstimatorSettings,
+    load: Load,
+    values: vectors.Vector,
 ) -> vectors.Vector:
     """L, lower triangular, flat, of the covariance L Lᵀ of the physical parameters.
 
@@ -81,7 +88,7 @@ def root_of(
     """
     size, count = len(values), len(branch.theta)
     rows = _jacobian(branch.theta, learning, load, values)
-    known = ud.covariance(branch.upper, branch.diagonal)
+    known = rls.covariance(branch.upper, branch.diagonal)
     root = [0.0] * (size * size)
     for i in range(size):
         for j in range(i + 1):
@@ -101,7 +108,7 @@ def root_of(
 
 
 def _jacobian(
-    theta: vectors.Vector, learning: settings.Learning, load: Load, values: vectors.Vector
+    theta: vectors.Vector, learning: settings.EstimatorSettings, load: Load, values: vectors.Vector
 ) -> vectors.Vector:
     """Derivatives of the physical parameters by θ, a row for each; NaN without a dc gain."""
     count = len(theta)
@@ -153,7 +160,9 @@ class Anchor:
     gap_s: float = 0.0
 
 
-def restart_past(branch: Branch, learning: settings.Learning, load: Load, time_s: float) -> None:
+def restart_past(
+    branch: Branch, learning: settings.EstimatorSettings, load: Load, time_s: float
+) -> None:
     """Count the functions of the initial state from another time; θ and P follow.
 
     Args:
@@ -173,7 +182,7 @@ def restart_past(branch: Branch, learning: settings.Learning, load: Load, time_s
     old = list(branch.theta)
     for i in range(size):
         branch.theta[i] = vectors.dot(transform[i * size : (i + 1) * size], old)
-    ud.transform(branch.upper, branch.diagonal, transform)
+    rls.transform(branch.upper, branch.diagonal, transform)
     branch.origin_s = time_s
 
 
@@ -190,7 +199,7 @@ def _shifted_functions(count: int, shift: float) -> vectors.Vector:
 
 
 def widen(
-    branch: Branch, kind: int, learning: settings.Learning, load: Load, anchor: Anchor
+    branch: Branch, kind: int, learning: settings.EstimatorSettings, load: Load, anchor: Anchor
 ) -> None:
     """Open an estimate up for what a kind of change may have moved.
 
@@ -225,7 +234,9 @@ def widen(
         )
 
 
-def _widen_load(branch: Branch, learning: settings.Learning, load: Load, anchor: Anchor) -> None:
+def _widen_load(
+    branch: Branch, learning: settings.EstimatorSettings, load: Load, anchor: Anchor
+) -> None:
     """Other dynamics with the same dc gain and the same offset of the input."""
     for i in range(regression.fitted_order(learning, load) + len(load.input_powers) - 1):
         direction = load_direction(branch.theta, i, learning, load)
@@ -233,7 +244,7 @@ def _widen_load(branch: Branch, learning: settings.Learning, load: Load, anchor:
 
 
 def load_direction(
-    theta: vectors.Vector, index: int, learning: settings.Learning, load: Load
+    theta: vectors.Vector, index: int, learning: settings.EstimatorSettings, load: Load
 ) -> vectors.Vector:
     """Return a direction of θ that leaves the dc gain and the offset of the input as they are.
 
@@ -259,7 +270,10 @@ def load_direction(
 
 
 def _carry_offset(
-    direction: vectors.Vector, theta: vectors.Vector, divisor: float, learning: settings.Learning
+    direction: vectors.Vector,
+    theta: vectors.Vector,
+    divisor: float,
+    learning: settings.EstimatorSettings,
 ) -> None:
     """Let what acts with the input move with the gain: bias and charge, over a divisor."""
     size = len(theta)
@@ -274,7 +288,7 @@ def _open(
     branch: Branch,
     direction: vectors.Vector,
     spread: float,
-    learning: settings.Learning,
+    learning: settings.EstimatorSettings,
     load: Load,
     anchor: Anchor,
 ) -> None:
@@ -289,12 +303,14 @@ def _open(
     direction[first] = -plain
     if count > 1:
         direction[first + 1] = -lowered
-    ud.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
+    rls.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
 
 
-def _widen_state(branch: Branch, variance: float, learning: settings.Learning, load: Load) -> None:
+def _widen_state(
+    branch: Branch, variance: float, learning: settings.EstimatorSettings, load: Load
+) -> None:
     """Widen γ, what is left of the state at the change, by itself."""
     first = regression.fitted_order(learning, load) + len(load.input_powers)
     for i in range(regression.initial_state_count(learning, load)):
         direction = vectors.unit(len(branch.theta), first + i)
-        ud.widen(branch.upper, branch.diagonal, direction, variance)
+        rls.widen(branch.upper, branch.diagonal, direction, variance)

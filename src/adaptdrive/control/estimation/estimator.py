@@ -11,11 +11,21 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from adaptdrive.control import settings, thresholds, vectors
-from adaptdrive.control.estimation import covariance, regression, rls, second_estimates
-from adaptdrive.control.estimation import rivals as riv
-from adaptdrive.control.estimation import rls as ud
-from adaptdrive.control.estimation.branch import Branch, Datum, learn_sample, new_branch, predict
-from adaptdrive.control.estimation.rivals import Surprise, watch_noise
+from adaptdrive.control.estimation import (
+    covariance,
+    hypothesis_test,
+    regression,
+    rls,
+    second_filters,
+)
+from adaptdrive.control.estimation.branch import (
+    Branch,
+    Observation,
+    learn_sample,
+    new_branch,
+    predict,
+)
+from adaptdrive.control.estimation.hypothesis_test import ChangeDetector, track_noise
 from adaptdrive.control.loads.load import Load
 
 _LARGEST = 1.0e20
@@ -45,53 +55,67 @@ class Method(Protocol):
         kept for the next run.
         """
 
-    def parameter_count(self, learning: settings.Learning, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: settings.EstimatorSettings, load: Load, taps: int) -> int:
         """Return the length of θ; `taps` is the number of past inputs of the discrete model."""
 
     def theta_of(
         self,
-        learning: settings.Learning,
+        learning: settings.EstimatorSettings,
         load: Load,
         numerator: vectors.Vector,
         denominator: vectors.Vector,
     ) -> vectors.Vector:
         """Return the first entries of θ for a model in s, scaled; empty if not `physical`."""
 
-    def begin(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
+    def begin(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> None:
         """Adjust P of a new estimator to what is known of the start."""
 
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: settings.Learning,
+        learning: settings.EstimatorSettings,
         load: Load,
         sample: regression.SlowSample,
         past: tuple[vectors.Vector, vectors.Vector],
     ) -> None:
         """Overwrite r by that of a slow sample; `past` are y and u of the periods before it."""
 
-    def target(self, learning: settings.Learning, sample: regression.SlowSample) -> float:
+    def target(self, learning: settings.EstimatorSettings, sample: regression.SlowSample) -> float:
         """Return the value that r predicts, in the unit of the output."""
 
-    def take_in(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
+    def take_in(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> None:
         """Update θ and P by the last sample, which the estimate has predicted."""
 
     def model(
-        self, state: EstimatorState, learning: settings.Learning, load: Load
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
     ) -> tuple[vectors.Vector, vectors.Vector]:
         """Return numerator and denominator of the estimate: in s if `physical`, else in q^-1."""
 
     def root(
-        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+        self,
+        state: EstimatorState,
+        learning: settings.EstimatorSettings,
+        load: Load,
+        values: vectors.Vector,
     ) -> vectors.Vector:
         """Return L, flat, of the covariance L Lᵀ of the physical parameters; NaN where unknown."""
 
     def shown_deviations(
-        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+        self,
+        state: EstimatorState,
+        learning: settings.EstimatorSettings,
+        load: Load,
+        values: vectors.Vector,
     ) -> vectors.Vector:
         """Return their standard deviations for operators: the load may have changed since."""
 
-    def input_offset(self, state: EstimatorState, learning: settings.Learning, load: Load) -> float:
+    def input_offset(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> float:
         """Return the constant input with the effect of what is no dynamics; NaN without a bias."""
 
 
@@ -113,23 +137,23 @@ class EstimatorState:
         periods: Slow periods since start.
         idle_periods: Slow periods since the last sample that taught something.
         charge: Integral of the output since start over τ_λ, scaled.
-        surprise: Detector of abrupt changes.
+        detector: Detector of abrupt changes.
         alarm_period: Slow period of the last alarm.
         lost_periods: Slow periods in a row in which no load can have such an estimate.
         unseen_periods: Slow periods since a sample that would have shown another load.
-        rivals: Explanations of an alarm.
-        challenger: A second estimate, learnt anew since an alarm.
-        integrated: A second estimate, whose bias walks.
+        hypotheses: Explanations of an alarm.
+        second_filter: A second estimate, learnt anew since an alarm.
+        incremental: A second estimate, whose bias walks.
     """
 
     method: Method
     estimate: Branch
     opened: Branch
-    sample: Datum
-    surprise: Surprise
-    rivals: riv.Rivals
-    challenger: second_estimates.Challenger
-    integrated: second_estimates.Integrated
+    sample: Observation
+    detector: ChangeDetector
+    hypotheses: hypothesis_test.Hypotheses
+    second_filter: second_filters.SecondFilter
+    incremental: second_filters.IncrementalModel
     residual_power: float = 0.0
     residual_weight: float = 0.0
     residual_lag: float = 0.0
@@ -145,7 +169,7 @@ class EstimatorState:
 
 
 def new_estimator(
-    method: Method, learning: settings.Learning, load: Load, taps: int
+    method: Method, learning: settings.EstimatorSettings, load: Load, taps: int
 ) -> EstimatorState:
     """Return an estimator without data, which starts from zero or from the nominal model."""
     count = method.parameter_count(learning, load, taps)
@@ -153,11 +177,11 @@ def new_estimator(
         method,
         new_branch(count),
         new_branch(count),
-        Datum([0.0] * count),
-        Surprise(),
-        riv.new_rivals(count),
-        second_estimates.Challenger(new_branch(count)),
-        second_estimates.Integrated(new_branch(count)),
+        Observation([0.0] * count),
+        ChangeDetector(),
+        hypothesis_test.new_hypotheses(count),
+        second_filters.SecondFilter(new_branch(count)),
+        second_filters.IncrementalModel(new_branch(count)),
     )
     _open(state.estimate, learning)
     method.begin(state, learning, load)
@@ -167,7 +191,7 @@ def new_estimator(
 
 
 def nominal_theta(
-    method: Method, learning: settings.Learning, load: Load, taps: int
+    method: Method, learning: settings.EstimatorSettings, load: Load, taps: int
 ) -> vectors.Vector:
     """Return θ of the nominal model, scaled; zeros where the method cannot express it."""
     theta = [0.0] * method.parameter_count(learning, load, taps)
@@ -176,7 +200,7 @@ def nominal_theta(
     return theta
 
 
-def _open(estimate: Branch, learning: settings.Learning) -> None:
+def _open(estimate: Branch, learning: settings.EstimatorSettings) -> None:
     """Know nothing, and expect an offset of the size of a disturbance.
 
     The latter only where it rests and the nominal gain is known.
@@ -193,7 +217,7 @@ def _open(estimate: Branch, learning: settings.Learning) -> None:
         diagonal[len(diagonal) - 1] = min(diagonal[len(diagonal) - 1], expected)
 
 
-def begin_anew(state: EstimatorState, learning: settings.Learning, load: Load) -> None:
+def begin_anew(state: EstimatorState, learning: settings.EstimatorSettings, load: Load) -> None:
     """Start from the nominal model again: an estimate that no load can have has lost its way.
 
     It learnt a disturbance as dynamics before σ² was known, and what surprises it is explained by
@@ -203,15 +227,15 @@ def begin_anew(state: EstimatorState, learning: settings.Learning, load: Load) -
     _open(own, learning)
     vectors.copy_into(own.theta, state.method.theta_of(learning, load, numerator, denominator))
     own.origin_s = state.sample.time_s
-    state.surprise.sum = 0.0
-    state.rivals.samples = 0
-    state.challenger.samples = 0
-    second_estimates.restart(state.integrated)
-    riv.drop_anchor(state.rivals, own, state.sample)
+    state.detector.sum = 0.0
+    state.hypotheses.samples = 0
+    state.second_filter.samples = 0
+    second_filters.restart(state.incremental)
+    hypothesis_test.drop_anchor(state.hypotheses, own, state.sample)
 
 
 def start_from(
-    state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+    state: EstimatorState, learning: settings.EstimatorSettings, load: Load, values: vectors.Vector
 ) -> None:
     """Start from a load that an earlier run has learnt, moderately sure of it.
 
@@ -230,8 +254,12 @@ def start_from(
     vectors.copy_into(state.estimate.diagonal, [_PRIOR_VARIANCE] * len(theta))
 
 
-def learn(
-    state: EstimatorState, learning: settings.Learning, load: Load, output: float, usable: bool
+def update_estimate(
+    state: EstimatorState,
+    learning: settings.EstimatorSettings,
+    load: Load,
+    output: float,
+    usable: bool,
 ) -> None:
     """Take in one slow sample whose regressor has been filled in.
 
@@ -252,15 +280,17 @@ def learn(
     if not (usual and math.isfinite(own.excitation)):
         return
     state.idle_periods += 1
-    riv.forget_changes(state.rivals)
+    hypothesis_test.forget_changes(state.hypotheses)
     if not usable:
         return
-    watch_noise(state.surprise, own.innovation)
+    track_noise(state.detector, own.innovation)
     if state.periods > learning.settle_periods:
         state.method.take_in(state, learning, load)
 
 
-def take_in(state: EstimatorState, learning: settings.Learning, *, directional: bool) -> None:
+def take_in(
+    state: EstimatorState, learning: settings.EstimatorSettings, *, directional: bool
+) -> None:
     """Update θ and P, if the sample can teach anything.
 
     Args:
@@ -278,11 +308,11 @@ def take_in(state: EstimatorState, learning: settings.Learning, *, directional: 
     else:
         rls.update(theta, upper, diagonal, sample.regressor, sample.target, rho)
     if learning.covariance_max > 0.0:
-        ud.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
+        rls.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
     remember_residual(state, own, rho)
 
 
-def let_emf_wander(state: EstimatorState, learning: settings.Learning) -> None:
+def widen_emf(state: EstimatorState, learning: settings.EstimatorSettings) -> None:
     """Let a slow period pass for an EMF that rises with the charge, at a rate that changes slowly.
 
     At a constant current only the EMF moves: without this, what a straight line misses of its
@@ -302,7 +332,7 @@ def _wander(state: EstimatorState, rise: float, bias: float) -> None:
     """Widen P along a change of the rise with the charge and of the bias."""
     direction = [0.0] * len(state.estimate.theta)
     direction[len(direction) - 2], direction[len(direction) - 1] = rise, bias
-    ud.widen(state.estimate.upper, state.estimate.diagonal, direction, 1.0)
+    rls.widen(state.estimate.upper, state.estimate.diagonal, direction, 1.0)
 
 
 def remember_residual(state: EstimatorState, branch: Branch, forgetting: float) -> None:

@@ -21,8 +21,8 @@ absolute deviation s of the samples from their prediction:
 
 The sample passed on is ŷ + v + e_c; n is the number of ticks since the last one. A spike counts
 as c deviations and no more. A change lasts: the fifth sample in a row beyond the same limit opens
-the screen to its own deviation, however narrow the screen had become at a standstill. For Gaussian
-noise s is 0.8 σ.
+the outlier filter to its own deviation, however narrow it had become at a standstill. For
+Gaussian noise s is 0.8 σ.
 (Huber, Ann. Math. Statist. 35, 1964, doi:10.1214/aoms/1177703732.)
 
 The differences of the samples of a rounded output are whole multiples of one step q. Each
@@ -116,7 +116,7 @@ def advance(
         chain[i] = value
 
 
-# The screen in front of the filters: spikes are clipped, honest changes pass.
+# The outlier filter in front of the filters: spikes are clipped, honest changes pass.
 
 ALPHA = 0.1
 """Gain on the level: it follows a change within about 10 samples."""
@@ -139,8 +139,8 @@ LASTING = 5
 
 
 @dataclass(slots=True)
-class Screen:
-    """State of the screen.
+class OutlierFilter:
+    """State of the outlier_filter.
 
     Attributes:
         level: ŷ.
@@ -155,44 +155,46 @@ class Screen:
     beyond: int = 0
 
 
-def pass_sample(
-    screen: Screen, sample: float, clip: float, ticks: int, least: float = 0.0
+def reject_outlier(
+    outlier_filter: OutlierFilter, sample: float, clip: float, ticks: int, least: float = 0.0
 ) -> float:
     """One fast sample, clipped.
 
     Args:
-        screen: Overwritten.
+        outlier_filter: Overwritten.
         sample: y.
         clip: c.
         ticks: n: a drive that is polled has one sample in several ticks.
-        least: Least deviation: a noiseless output must not close the screen.
+        least: Least deviation: a noiseless output must not close the outlier_filter.
     """
-    predicted = screen.level + screen.slope
+    predicted = outlier_filter.level + outlier_filter.slope
     error = sample - predicted
-    limit = _limit(screen, error, clip)
+    limit = _limit(outlier_filter, error, clip)
     kept = min(max(error, -limit), limit)
-    screen.level = predicted + ALPHA * kept
-    screen.slope += BETA * kept
+    outlier_filter.level = predicted + ALPHA * kept
+    outlier_filter.slope += BETA * kept
     seen = min(abs(error), 2.0 * limit)
     share = min(GAMMA * ticks, _GAMMA_MAX)
-    screen.deviation = max(least, screen.deviation + share * (seen - screen.deviation))
+    outlier_filter.deviation = max(
+        least, outlier_filter.deviation + share * (seen - outlier_filter.deviation)
+    )
     return predicted + kept
 
 
-def _limit(screen: Screen, error: float, clip: float) -> float:
+def _limit(outlier_filter: OutlierFilter, error: float, clip: float) -> float:
     """Return the largest deviation that passes, opened for a change that lasts."""
-    limit = clip * screen.deviation
+    limit = clip * outlier_filter.deviation
     if abs(error) <= limit:
-        screen.beyond = 0
+        outlier_filter.beyond = 0
         return limit
     if error > 0.0:
-        screen.beyond = max(screen.beyond, 0) + 1
+        outlier_filter.beyond = max(outlier_filter.beyond, 0) + 1
     else:
-        screen.beyond = min(screen.beyond, 0) - 1
-    if abs(screen.beyond) < LASTING:
+        outlier_filter.beyond = min(outlier_filter.beyond, 0) - 1
+    if abs(outlier_filter.beyond) < LASTING:
         return limit
-    screen.beyond = 0
-    screen.deviation = abs(error) / clip
+    outlier_filter.beyond = 0
+    outlier_filter.deviation = abs(error) / clip
     return abs(error)
 
 
@@ -224,7 +226,7 @@ _LARGEST_MULTIPLE = 1.0e6
 
 
 @dataclass(slots=True)
-class Grid:
+class Quantiser:
     """State of the search for the step of a sensor.
 
     Attributes:
@@ -244,65 +246,65 @@ class Grid:
     periods: float = 0.0
 
 
-def remembered_grid(step: float) -> Grid:
+def known_quantiser(step: float) -> Quantiser:
     """Return a search that begins with the step that an earlier run has found, 0 for none."""
-    return Grid(math.nan, step, _SURE) if step > 0.0 else Grid(0.0)
+    return Quantiser(math.nan, step, _SURE) if step > 0.0 else Quantiser(0.0)
 
 
-def note_sample(grid: Grid, sample: float, scale: float, ticks: int = 1) -> None:
+def note_sample(quantiser: Quantiser, sample: float, scale: float, ticks: int = 1) -> None:
     """Compare a raw sample with the one before it.
 
     Args:
-        grid: Overwritten.
+        quantiser: Overwritten.
         sample: y as the sensor gave it.
         scale: Output of order one.
         ticks: Half line cycles since the last sample: more than 1 where a drive is polled.
     """
-    if sample == grid.last:
+    if sample == quantiser.last:
         return
-    difference = abs(sample - grid.last)
-    grid.last = sample
-    grid.changes += ticks
+    difference = abs(sample - quantiser.last)
+    quantiser.last = sample
+    quantiser.changes += ticks
     finest = FINEST * scale
-    if not grid.candidate > 0.0:
-        grid.candidate = difference if finest <= difference < 1.0 / FINEST * scale else 0.0
+    if not quantiser.candidate > 0.0:
+        quantiser.candidate = difference if finest <= difference < 1.0 / FINEST * scale else 0.0
         return
-    ratio = difference / grid.candidate
+    ratio = difference / quantiser.candidate
     if not ratio < _LARGEST_MULTIPLE:
         return
     multiple = math.floor(ratio + 0.5)
     rest = abs(ratio - multiple)
     if multiple >= 1 and rest <= TOLERANCE:
-        grid.score = min(grid.score + 1, _SURE)
+        quantiser.score = min(quantiser.score + 1, _SURE)
         return
-    grid.score -= _MISS
-    if grid.score < 0:
-        remains = rest * grid.candidate
-        grid.candidate, grid.score = (remains if remains >= finest else 0.0), 0
+    quantiser.score -= _MISS
+    if quantiser.score < 0:
+        remains = rest * quantiser.candidate
+        quantiser.candidate, quantiser.score = (remains if remains >= finest else 0.0), 0
 
 
-def step_found(grid: Grid, scale: float) -> float:
+def step_found(quantiser: Quantiser, scale: float) -> float:
     """Return the step of the sensor in the unit of the output, 0 while none is known.
 
     Args:
-        grid: What the samples showed.
+        quantiser: What the samples showed.
         scale: Output of order one.
     """
-    if grid.score < _FOUND or grid.candidate > COARSEST * scale:
+    if quantiser.score < _FOUND or quantiser.candidate > COARSEST * scale:
         return 0.0
-    return grid.candidate
+    return quantiser.candidate
 
 
-def close_share(grid: Grid, ticks: int) -> None:
+def close_share(quantiser: Quantiser, ticks: int) -> None:
     """Take the changes of a slow period into their share.
 
     Args:
-        grid: Overwritten.
+        quantiser: Overwritten.
         ticks: Half line cycles of the period.
     """
-    grid.periods = min(grid.periods + 1.0, MEMORY)
-    grid.share += (min(1.0, grid.changes / ticks) - grid.share) / grid.periods
-    grid.changes = 0
+    quantiser.periods = min(quantiser.periods + 1.0, MEMORY)
+    quantiser.share += (min(1.0, quantiser.changes / ticks) - quantiser.share) / quantiser.periods
+    quantiser.changes = 0
 
 
 def rounding_error(step: float, share: float) -> float:

@@ -1,7 +1,7 @@
 """What one sample teaches the λ-method, and the estimate that is in force.
 
-An alarm opens a comparison of rival explanations (`rivals`); the likeliest of them is the estimate
-until one has won.
+An alarm opens a comparison of hypotheses (`hypothesis_test`); the likeliest of them is the
+estimate until one has won.
 
 P shows how well the samples have determined a load that stays as it is. That load may have changed
 since: at rest any dynamics predict the same output, an alarm takes samples to be explained, and
@@ -21,14 +21,20 @@ that were found lately: others of their size may not have been.
 import math
 
 from adaptdrive.control import settings, thresholds, vectors
-from adaptdrive.control.estimation import covariance, estimator, regression, rls, second_estimates
-from adaptdrive.control.estimation import rivals as riv
+from adaptdrive.control.estimation import (
+    covariance,
+    estimator,
+    hypothesis_test,
+    regression,
+    rls,
+    second_filters,
+)
 from adaptdrive.control.estimation.branch import Branch, copy_estimate, posterior_power
-from adaptdrive.control.estimation.rivals import is_surprising
+from adaptdrive.control.estimation.hypothesis_test import is_change
 from adaptdrive.control.estimation.rls import normalised, predict, widen
 from adaptdrive.control.loads.load import Load
 
-# Learning with explanations: what the λ-method does when a sample surprises it.
+# EstimatorSettings with explanations: what the λ-method does when a sample surprises it.
 
 _LOUDER = thresholds.PRIOR_SAMPLES
 """Largest rise of σ² after an alarm that nothing explains, or that follows upon another: what was
@@ -36,13 +42,13 @@ known of it weighs as so many samples, of which one may have had all the noise."
 
 
 def learn_and_explain(
-    state: estimator.EstimatorState, learning: settings.Learning, load: Load
+    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
 ) -> None:
     """Learn a sample; one that completes the evidence for a change starts explanations of it."""
-    if state.rivals.samples > 0:
+    if state.hypotheses.samples > 0:
         alarm = _explain(state, learning, load)
     else:
-        alarm = is_surprising(state.surprise, _squared(state.estimate, learning))
+        alarm = is_change(state.detector, _squared(state.estimate, learning))
         if not alarm:
             estimator.take_in(state, learning, directional=True)
     if alarm:
@@ -52,12 +58,14 @@ def learn_and_explain(
         _challenge(state, learning, load)
 
 
-def _squared(branch: Branch, learning: settings.Learning) -> float:
+def _squared(branch: Branch, learning: settings.EstimatorSettings) -> float:
     """Return ε² ρ/(ρ + rᵀPr) of the last prediction of a branch."""
     return normalised(branch.excitation, branch.innovation, learning.forgetting)
 
 
-def _explain(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> bool:
+def _explain(
+    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
+) -> bool:
     """Compare the explanations of an alarm on one more sample; the likeliest is the estimate.
 
     The detector stays on: what surprises an explanation that is clearly ahead, or "nothing", is the
@@ -67,33 +75,37 @@ def _explain(state: estimator.EstimatorState, learning: settings.Learning, load:
     Returns:
         True when the next one has been noticed.
     """
-    rivals = state.rivals
-    riv.follow(rivals, learning, load, state.sample)
-    squared = _squared(riv.likeliest(rivals), learning)
-    alarm = is_surprising(state.surprise, squared) and rivals.samples > thresholds.FEWEST
-    alarm = alarm and (rivals.kind == covariance.NOTHING or riv.is_clear(rivals))
-    alarm = alarm and not riv.is_expected(rivals, learning)
-    settled = not alarm and riv.is_settled(rivals, learning, load)
+    hypotheses = state.hypotheses
+    hypothesis_test.follow(hypotheses, learning, load, state.sample)
+    squared = _squared(hypothesis_test.likeliest(hypotheses), learning)
+    alarm = is_change(state.detector, squared) and hypotheses.samples > thresholds.FEWEST
+    alarm = alarm and (
+        hypotheses.kind == covariance.NOTHING or hypothesis_test.is_clear(hypotheses)
+    )
+    alarm = alarm and not hypothesis_test.is_expected(hypotheses, learning)
+    settled = not alarm and hypothesis_test.is_settled(hypotheses, learning, load)
     _publish(state, learning)
     if settled:
         _settle(state, learning, load)
     return alarm
 
 
-def _split(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> None:
+def _split(
+    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
+) -> None:
     """Start the explanations of an alarm.
 
     One alarm after the other, each before the last can be explained, is noise.
     """
     if state.periods - state.alarm_period < thresholds.WINDOW:
-        state.surprise.power *= _LOUDER
+        state.detector.power *= _LOUDER
     state.alarm_period = state.periods
-    if state.rivals.samples == 0:
-        state.rivals.offset = _offset_share(state, learning, load)
-    riv.settle(state.rivals)
-    riv.keep_sample(state.rivals, state.sample, riv.ROOM)
+    if state.hypotheses.samples == 0:
+        state.hypotheses.offset = _offset_share(state, learning, load)
+    hypothesis_test.settle(state.hypotheses)
+    hypothesis_test.keep_sample(state.hypotheses, state.sample, hypothesis_test.ROOM)
     begun = _challenge_anew(state, learning, load)
-    riv.split(state.rivals, learning, load, state.surprise.power)
+    hypothesis_test.split(state.hypotheses, learning, load, state.detector.power)
     _publish(state, learning)
     if not begun:
         _challenge(state, learning, load)
@@ -101,13 +113,16 @@ def _split(state: estimator.EstimatorState, learning: settings.Learning, load: L
 
 def _mark(state: estimator.EstimatorState) -> None:
     """Remember from where the next change is to be explained: from the last calm sample."""
-    suspect = state.surprise.sum > 0.0
-    if not (suspect and riv.keep_sample(state.rivals, state.sample, riv.ROOM - 1)):
-        riv.drop_anchor(state.rivals, state.estimate, state.sample)
+    suspect = state.detector.sum > 0.0
+    if not (
+        suspect
+        and hypothesis_test.keep_sample(state.hypotheses, state.sample, hypothesis_test.ROOM - 1)
+    ):
+        hypothesis_test.drop_anchor(state.hypotheses, state.estimate, state.sample)
 
 
 def _offset_share(
-    state: estimator.EstimatorState, learning: settings.Learning, load: Load
+    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
 ) -> float:
     """Return the offset of the input over its scale; NaN without a bias."""
     return (
@@ -116,24 +131,26 @@ def _offset_share(
     )
 
 
-def _settle(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> None:
+def _settle(
+    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
+) -> None:
     """Keep the explanation that has won."""
-    rivals = state.rivals
-    if rivals.kind == covariance.DISTURBANCE:
-        riv.note_disturbance(rivals, _offset_share(state, learning, load))
-    power = riv.explained_power(rivals)
-    if rivals.kind >= covariance.LOAD:
-        state.surprise.power = power
-        second_estimates.recount(state.challenger, state.estimate)
-    elif rivals.kind == covariance.NOTHING:
-        state.surprise.power = min(power, _LOUDER * state.surprise.power)
-    state.residual_power = state.surprise.power * state.residual_weight
-    riv.settle(rivals)
+    hypotheses = state.hypotheses
+    if hypotheses.kind == covariance.DISTURBANCE:
+        hypothesis_test.note_disturbance(hypotheses, _offset_share(state, learning, load))
+    power = hypothesis_test.explained_power(hypotheses)
+    if hypotheses.kind >= covariance.LOAD:
+        state.detector.power = power
+        second_filters.recount(state.second_filter, state.estimate)
+    elif hypotheses.kind == covariance.NOTHING:
+        state.detector.power = min(power, _LOUDER * state.detector.power)
+    state.residual_power = state.detector.power * state.residual_weight
+    hypothesis_test.settle(hypotheses)
 
 
-def _publish(state: estimator.EstimatorState, learning: settings.Learning) -> None:
+def _publish(state: estimator.EstimatorState, learning: settings.EstimatorSettings) -> None:
     """Make the likeliest explanation the estimate."""
-    best = riv.likeliest(state.rivals)
+    best = hypothesis_test.likeliest(state.hypotheses)
     copy_estimate(state.estimate, best)
     state.excitation = best.excitation
     state.innovation = best.innovation * learning.output_scale
@@ -142,64 +159,71 @@ def _publish(state: estimator.EstimatorState, learning: settings.Learning) -> No
 
 
 def _challenge_anew(
-    state: estimator.EstimatorState, learning: settings.Learning, load: Load
+    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
 ) -> bool:
-    """Start a challenger at an alarm, unless there is one that expected what surprised."""
-    if not second_estimates.is_surprised(state.challenger, learning, load, state.sample):
+    """Start a second filter at an alarm, unless there is one that expected what surprised."""
+    if not second_filters.is_surprised(state.second_filter, learning, load, state.sample):
         return False
-    riv.prepare(state.rivals, state.surprise.power)
-    second_estimates.begin(state.challenger, state.estimate, state.rivals, learning, load)
+    hypothesis_test.prepare(state.hypotheses, state.detector.power)
+    second_filters.begin(state.second_filter, state.estimate, state.hypotheses, learning, load)
     return True
 
 
-def _challenge(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> None:
-    """Let the challenger predict the sample too; a challenger that has won is the estimate."""
-    challenger, rivals, sample, own = state.challenger, state.rivals, state.sample, state.estimate
-    if challenger.samples == 0:
+def _challenge(
+    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
+) -> None:
+    """Let the second filter predict the sample too; one that has won is the estimate."""
+    second_filter, hypotheses, sample, own = (
+        state.second_filter,
+        state.hypotheses,
+        state.sample,
+        state.estimate,
+    )
+    if second_filter.samples == 0:
         return
-    second_estimates.follow(challenger, learning, load, sample, own)
+    second_filters.follow(second_filter, learning, load, sample, own)
     regression.fill_initial_state(sample.regressor, learning, load, sample.time_s - own.origin_s)
-    learning_load = rivals.samples > 0 and rivals.kind >= covariance.LOAD
-    if not learning_load and second_estimates.has_won(
-        challenger, own, rivals.loads, learning, load
+    learning_load = hypotheses.samples > 0 and hypotheses.kind >= covariance.LOAD
+    if not learning_load and second_filters.has_won(
+        second_filter, own, hypotheses.loads, learning, load
     ):
         _take_over(state)
 
 
 def _take_over(state: estimator.EstimatorState) -> None:
-    """Make the challenger the estimate; the comparison that is under way ends."""
-    challenger, rivals = state.challenger, state.rivals
-    copy_estimate(state.estimate, challenger.branch)
-    power = posterior_power(challenger.branch, challenger.power, challenger.judged)
-    state.surprise.power = power
-    state.surprise.sum = 0.0
-    state.surprise.alarms += 1
+    """Make the second filter the estimate; the comparison that is under way ends."""
+    second_filter, hypotheses = state.second_filter, state.hypotheses
+    copy_estimate(state.estimate, second_filter.branch)
+    power = posterior_power(second_filter.branch, second_filter.power, second_filter.judged)
+    state.detector.power = power
+    state.detector.sum = 0.0
+    state.detector.alarms += 1
     state.residual_power = power * state.residual_weight
-    rivals.kind = covariance.BOTH
-    rivals.loads += 1.0
-    rivals.samples = 0
-    challenger.samples = 0
-    riv.drop_anchor(rivals, state.estimate, state.sample)
+    hypotheses.kind = covariance.BOTH
+    hypotheses.loads += 1.0
+    hypotheses.samples = 0
+    second_filter.samples = 0
+    hypothesis_test.drop_anchor(hypotheses, state.estimate, state.sample)
 
 
 # The estimate in force, and what the load may have become since the samples last showed it.
 
-# The estimate in force: the one whose bias rests, or the one whose bias walks (`second_estimates`).
+# The estimate in force: the one whose bias rests, or the one whose bias walks (`second_filters`).
 
 
-def show(state: estimator.EstimatorState, learning: settings.Learning) -> None:
+def show(state: estimator.EstimatorState, learning: settings.EstimatorSettings) -> None:
     """Publish innovation and excitation of the estimate in force."""
-    if state.integrated.in_force:
-        state.innovation = state.integrated.branch.innovation * learning.output_scale
-        state.excitation = state.integrated.branch.excitation
+    if state.incremental.in_force:
+        state.innovation = state.incremental.branch.innovation * learning.output_scale
+        state.excitation = state.incremental.branch.excitation
 
 
 def in_force(state: estimator.EstimatorState) -> Branch:
     """Return the estimate in force."""
-    return state.integrated.branch if state.integrated.in_force else state.estimate
+    return state.incremental.branch if state.incremental.in_force else state.estimate
 
 
-def own_residual(state: estimator.EstimatorState, learning: settings.Learning) -> float:
+def own_residual(state: estimator.EstimatorState, learning: settings.EstimatorSettings) -> float:
     """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
     innovation = state.innovation / learning.output_scale
     return rls.normalised(state.excitation, innovation, learning.forgetting)
@@ -208,8 +232,8 @@ def own_residual(state: estimator.EstimatorState, learning: settings.Learning) -
 def residual_noise(state: estimator.EstimatorState) -> float:
     """σ of the innovations, scaled; NaN before there are more of them than parameters."""
     power, weight = state.residual_power, state.residual_weight
-    if state.integrated.in_force:
-        power, weight = state.integrated.residual_power, state.integrated.residual_weight
+    if state.incremental.in_force:
+        power, weight = state.incremental.residual_power, state.incremental.residual_weight
     freedom = weight - len(state.estimate.theta)
     if freedom <= 0.0:
         return math.nan
@@ -229,7 +253,7 @@ def correlation_factor(state: estimator.EstimatorState) -> float:
         state: Sums over the innovations.
     """
     power, lag = state.residual_power, state.residual_lag
-    if state.integrated.in_force or not lag > 0.0:
+    if state.incremental.in_force or not lag > 0.0:
         return 1.0
     if lag >= power:
         return math.sqrt(state.residual_weight)
@@ -237,7 +261,10 @@ def correlation_factor(state: estimator.EstimatorState) -> float:
 
 
 def parameter_root(
-    state: estimator.EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+    state: estimator.EstimatorState,
+    learning: settings.EstimatorSettings,
+    load: Load,
+    values: vectors.Vector,
 ) -> vectors.Vector:
     """L of the covariance L Lᵀ of the physical parameters, to first order.
 
@@ -256,7 +283,9 @@ _SHOWN = 30.0
 """Movement of a sample, in σ, by an α that is larger by 1: 3 σ for a quarter of a second disk."""
 
 
-def note_age(state: estimator.EstimatorState, learning: settings.Learning, load: Load) -> None:
+def count_unseen(
+    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
+) -> None:
     """Count the slow periods since a sample that would have shown another load.
 
     Args:
@@ -265,7 +294,7 @@ def note_age(state: estimator.EstimatorState, learning: settings.Learning, load:
         load: Order and structure.
     """
     state.unseen_periods += 1
-    noise = math.sqrt(state.surprise.power)
+    noise = math.sqrt(state.detector.power)
     for i in range(regression.fitted_order(learning, load)):
         direction = covariance.load_direction(state.estimate.theta, i, learning, load)
         if abs(predict(direction, state.sample.regressor)) > _SHOWN * noise:
@@ -279,19 +308,22 @@ def is_doubtful(state: estimator.EstimatorState) -> bool:
 
 def is_contested(state: estimator.EstimatorState) -> bool:
     """Return whether the latest samples speak for another load than the estimate."""
-    if state.surprise.sum > 0.0 or state.rivals.samples > 0:
+    if state.detector.sum > 0.0 or state.hypotheses.samples > 0:
         return True
-    challenger = state.challenger
-    if challenger.samples == 0:
+    second_filter = state.second_filter
+    if second_filter.samples == 0:
         return False
     return (
-        challenger.judged < thresholds.EARLIEST
-        or second_estimates.lead(challenger, state.estimate) > 0.0
+        second_filter.judged < thresholds.EARLIEST
+        or second_filters.lead(second_filter, state.estimate) > 0.0
     )
 
 
-def doubted_deviations(
-    state: estimator.EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+def inflated_deviations(
+    state: estimator.EstimatorState,
+    learning: settings.EstimatorSettings,
+    load: Load,
+    values: vectors.Vector,
 ) -> vectors.Vector:
     """Return the standard deviations to be shown: wider while the load may be another.
 
@@ -315,5 +347,5 @@ def doubted_deviations(
             direction = covariance.load_direction(opened.theta, i, learning, load)
             widen(opened.upper, opened.diagonal, direction, spread * spread)
     own = covariance.deviations_of(opened, noise, learning, load, values)
-    share = math.sqrt(state.rivals.moved)
+    share = math.sqrt(state.hypotheses.moved)
     return [math.hypot(own[i], share * values[i]) for i in range(len(values))]

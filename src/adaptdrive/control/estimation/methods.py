@@ -14,16 +14,14 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import settings, thresholds, vectors
-from adaptdrive.control.estimation import branch, learn, regression, rivals, rls
-from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation import rls as ud
+from adaptdrive.control.estimation import branch, hypothesis_test, learn, regression, rls
 from adaptdrive.control.estimation.estimator import (
     EstimatorState,
     Method,
-    let_emf_wander,
     take_in,
+    widen_emf,
 )
-from adaptdrive.control.estimation.second_estimates import follow_integrated as follow
+from adaptdrive.control.estimation.second_filters import follow_incremental as follow
 from adaptdrive.control.loads.load import Load
 
 # The λ-method (LM-RLS): recursive least squares on signals behind λ filters.
@@ -38,26 +36,28 @@ class LambdaMethod:
         """True: θ is a model in s."""
         return True
 
-    def parameter_count(self, learning: settings.Learning, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: settings.EstimatorSettings, load: Load, taps: int) -> int:
         """Return the length of θ, which does not depend on the past inputs."""
-        return reg.filtered_count(learning, load)
+        return regression.filtered_count(learning, load)
 
     def theta_of(
         self,
-        learning: settings.Learning,
+        learning: settings.EstimatorSettings,
         load: Load,
         numerator: vectors.Vector,
         denominator: vectors.Vector,
     ) -> vectors.Vector:
         """Return α and β of a model in s, scaled."""
-        return reg.theta_of(learning, load, numerator, denominator)
+        return regression.theta_of(learning, load, numerator, denominator)
 
-    def begin(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
+    def begin(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> None:
         """Take γ = 0 as known where the initial state is not learnt: the load is at rest."""
         if learning.initial_state:
             return
-        first = reg.fitted_order(learning, load) + len(load.input_powers)
-        for i in range(reg.initial_state_count(learning, load)):
+        first = regression.fitted_order(learning, load) + len(load.input_powers)
+        for i in range(regression.initial_state_count(learning, load)):
             state.estimate.diagonal[first + i] = (
                 thresholds.NOISE_FLOOR * learning.initial_covariance
             )
@@ -65,7 +65,7 @@ class LambdaMethod:
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: settings.Learning,
+        learning: settings.EstimatorSettings,
         load: Load,
         sample: regression.SlowSample,
         past: tuple[vectors.Vector, vectors.Vector],
@@ -74,51 +74,65 @@ class LambdaMethod:
         y, u = sample.output_filtered, sample.input_filtered
         regressor = state.sample.regressor
         elapsed_s = state.sample.time_s - state.estimate.origin_s
-        reg.fill_filtered_regressor(regressor, learning, load, y, u)
-        reg.fill_initial_state(regressor, learning, load, elapsed_s)
-        reg.fill_charge(regressor, learning, state.charge)
-        let_emf_wander(state, learning)
-        lowered, output = state.rivals.lowered, sample.output
-        reg.fill_lowered_regressor(lowered, learning, load, output, y, u)
-        reg.fill_charge(lowered, learning, state.charge + output / learning.output_scale)
+        regression.fill_filtered_regressor(regressor, learning, load, y, u)
+        regression.fill_initial_state(regressor, learning, load, elapsed_s)
+        regression.fill_charge(regressor, learning, state.charge)
+        widen_emf(state, learning)
+        lowered, output = state.hypotheses.lowered, sample.output
+        regression.fill_lowered_regressor(lowered, learning, load, output, y, u)
+        regression.fill_charge(lowered, learning, state.charge + output / learning.output_scale)
 
-    def target(self, learning: settings.Learning, sample: regression.SlowSample) -> float:
+    def target(self, learning: settings.EstimatorSettings, sample: regression.SlowSample) -> float:
         """Return y[k]."""
         return sample.output
 
-    def take_in(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
+    def take_in(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> None:
         """Update θ and P; an abrupt change is explained where `alert` is set."""
         own, sample = state.estimate, state.sample
         if not learning.alert:
             take_in(state, learning, directional=False)
             return
-        follow(state.integrated, learning, load, sample, own)
-        reg.fill_initial_state(sample.regressor, learning, load, sample.time_s - own.origin_s)
+        follow(state.incremental, learning, load, sample, own)
+        regression.fill_initial_state(
+            sample.regressor, learning, load, sample.time_s - own.origin_s
+        )
         learn.learn_and_explain(state, learning, load)
-        learn.note_age(state, learning, load)
+        learn.count_unseen(state, learning, load)
         learn.show(state, learning)
 
     def model(
-        self, state: EstimatorState, learning: settings.Learning, load: Load
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
     ) -> tuple[vectors.Vector, vectors.Vector]:
         """Return numerator and denominator of the estimated model in s."""
-        return reg.filtered_model(learn.in_force(state).theta, learning, load)
+        return regression.filtered_model(learn.in_force(state).theta, learning, load)
 
     def root(
-        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+        self,
+        state: EstimatorState,
+        learning: settings.EstimatorSettings,
+        load: Load,
+        values: vectors.Vector,
     ) -> vectors.Vector:
         """Return L of the covariance of the physical parameters, to first order."""
         return learn.parameter_root(state, learning, load, values)
 
     def shown_deviations(
-        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+        self,
+        state: EstimatorState,
+        learning: settings.EstimatorSettings,
+        load: Load,
+        values: vectors.Vector,
     ) -> vectors.Vector:
         """Return their deviations, with what the load may be since the samples showed it."""
-        return learn.doubted_deviations(state, learning, load, values)
+        return learn.inflated_deviations(state, learning, load, values)
 
-    def input_offset(self, state: EstimatorState, learning: settings.Learning, load: Load) -> float:
+    def input_offset(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> float:
         """Return the constant input with the effect of bias and charge; NaN without a bias."""
-        return reg.input_offset(learn.in_force(state).theta, learning, load, state.charge)
+        return regression.input_offset(learn.in_force(state).theta, learning, load, state.charge)
 
 
 # From a discrete model back to the continuous-time load, for orders 1 and 2.
@@ -176,13 +190,13 @@ class DirectMethod:
         """False: θ is a discrete model."""
         return False
 
-    def parameter_count(self, learning: settings.Learning, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: settings.EstimatorSettings, load: Load, taps: int) -> int:
         """Return the length of θ."""
         return load.order + taps + (1 if learning.bias else 0)
 
     def theta_of(
         self,
-        learning: settings.Learning,
+        learning: settings.EstimatorSettings,
         load: Load,
         numerator: vectors.Vector,
         denominator: vectors.Vector,
@@ -190,13 +204,15 @@ class DirectMethod:
         """Return nothing: the discrete model of a nominal one depends on the period."""
         return [0.0] * 0
 
-    def begin(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
+    def begin(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> None:
         """Leave P as it is."""
 
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: settings.Learning,
+        learning: settings.EstimatorSettings,
         load: Load,
         sample: regression.SlowSample,
         past: tuple[vectors.Vector, vectors.Vector],
@@ -205,36 +221,48 @@ class DirectMethod:
         outputs, inputs = past
         fill_direct_regressor(state.sample.regressor, learning, load, outputs, inputs)
 
-    def target(self, learning: settings.Learning, sample: regression.SlowSample) -> float:
+    def target(self, learning: settings.EstimatorSettings, sample: regression.SlowSample) -> float:
         """Return y[k]."""
         return sample.output
 
-    def take_in(self, state: EstimatorState, learning: settings.Learning, load: Load) -> None:
+    def take_in(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> None:
         """Update θ and P; an abrupt change opens P where `alert` is set."""
         if learning.alert:
             _open_up(state, learning)
         take_in(state, learning, directional=False)
 
     def model(
-        self, state: EstimatorState, learning: settings.Learning, load: Load
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
     ) -> tuple[vectors.Vector, vectors.Vector]:
         """Return B and A as estimated; the gains need no more."""
         a, b = direct_model(state.estimate.theta, learning, load)
         return b, a
 
     def root(
-        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+        self,
+        state: EstimatorState,
+        learning: settings.EstimatorSettings,
+        load: Load,
+        values: vectors.Vector,
     ) -> vectors.Vector:
         """Return NaN: nothing is known of the physical parameters."""
         return [math.nan] * (len(values) * len(values))
 
     def shown_deviations(
-        self, state: EstimatorState, learning: settings.Learning, load: Load, values: vectors.Vector
+        self,
+        state: EstimatorState,
+        learning: settings.EstimatorSettings,
+        load: Load,
+        values: vectors.Vector,
     ) -> vectors.Vector:
         """Return NaN for each physical parameter."""
         return [math.nan] * len(values)
 
-    def input_offset(self, state: EstimatorState, learning: settings.Learning, load: Load) -> float:
+    def input_offset(
+        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+    ) -> float:
         """Return the constant input with the effect of the estimated bias; NaN without one."""
         if not learning.bias:
             return math.nan
@@ -246,7 +274,7 @@ class DirectMethod:
 
 def fill_direct_regressor(
     regressor: vectors.Vector,
-    learning: settings.Learning,
+    learning: settings.EstimatorSettings,
     load: Load,
     outputs: vectors.Vector,
     inputs: vectors.Vector,
@@ -269,7 +297,7 @@ def fill_direct_regressor(
 
 
 def direct_model(
-    theta: vectors.Vector, learning: settings.Learning, load: Load
+    theta: vectors.Vector, learning: settings.EstimatorSettings, load: Load
 ) -> tuple[vectors.Vector, vectors.Vector]:
     """Return A, B in q^-1 of a direct estimate."""
     order = load.order
@@ -279,20 +307,22 @@ def direct_model(
     return [1.0, *theta[:order]], b
 
 
-def _input_count(parameters: vectors.Vector, learning: settings.Learning, load: Load) -> int:
+def _input_count(
+    parameters: vectors.Vector, learning: settings.EstimatorSettings, load: Load
+) -> int:
     return len(parameters) - load.order - (1 if learning.bias else 0)
 
 
-def _open_up(state: EstimatorState, learning: settings.Learning) -> None:
+def _open_up(state: EstimatorState, learning: settings.EstimatorSettings) -> None:
     """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
     own = state.estimate
     squared = rls.normalised(own.excitation, own.innovation, learning.forgetting)
-    if not rivals.is_surprising(state.surprise, squared):
+    if not hypothesis_test.is_change(state.detector, squared):
         return
-    ud.open_up(own.upper, own.diagonal, learning.initial_covariance)
+    rls.open_up(own.upper, own.diagonal, learning.initial_covariance)
     branch.predict(own, state.sample)
     state.excitation = own.excitation
-    state.residual_power = state.surprise.power * state.residual_weight
+    state.residual_power = state.detector.power * state.residual_weight
 
 
 # The estimation methods, by their names in the configuration (`estimator.method`).

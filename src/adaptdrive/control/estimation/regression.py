@@ -47,7 +47,7 @@ import math
 from dataclasses import dataclass, field
 
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector, multiply, total
 
 # Between a continuous-time model and its λ-transformed parameters, for any order.
@@ -144,29 +144,31 @@ _TINY = 1e-12
 """Below this a divisor counts as zero."""
 
 
-def filtered_count(learning: Learning, load: Load) -> int:
+def filtered_count(learning: EstimatorSettings, load: Load) -> int:
     """Return the length of θ of the λ-method."""
     first = fitted_order(learning, load) + len(load.input_powers)
     first += initial_state_count(learning, load)
     return first + (1 if learning.charge else 0) + (1 if learning.bias else 0)
 
 
-def charge_index(learning: Learning, size: int) -> int:
+def charge_index(learning: EstimatorSettings, size: int) -> int:
     """Return the place of the charge in θ of a length; only where a charge is learnt."""
     return size - 2 if learning.bias else size - 1
 
 
-def has_short_lag(learning: Learning) -> bool:
+def has_short_lag(learning: EstimatorSettings) -> bool:
     """Return whether the output passes a lag that is too short to be learnt."""
     return learning.short_lag_s > 0.0
 
 
-def fitted_order(learning: Learning, load: Load) -> int:
+def fitted_order(learning: EstimatorSettings, load: Load) -> int:
     """Return the number of estimated coefficients of the denominator."""
     return load.order - 1 if has_short_lag(learning) else load.order
 
 
-def theta_of(learning: Learning, load: Load, numerator: Vector, denominator: Vector) -> Vector:
+def theta_of(
+    learning: EstimatorSettings, load: Load, numerator: Vector, denominator: Vector
+) -> Vector:
     """θ of a model in s for the λ-method, scaled, without a bias.
 
     Args:
@@ -198,7 +200,7 @@ def _without_factor(polynomial: Vector, constant: float) -> Vector:
 
 def fill_filtered_regressor(
     regressor: Vector,
-    learning: Learning,
+    learning: EstimatorSettings,
     load: Load,
     output_filtered: Vector,
     input_filtered: Vector,
@@ -222,7 +224,9 @@ def fill_filtered_regressor(
         regressor[len(regressor) - 1] = 1.0
 
 
-def fill_initial_state(regressor: Vector, learning: Learning, load: Load, elapsed_s: float) -> None:
+def fill_initial_state(
+    regressor: Vector, learning: EstimatorSettings, load: Load, elapsed_s: float
+) -> None:
     """The part of r that stands for the state at the start.
 
     Args:
@@ -239,7 +243,7 @@ def fill_initial_state(regressor: Vector, learning: Learning, load: Load, elapse
         value *= ratio
 
 
-def fill_charge(regressor: Vector, learning: Learning, charge: float) -> None:
+def fill_charge(regressor: Vector, learning: EstimatorSettings, charge: float) -> None:
     """The part of r that stands for the charge, where one is learnt.
 
     Args:
@@ -253,7 +257,7 @@ def fill_charge(regressor: Vector, learning: Learning, charge: float) -> None:
 
 def fill_lowered_regressor(
     lowered: Vector,
-    learning: Learning,
+    learning: EstimatorSettings,
     load: Load,
     output: float,
     output_filtered: Vector,
@@ -274,7 +278,7 @@ def fill_lowered_regressor(
     fill_filtered_regressor(lowered, learning, load, outputs, inputs)
 
 
-def _input_behind_lag(learning: Learning, input_filtered: Vector, power: int) -> float:
+def _input_behind_lag(learning: EstimatorSettings, input_filtered: Vector, power: int) -> float:
     """Return λ^i u, or λ^(i-1) v where a short lag is known."""
     if not has_short_lag(learning):
         return input_filtered[power]
@@ -282,12 +286,12 @@ def _input_behind_lag(learning: Learning, input_filtered: Vector, power: int) ->
     return (1.0 + share) * input_filtered[power - 1] - share * input_filtered[power - 2]
 
 
-def initial_state_count(learning: Learning, load: Load) -> int:
+def initial_state_count(learning: EstimatorSettings, load: Load) -> int:
     """Length of γ: of the state at the start, and of that at each change."""
     return fitted_order(learning, load) if learning.initial_state or learning.alert else 0
 
 
-def dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
+def dc_gain(theta: Vector, learning: EstimatorSettings, load: Load) -> float:
     """Σβ / (1 + Σα), scaled; 0 where there is none."""
     below, order = 1.0, fitted_order(learning, load)
     for i in range(order):
@@ -296,7 +300,7 @@ def dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
     return above / below if abs(below) > _TINY else 0.0
 
 
-def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+def filtered_model(theta: Vector, learning: EstimatorSettings, load: Load) -> tuple[Vector, Vector]:
     """H(s) of an estimate of the λ-method: numerator and denominator."""
     order, scale = fitted_order(learning, load), learning.output_scale / learning.input_scale
     if has_short_lag(learning):
@@ -312,7 +316,7 @@ def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vecto
     return numerator, denominator
 
 
-def input_offset(theta: Vector, learning: Learning, load: Load, charge: float) -> float:
+def input_offset(theta: Vector, learning: EstimatorSettings, load: Load, charge: float) -> float:
     """The constant input with the effect of the estimated bias and charge; NaN without a bias.
 
     Args:

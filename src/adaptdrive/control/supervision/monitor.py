@@ -25,7 +25,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from adaptdrive.control.settings import Jacket
+from adaptdrive.control.settings import SupervisionLimits
 from adaptdrive.control.thresholds import MEMORY, WINDOW
 
 # The watch over the adaptive controller: when to return to the fixed one, and for how long.
@@ -55,7 +55,7 @@ class Fallback(IntEnum):
 
 
 @dataclass(slots=True)
-class WatchState:
+class MonitorState:
     """State of the watch.
 
     Attributes:
@@ -97,9 +97,9 @@ class WatchState:
     swings: int = 0
 
 
-def watch_loop(
-    state: WatchState,
-    jacket: Jacket,
+def monitor_loop(
+    state: MonitorState,
+    supervision: SupervisionLimits,
     error: float,
     strayed: float,
     rest_distance: float,
@@ -111,7 +111,7 @@ def watch_loop(
 
     Args:
         state: Overwritten.
-        jacket: Limits.
+        supervision: Limits.
         error: r - y.
         strayed: Response that was asked for, minus y: a slow pole alone is no error.
         rest_distance: How far y is from where a model rests at this input.
@@ -122,21 +122,21 @@ def watch_loop(
     Returns:
         The reason to return to the fixed controller, 0 for none.
     """
-    _watch_saturation(state, jacket, rest_distance, saturated)
-    _watch_error(state, jacket, strayed, saturated)
-    _watch_swings(state, jacket, error)
+    _watch_saturation(state, supervision, rest_distance, saturated)
+    _watch_error(state, supervision, strayed, saturated)
+    _watch_swings(state, supervision, error)
     if held_share > 1.0 - held_share:  # more is guessed than measured
         return Fallback.BLIND
-    if 0 < jacket.saturated_periods < state.stuck_periods:
+    if 0 < supervision.saturated_periods < state.stuck_periods:
         return Fallback.SATURATED
-    if jacket.error_limit > 0.0 and state.error_periods * (1.0 - pole) > TIME_CONSTANTS:
+    if supervision.error_limit > 0.0 and state.error_periods * (1.0 - pole) > TIME_CONSTANTS:
         return Fallback.ERROR
     if state.swings >= SWINGS:
         return Fallback.OSCILLATING
     return Fallback.NONE
 
 
-def latch_fallback(state: WatchState, reason: int, asked: bool) -> None:
+def latch_fallback(state: MonitorState, reason: int, asked: bool) -> None:
     """Keep a reason, while adaptive is asked for, until its cause is gone or the operator ends it.
 
     Asking for adaptive anew arms the watch again.
@@ -153,9 +153,9 @@ def latch_fallback(state: WatchState, reason: int, asked: bool) -> None:
     state.asked = asked
 
 
-def watch_response(
-    state: WatchState,
-    jacket: Jacket,
+def monitor_response(
+    state: MonitorState,
+    supervision: SupervisionLimits,
     expected: float,
     lag_periods: float,
     output: float,
@@ -165,14 +165,14 @@ def watch_response(
 
     Args:
         state: Overwritten.
-        jacket: Limits and bounds.
+        supervision: Limits and bounds.
         expected: Where the nominal load rests at the input of the elapsed period.
         lag_periods: Sum of its time constants, in slow periods.
         output: y.
         saturated: Whether that input was at a limit or could not be followed.
     """
-    state.fast += _share(jacket.ratio_min * lag_periods) * (expected - state.fast)
-    state.slow += _share(jacket.ratio_max * lag_periods) * (expected - state.slow)
+    state.fast += _share(supervision.ratio_min * lag_periods) * (expected - state.fast)
+    state.slow += _share(supervision.ratio_max * lag_periods) * (expected - state.slow)
     if not saturated:
         state.limit_periods = 0
         return False
@@ -181,15 +181,15 @@ def watch_response(
         state.limit_fast, state.limit_slow = state.fast, state.slow
     state.limit_periods += 1
     state.moved = max(state.moved, abs(output - state.limit_output))
-    return _is_unresponsive(state, jacket)
+    return _is_unresponsive(state, supervision)
 
 
-def _is_unresponsive(state: WatchState, jacket: Jacket) -> bool:
-    long = 0 < jacket.response_periods < state.limit_periods
-    if not long or state.moved >= jacket.response_distance:
+def _is_unresponsive(state: MonitorState, supervision: SupervisionLimits) -> bool:
+    long = 0 < supervision.response_periods < state.limit_periods
+    if not long or state.moved >= supervision.response_distance:
         return False
     fast, slow = abs(state.fast - state.limit_fast), abs(state.slow - state.limit_slow)
-    return jacket.ratio_min * min(fast, slow) > jacket.response_distance
+    return supervision.ratio_min * min(fast, slow) > supervision.response_distance
 
 
 def _share(lag_periods: float) -> float:
@@ -198,10 +198,10 @@ def _share(lag_periods: float) -> float:
 
 
 def _watch_saturation(
-    state: WatchState, jacket: Jacket, rest_distance: float, saturated: bool
+    state: MonitorState, supervision: SupervisionLimits, rest_distance: float, saturated: bool
 ) -> None:
     """Count the periods at a limit in which the output neither rests nor comes closer to it."""
-    if not saturated or rest_distance <= jacket.response_distance:
+    if not saturated or rest_distance <= supervision.response_distance:
         state.stuck_periods = 0
         return
     if state.stuck_periods == 0 or rest_distance < CLOSER * state.stuck_distance:
@@ -210,14 +210,16 @@ def _watch_saturation(
     state.stuck_periods += 1
 
 
-def _watch_error(state: WatchState, jacket: Jacket, strayed: float, saturated: bool) -> None:
-    small = saturated or abs(strayed) <= jacket.error_limit
+def _watch_error(
+    state: MonitorState, supervision: SupervisionLimits, strayed: float, saturated: bool
+) -> None:
+    small = saturated or abs(strayed) <= supervision.error_limit
     state.error_periods = 0 if small else state.error_periods + 1
 
 
-def _watch_swings(state: WatchState, jacket: Jacket, error: float) -> None:
+def _watch_swings(state: MonitorState, supervision: SupervisionLimits, error: float) -> None:
     if error * state.last_error < 0.0:
-        small = state.peak < jacket.swing_min
+        small = state.peak < supervision.swing_min
         grows = state.peak > GROWTH * state.last_peak
         state.swings = state.swings + 1 if grows and not small else 0
         state.last_peak, state.peak = state.peak, 0.0
@@ -243,7 +245,7 @@ FAR_BETTER = 3.0
 
 
 @dataclass(slots=True)
-class CyclingState:
+class LimitCycleState:
     """State of the watch.
 
     Attributes:
@@ -259,8 +261,8 @@ class CyclingState:
     reference: float = 0.0
 
 
-def watch_cycling(
-    state: CyclingState,
+def monitor_limit_cycle(
+    state: LimitCycleState,
     position: float,
     reference: float,
     reference_step: float,
@@ -289,7 +291,7 @@ def watch_cycling(
     return fixed and state.traverses >= TRAVERSES and better > FAR_BETTER
 
 
-def _arrive(state: CyclingState, side: int) -> None:
+def _arrive(state: LimitCycleState, side: int) -> None:
     """Count a way that has ended at a limit."""
     if state.way_periods > LONGEST_WAY:
         state.traverses = 0

@@ -7,12 +7,12 @@ import math
 
 from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.design import pole_placement
-from adaptdrive.control.design.noise import fast_loop, noise_gain, quiet_loop
-from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import methods, regression, second_estimates
+from adaptdrive.control.design.noise import detuned_loop, fast_loop, noise_gain
+from adaptdrive.control.estimation import methods, regression, second_filters
+from adaptdrive.control.estimation.estimator import begin_anew
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.control.supervision import supervisor as sup
+from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
+from adaptdrive.control.supervision import supervisor
 from adaptdrive.control.supervision.state import SlowState
 
 
@@ -24,12 +24,12 @@ def adapt(
     verdict = _redesign(settings, load, state, sample, gains)
     _look_for_a_way_back(settings, load, state, verdict)
     periods = state.estimator.periods
-    state.accepted = sup.take_verdict(
-        state.supervisor, verdict, settings.jacket, periods, state.adaptive
+    state.accepted = supervisor.take_verdict(
+        state.supervisor, verdict, settings.supervision, periods, state.adaptive
     )
     if state.accepted or _is_recalled(settings, state, verdict):
-        _take_gains(settings.jacket, state, gains)
-        _take_loop(load, state, settings.jacket.gain_slew, sample.pole)
+        _take_gains(settings.supervision, state, gains)
+        _take_loop(load, state, settings.supervision.gain_slew, sample.pole)
         _take_fast_law(settings, load, state, sample)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
         state.input_noise = _input_noise(settings, state, state.new_loop, thresholds.NOISE_FLOOR)
@@ -43,7 +43,7 @@ def _is_recalled(settings: ControllerSettings, state: SlowState, verdict: int) -
     it becomes known.
     """
     unchanged = state.estimator.periods <= max(1, settings.learning.settle_periods)
-    possible = verdict == sup.Verdict.TRUSTED or sup.is_doubt(verdict)
+    possible = verdict == supervisor.Verdict.TRUSTED or supervisor.is_uncertain(verdict)
     state.recalled = state.recalled and unchanged and possible
     state.supervisor.trusted = state.supervisor.trusted or state.recalled
     return state.recalled
@@ -54,22 +54,26 @@ def _look_for_a_way_back(
 ) -> None:
     """Let an estimate that cannot be right for as long as it remembers begin anew."""
     estimator = state.estimator
-    if not settings.learning.alert or estimator.idle_periods > 0 or not sup.is_impossible(verdict):
+    if (
+        not settings.learning.alert
+        or estimator.idle_periods > 0
+        or not supervisor.is_impossible(verdict)
+    ):
         estimator.lost_periods = 0
         return
     estimator.lost_periods += 1
     if not state.estimator.method.physical or estimator.lost_periods <= thresholds.MEMORY:
         return
     estimator.lost_periods = 0
-    if estimator.integrated.in_force:
-        second_estimates.restart(estimator.integrated)
+    if estimator.incremental.in_force:
+        second_filters.restart(estimator.incremental)
     else:
-        est.begin_anew(estimator, settings.learning, load)
+        begin_anew(estimator, settings.learning, load)
 
 
-def _take_gains(jacket: Jacket, state: SlowState, gains: vectors.Vector) -> None:
+def _take_gains(supervision: SupervisionLimits, state: SlowState, gains: vectors.Vector) -> None:
     """New gains: those in force move towards them, those that only wait are replaced."""
-    share = jacket.gain_slew
+    share = supervision.gain_slew
     if share >= 1.0 or not state.adaptive:
         vectors.copy_into(state.adaptive_gains, gains)
         return
@@ -94,10 +98,10 @@ def _take_fast_law(
 ) -> None:
     """Take over the fast law, or the quiet one where the covariance leaves the fast one unsure."""
     a, b, quiet, solved = state.model_a, state.model_b, state.new_loop, state.equation
-    noise, limit = _output_noise(settings, state, 0.0), settings.jacket.noise_max
+    noise, limit = _output_noise(settings, state, 0.0), settings.supervision.noise_max
     loop = fast_loop(solved, a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
     gains = pole_placement.loop_gains(solved, a, b, loop)
-    most = settings.jacket.spread_max
+    most = settings.supervision.spread_max
     if most > 0.0 and not _spread(load, state, gains, loop, sample.pole) <= most:
         loop, gains = quiet, pole_placement.loop_gains(solved, a, b, quiet)
     vectors.copy_into(state.fast_loop, loop)
@@ -119,7 +123,7 @@ def _output_noise(
     if not state.estimator.method.physical:
         return 0.0
     estimator = state.estimator
-    seen = math.sqrt(max(least, estimator.surprise.noise))
+    seen = math.sqrt(max(least, estimator.detector.noise))
     return max(seen, estimator.sample.rounding) * settings.learning.output_scale
 
 
@@ -127,7 +131,7 @@ def _input_noise(
     settings: ControllerSettings, state: SlowState, loop: vectors.Vector, least: float
 ) -> float:
     """σ_u of a loop, at most its limit; 0 where there is no limit."""
-    limit = settings.jacket.noise_max
+    limit = settings.supervision.noise_max
     if not limit > 0.0:
         return 0.0
     gain = noise_gain(state.equation, state.model_a, state.model_b, loop)
@@ -142,16 +146,16 @@ def _redesign(
     gains: vectors.Vector,
 ) -> int:
     a, b, verdict = judged_model(settings, load, state, sample.period_s)
-    if verdict != sup.Verdict.TRUSTED:
+    if verdict != supervisor.Verdict.TRUSTED:
         return verdict
-    limit = settings.jacket.noise_max
+    limit = settings.supervision.noise_max
     noise, solved = _output_noise(settings, state), pole_placement.equation(a, b)
     vectors.copy_into(
-        state.new_loop, quiet_loop(solved, a, b, load.order, sample.pole, noise, limit)
+        state.new_loop, detuned_loop(solved, a, b, load.order, sample.pole, noise, limit)
     )
     vectors.copy_into(gains, pole_placement.loop_gains(solved, a, b, state.new_loop))
-    verdict = sup.judge_loop(pole_placement.closed_loop(gains, a, b, load.order))
-    if verdict != sup.Verdict.TRUSTED:
+    verdict = supervisor.judge_loop(pole_placement.closed_loop(gains, a, b, load.order))
+    if verdict != supervisor.Verdict.TRUSTED:
         return verdict
     state.model_a, state.model_b, state.equation = a, b, solved
     return _judge_response(settings, load, state, gains, sample)
@@ -165,14 +169,14 @@ def _judge_response(
     sample: regression.SlowSample,
 ) -> int:
     """Check how far the response may be off within the covariance of the estimate."""
-    limit, learning = settings.jacket.spread_max, settings.learning
+    limit, learning = settings.supervision.spread_max, settings.learning
     if not (limit > 0.0 and state.estimator.method.physical):
-        return sup.Verdict.TRUSTED
+        return supervisor.Verdict.TRUSTED
     root = state.estimator.method.root(state.estimator, learning, load, state.values)
     models = pole_placement.possible_models(settings, load, state.values, root, sample.period_s)
     vectors.copy_into(state.possible, models)
     state.spread = _spread(load, state, gains, state.new_loop, sample.pole)
-    return sup.Verdict.TRUSTED if state.spread <= limit else sup.Verdict.UNCERTAIN
+    return supervisor.Verdict.TRUSTED if state.spread <= limit else supervisor.Verdict.UNCERTAIN
 
 
 def _spread(
@@ -211,19 +215,21 @@ def judge_physical(
     Returns:
         A and B of the discrete model, and the verdict; the polynomials count only if trusted.
     """
-    verdict = sup.judge_model(numerator, denominator)
-    if verdict != sup.Verdict.TRUSTED:
+    verdict = supervisor.judge_model(numerator, denominator)
+    if verdict != supervisor.Verdict.TRUSTED:
         return denominator, numerator, verdict
     vectors.copy_into(state.values, load.physical(numerator, denominator))
-    verdict = sup.judge_bounds(state.values, state.nominal, settings.jacket, state.supervisor)
-    if verdict == sup.Verdict.TRUSTED:
-        verdict = sup.judge_damping(denominator, settings.jacket)
-    if verdict == sup.Verdict.TRUSTED:
-        verdict = sup.judge_residual(state.supervisor, settings.jacket)
-    if verdict != sup.Verdict.TRUSTED:
+    verdict = supervisor.judge_bounds(
+        state.values, state.nominal, settings.supervision, state.supervisor
+    )
+    if verdict == supervisor.Verdict.TRUSTED:
+        verdict = supervisor.judge_damping(denominator, settings.supervision)
+    if verdict == supervisor.Verdict.TRUSTED:
+        verdict = supervisor.judge_residual(state.supervisor, settings.supervision)
+    if verdict != supervisor.Verdict.TRUSTED:
         return denominator, numerator, verdict
     a, b = pole_placement.discrete_model(settings, load, numerator, denominator, period_s)
-    return a, b, sup.judge_load(a)
+    return a, b, supervisor.judge_load(a)
 
 
 def judged_model(
@@ -236,7 +242,7 @@ def judged_model(
         return judge_physical(settings, load, state, numerator, denominator, period_s)
     a, b = denominator, numerator
     _show(load, state, a, b, period_s)
-    return a, b, sup.judge_load(a)
+    return a, b, supervisor.judge_load(a)
 
 
 def _show(
@@ -244,7 +250,7 @@ def _show(
 ) -> None:
     """Make the physical parameters that are published; NaN where the model has none."""
     numerator, denominator = methods.continuous_model(a, b, period_s)
-    if sup.judge_model(numerator, denominator) == sup.Verdict.TRUSTED:
+    if supervisor.judge_model(numerator, denominator) == supervisor.Verdict.TRUSTED:
         vectors.copy_into(state.values, load.physical(numerator, denominator))
     else:
         vectors.copy_into(state.values, [math.nan] * len(state.values))

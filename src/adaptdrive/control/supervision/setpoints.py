@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from adaptdrive.control.estimation.learn import is_contested
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load, to_input
-from adaptdrive.control.settings import Learning, PowerStage, Probing
+from adaptdrive.control.settings import EstimatorSettings, PowerStage, Probing
 from adaptdrive.control.supervision import monitor, supervisor
 from adaptdrive.control.supervision.state import ProbeState, SlowState
 from adaptdrive.control.vectors import total
@@ -43,7 +43,9 @@ from adaptdrive.control.vectors import total
 # Steady state of the load at a constant input, by the nominal and by the trusted model.
 
 
-def distance_from_rest(learning: Learning, load: Load, state: SlowState, output: float) -> float:
+def distance_from_rest(
+    learning: EstimatorSettings, load: Load, state: SlowState, output: float
+) -> float:
     """Return how far the output is from the nearest place where a model rests at this input.
 
     Args:
@@ -52,7 +54,7 @@ def distance_from_rest(learning: Learning, load: Load, state: SlowState, output:
         state: The input in force, the last trusted model, and the estimate.
         output: y[k].
     """
-    offset = believed_offset(learning, load, state)
+    offset = estimated_offset(learning, load, state)
     distance = _distance(load, load.gain, state.sent, offset, output)
     if state.supervisor.trusted:
         gain = total(state.trusted_b) / total(state.trusted_a)
@@ -60,7 +62,7 @@ def distance_from_rest(learning: Learning, load: Load, state: SlowState, output:
     return distance
 
 
-def believed_offset(learning: Learning, load: Load, state: SlowState) -> float:
+def estimated_offset(learning: EstimatorSettings, load: Load, state: SlowState) -> float:
     """Return the estimated offset of the input, 0 where none is estimated.
 
     Args:
@@ -128,7 +130,9 @@ def nominal_reach(load: Load, stage: PowerStage) -> Reach:
     return _reach(load, stage, load.gain, 0.0)
 
 
-def estimated_reach(learning: Learning, load: Load, stage: PowerStage, state: SlowState) -> Reach:
+def estimated_reach(
+    learning: EstimatorSettings, load: Load, stage: PowerStage, state: SlowState
+) -> Reach:
     """Return what V_c reaches with the last trusted model and the present offset.
 
     Args:
@@ -138,7 +142,7 @@ def estimated_reach(learning: Learning, load: Load, stage: PowerStage, state: Sl
         state: An estimate that is trusted now.
     """
     gain = total(state.trusted_b) / total(state.trusted_a)
-    return _reach(load, stage, gain, believed_offset(learning, load, state))
+    return _reach(load, stage, gain, estimated_offset(learning, load, state))
 
 
 def _reach(load: Load, stage: PowerStage, gain: float, offset: float) -> Reach:
@@ -216,7 +220,7 @@ def is_wanted(probing: Probing, state: SlowState) -> bool:
         state: What is known.
     """
     old = state.estimator.unseen_periods > probing.stale_periods
-    return old or supervisor.is_doubt(state.supervisor.verdict)
+    return old or supervisor.is_uncertain(state.supervisor.verdict)
 
 
 def _is_free(probing: Probing, state: SlowState, sample: SlowSample, reference: float) -> bool:

@@ -6,14 +6,18 @@ from dataclasses import dataclass
 from adaptdrive.control import signals, thresholds, vectors
 from adaptdrive.control.design import noise, pole_placement
 from adaptdrive.control.design.reference import PreviewState, ReferenceFilter, new_reference_filter
-from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, nominal_theta
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.charging import ChargeState
 from adaptdrive.control.loads.load import Load, to_input
-from adaptdrive.control.settings import ControllerSettings, Jacket, Probing
-from adaptdrive.control.supervision import supervisor as sup
-from adaptdrive.control.supervision.monitor import FAR_BETTER, CyclingState, Fallback, WatchState
-from adaptdrive.control.supervision.supervisor import Verdict, better_than_nominal
+from adaptdrive.control.settings import ControllerSettings, Probing, SupervisionLimits
+from adaptdrive.control.supervision.monitor import (
+    FAR_BETTER,
+    Fallback,
+    LimitCycleState,
+    MonitorState,
+)
+from adaptdrive.control.supervision.supervisor import SupervisorState, Verdict, better_than_nominal
 
 # State of the slow half between periods.
 
@@ -98,15 +102,15 @@ class SlowState:
     handover_step: float
     accepted: bool
     adaptive: bool
-    estimator: est.EstimatorState
-    supervisor: sup.SupervisorState
+    estimator: EstimatorState
+    supervisor: SupervisorState
     charge: ChargeState
     reference: float
     nominal_theta: vectors.Vector
     possible: vectors.Vector
     spread: float
-    watch: WatchState
-    cycles: CyclingState
+    watch: MonitorState
+    cycles: LimitCycleState
     probe: ProbeState
     preview: PreviewState
     model_a: vectors.Vector
@@ -152,15 +156,15 @@ def new_slow_state(
         handover_step=math.nan,
         accepted=False,
         adaptive=False,
-        estimator=est.new_estimator(method, settings.learning, load, taps),
-        supervisor=sup.SupervisorState(),
+        estimator=new_estimator(method, settings.learning, load, taps),
+        supervisor=SupervisorState(),
         charge=ChargeState(max(0.0, output)),
         reference=output,
-        nominal_theta=est.nominal_theta(method, settings.learning, load, taps),
+        nominal_theta=nominal_theta(method, settings.learning, load, taps),
         possible=[math.nan] * ((2 * len(nominal) + 1) * (load.order + taps + 2)),
         spread=math.nan,
-        watch=WatchState(fast=resting, slow=resting),
-        cycles=CyclingState(),
+        watch=MonitorState(fast=resting, slow=resting),
+        cycles=LimitCycleState(),
         probe=ProbeState(),
         preview=PreviewState([math.nan] * (load.order + taps + 1)),
         model_a=[1.0] + [0.0] * load.order,
@@ -199,25 +203,29 @@ _RETURN = f"adaptive returns {thresholds.WINDOW} slow periods after the cause is
 
 
 def reason(
-    state: SlowState, jacket: Jacket, probing: Probing, load: Load, mode: signals.Mode
+    state: SlowState,
+    supervision: SupervisionLimits,
+    probing: Probing,
+    load: Load,
+    mode: signals.Mode,
 ) -> str:
     """Return why the adaptive law is not in force, or how old what it knows is, and any probe.
 
     Args:
         state: The slow half.
-        jacket: Limits of the supervisor.
+        supervision: Limits of the supervisor.
         probing: When information is old.
         load: Names of the parameters.
         mode: Mode that is asked for.
     """
-    why = _why(state, jacket, load, mode) or _age(state, probing)
+    why = _why(state, supervision, load, mode) or _age(state, probing)
     if state.probe.age_periods == 0:
         return why
     probes = f"probing: the set-point is moved by {state.probe.shift:+.3g} to learn the load"
     return f"{why}; {probes}" if why else probes
 
 
-def _why(state: SlowState, jacket: Jacket, load: Load, mode: signals.Mode) -> str:
+def _why(state: SlowState, supervision: SupervisionLimits, load: Load, mode: signals.Mode) -> str:
     """Return why the adaptive law is not in force, empty where it is."""
     if state.watch.fallback != Fallback.NONE:
         latched = state.watch.fallback == Fallback.OSCILLATING
@@ -227,11 +235,11 @@ def _why(state: SlowState, jacket: Jacket, load: Load, mode: signals.Mode) -> st
     if verdict is Verdict.TRUSTED:
         return "" if mode is signals.Mode.ADAPTIVE else f"mode {mode} asked for"
     if verdict is Verdict.WARMING_UP:
-        return f"warming up: needs {jacket.warm_up_periods} slow periods"
+        return f"warming up: needs {supervision.warm_up_periods} slow periods"
     if verdict is Verdict.OUT_OF_BOUNDS:
-        return _out_of_bounds(state, jacket, load)
+        return _out_of_bounds(state, supervision, load)
     if verdict is Verdict.UNCERTAIN:
-        return _uncertain(state, jacket)
+        return _uncertain(state, supervision)
     return _REASONS[verdict]
 
 
@@ -245,17 +253,17 @@ def _age(state: SlowState, probing: Probing) -> str:
     )
 
 
-def _uncertain(state: SlowState, jacket: Jacket) -> str:
+def _uncertain(state: SlowState, supervision: SupervisionLimits) -> str:
     if not math.isfinite(state.spread):
         return "the estimate does not show yet what its loop would do"
-    spread, limit = 100.0 * state.spread, 100.0 * jacket.spread_max
+    spread, limit = 100.0 * state.spread, 100.0 * supervision.spread_max
     return f"response is uncertain: ±{spread:.3g} % of a step, limit {limit:g} %"
 
 
-def _out_of_bounds(state: SlowState, jacket: Jacket, load: Load) -> str:
-    index = state.supervisor.culprit
+def _out_of_bounds(state: SlowState, supervision: SupervisionLimits, load: Load) -> str:
+    index = state.supervisor.out_of_bounds
     nominal = state.nominal[index]
-    low, high = jacket.ratio_min * nominal, jacket.ratio_max * nominal
+    low, high = supervision.ratio_min * nominal, supervision.ratio_max * nominal
     name, value = load.names[index], state.values[index]
     text = f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
     better = better_than_nominal(state.supervisor)

@@ -49,7 +49,7 @@ class SupervisorState:
 
     Attributes:
         verdict: The last verdict.
-        culprit: Index of the parameter that was out of bounds.
+        out_of_bounds: Index of the parameter that was out of bounds.
         trusted: True while the adaptive gains may be in force.
         refused_periods: Refused estimates in a row.
         good_periods: Accepted estimates in a row.
@@ -59,7 +59,7 @@ class SupervisorState:
     """
 
     verdict: int = Verdict.WARMING_UP
-    culprit: int = 0
+    out_of_bounds: int = 0
     trusted: bool = False
     refused_periods: int = 0
     good_periods: int = 0
@@ -77,20 +77,23 @@ def judge_model(numerator: vectors.Vector, denominator: vectors.Vector) -> int:
 
 
 def judge_bounds(
-    values: vectors.Vector, nominal: vectors.Vector, jacket: settings.Jacket, state: SupervisorState
+    values: vectors.Vector,
+    nominal: vectors.Vector,
+    supervision: settings.SupervisionLimits,
+    state: SupervisorState,
 ) -> int:
     """Check whether every parameter is within its bounds around the nominal one."""
     for i, value in enumerate(values):
         ratio = value / nominal[i]
-        if not jacket.ratio_min <= ratio <= jacket.ratio_max:
-            state.culprit = i
+        if not supervision.ratio_min <= ratio <= supervision.ratio_max:
+            state.out_of_bounds = i
             return Verdict.OUT_OF_BOUNDS
     return Verdict.TRUSTED
 
 
-def judge_damping(denominator: vectors.Vector, jacket: settings.Jacket) -> int:
+def judge_damping(denominator: vectors.Vector, supervision: settings.SupervisionLimits) -> int:
     """Check that a model of second order is damped like a passive load with losses."""
-    least = jacket.damping_min
+    least = supervision.damping_min
     damped = not least > 0.0 or is_damped(denominator, least)
     return Verdict.TRUSTED if damped else Verdict.UNDERDAMPED
 
@@ -108,9 +111,9 @@ def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
     state.fixed_mean += _RESIDUAL_RATE * (fixed - state.fixed_mean)
 
 
-def judge_residual(state: SupervisorState, jacket: settings.Jacket) -> int:
+def judge_residual(state: SupervisorState, supervision: settings.SupervisionLimits) -> int:
     """Check whether the estimate predicts no worse than the nominal model does."""
-    margin = jacket.residual_margin * jacket.residual_margin
+    margin = supervision.residual_margin * supervision.residual_margin
     if margin > 0.0 and state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
         return Verdict.WORSE_THAN_FIXED
     return Verdict.TRUSTED
@@ -154,7 +157,11 @@ def judge_loop(closed_loop: vectors.Vector) -> int:
 
 
 def take_verdict(
-    state: SupervisorState, verdict: int, jacket: settings.Jacket, periods: int, in_force: bool
+    state: SupervisorState,
+    verdict: int,
+    supervision: settings.SupervisionLimits,
+    periods: int,
+    in_force: bool,
 ) -> bool:
     """Remember a verdict; return whether the new gains may take effect.
 
@@ -166,25 +173,25 @@ def take_verdict(
     Args:
         state: Overwritten.
         verdict: Of the estimate of this period.
-        jacket: Warm-up and patience.
+        supervision: Warm-up and patience.
         periods: Slow periods since start.
         in_force: Whether the trusted gains are what holds the load.
     """
     state.verdict = verdict
     if verdict != Verdict.TRUSTED:
         contradicted = in_force and state.good_periods > 0
-        if contradicted or not is_doubt(verdict):
+        if contradicted or not is_uncertain(verdict):
             state.refused_periods += 1
         state.good_periods = 0
-        if state.refused_periods > jacket.patience_periods:
+        if state.refused_periods > supervision.patience_periods:
             state.trusted = False
         return False
     state.refused_periods = 0
     state.good_periods += 1
-    if periods <= jacket.warm_up_periods:
+    if periods <= supervision.warm_up_periods:
         state.verdict = Verdict.WARMING_UP
         return False
-    if state.good_periods < jacket.dwell_periods:
+    if state.good_periods < supervision.dwell_periods:
         state.verdict = Verdict.SETTLING
         return False
     state.trusted = True
@@ -201,6 +208,6 @@ def is_impossible(verdict: int) -> bool:
     }
 
 
-def is_doubt(verdict: int) -> bool:
+def is_uncertain(verdict: int) -> bool:
     """Check whether the estimate is not wrong, but not known well enough."""
     return verdict in {Verdict.UNCERTAIN, Verdict.UNDERDAMPED}

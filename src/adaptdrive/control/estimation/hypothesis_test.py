@@ -29,7 +29,7 @@ from adaptdrive.control import settings, thresholds, vectors
 from adaptdrive.control.estimation import covariance, regression
 from adaptdrive.control.estimation.branch import (
     Branch,
-    Datum,
+    Observation,
     copy_estimate,
     count_prediction,
     learn_sample,
@@ -63,7 +63,7 @@ LEAST_NOISE = 1e-2 * thresholds.NOISE_FLOOR
 
 
 @dataclass(slots=True)
-class Surprise:
+class ChangeDetector:
     """State of the detector of abrupt changes.
 
     Attributes:
@@ -85,7 +85,7 @@ class Surprise:
     slope: float = 0.0
 
 
-def is_surprising(state: Surprise, squared: float) -> bool:
+def is_change(state: ChangeDetector, squared: float) -> bool:
     """Return whether the load has just changed.
 
     Args:
@@ -106,7 +106,7 @@ def is_surprising(state: Surprise, squared: float) -> bool:
     return True
 
 
-def watch_noise(state: Surprise, innovation: float) -> None:
+def track_noise(state: ChangeDetector, innovation: float) -> None:
     """Follow the noise of a sample, which no slow error hides.
 
     Args:
@@ -136,7 +136,7 @@ _PROOF = 8.0
 
 
 @dataclass(slots=True)
-class Rivals:
+class Hypotheses:
     """The explanations, and the samples from which they can start.
 
     Attributes:
@@ -157,7 +157,7 @@ class Rivals:
     branches: list[Branch]
     anchor: covariance.Anchor
     lowered: vectors.Vector
-    kept: list[Datum]
+    kept: list[Observation]
     waiting: int = 0
     samples: int = 0
     kind: int = covariance.NOTHING
@@ -166,110 +166,114 @@ class Rivals:
     moved: float = 0.0
 
 
-def new_rivals(count: int) -> Rivals:
+def new_hypotheses(count: int) -> Hypotheses:
     """Explanations for θ of a length."""
-    return Rivals(
+    return Hypotheses(
         calm=new_branch(count),
         branches=[new_branch(count) for _ in range(covariance.NOTHING, covariance.BOTH + 1)],
         anchor=covariance.Anchor([0.0] * count, [0.0] * count),
         lowered=[0.0] * count,
-        kept=[Datum([0.0] * count) for _ in range(ROOM)],
+        kept=[Observation([0.0] * count) for _ in range(ROOM)],
     )
 
 
-def forget_changes(rivals: Rivals) -> None:
+def forget_changes(hypotheses: Hypotheses) -> None:
     """Let a slow period pass."""
-    rivals.loads *= 1.0 - 1.0 / thresholds.LIFE
-    rivals.moved *= 1.0 - 1.0 / thresholds.LIFE
+    hypotheses.loads *= 1.0 - 1.0 / thresholds.LIFE
+    hypotheses.moved *= 1.0 - 1.0 / thresholds.LIFE
 
 
-def note_disturbance(rivals: Rivals, offset: float) -> None:
+def note_disturbance(hypotheses: Hypotheses, offset: float) -> None:
     """Remember the size of a disturbance that was found.
 
     Args:
-        rivals: Overwritten.
+        hypotheses: Overwritten.
         offset: Offset of the input with it, over the input's scale; NaN for an unknown one.
     """
-    moved = offset - rivals.offset
+    moved = offset - hypotheses.offset
     if math.isfinite(moved):
-        rivals.moved += moved * moved
+        hypotheses.moved += moved * moved
 
 
-def drop_anchor(rivals: Rivals, estimate: Branch, sample: Datum) -> None:
-    """Remember the estimate of now, after a sample that did not surprise."""
-    copy_estimate(rivals.calm, estimate)
-    vectors.copy_into(rivals.anchor.regressor, sample.regressor)
-    vectors.copy_into(rivals.anchor.lowered, rivals.lowered)
-    rivals.anchor.time_s = sample.time_s
-    rivals.waiting = 0
+def drop_anchor(hypotheses: Hypotheses, estimate: Branch, sample: Observation) -> None:
+    """Remember the estimate of now, after a sample that did not detector."""
+    copy_estimate(hypotheses.calm, estimate)
+    vectors.copy_into(hypotheses.anchor.regressor, sample.regressor)
+    vectors.copy_into(hypotheses.anchor.lowered, hypotheses.lowered)
+    hypotheses.anchor.time_s = sample.time_s
+    hypotheses.waiting = 0
 
 
-def keep_sample(rivals: Rivals, sample: Datum, room: int) -> bool:
+def keep_sample(hypotheses: Hypotheses, sample: Observation, room: int) -> bool:
     """Keep a sample that may be the first after a change; False when so many are kept already."""
-    if rivals.waiting >= room:
+    if hypotheses.waiting >= room:
         return False
-    kept = rivals.kept[rivals.waiting]
+    kept = hypotheses.kept[hypotheses.waiting]
     vectors.copy_into(kept.regressor, sample.regressor)
     kept.target, kept.time_s = sample.target, sample.time_s
-    rivals.waiting += 1
+    hypotheses.waiting += 1
     return True
 
 
-def prepare(rivals: Rivals, power: float) -> None:
+def prepare(hypotheses: Hypotheses, power: float) -> None:
     """Note at the anchor what is known of a change at an alarm.
 
     Args:
-        rivals: Overwritten.
+        hypotheses: Overwritten.
         power: σ0².
     """
-    rivals.anchor.power = power
-    rivals.anchor.gap_s = rivals.kept[0].time_s - rivals.anchor.time_s
+    hypotheses.anchor.power = power
+    hypotheses.anchor.gap_s = hypotheses.kept[0].time_s - hypotheses.anchor.time_s
 
 
-def split(rivals: Rivals, learning: settings.Learning, load: Load, power: float) -> None:
+def split(
+    hypotheses: Hypotheses, learning: settings.EstimatorSettings, load: Load, power: float
+) -> None:
     """After an alarm: go back to the anchor, and start every explanation from there.
 
     Args:
-        rivals: Overwritten.
+        hypotheses: Overwritten.
         learning: Scales and forgetting.
         load: Order and structure.
         power: σ0².
     """
-    prepare(rivals, power)
-    for kind, branch in enumerate(rivals.branches):
-        copy_estimate(branch, rivals.calm)
+    prepare(hypotheses, power)
+    for kind, branch in enumerate(hypotheses.branches):
+        copy_estimate(branch, hypotheses.calm)
         branch.squares = branch.logs = branch.score = 0.0
         if kind != covariance.NOTHING:
-            covariance.restart_past(branch, learning, load, rivals.anchor.time_s)
-            covariance.widen(branch, kind, learning, load, rivals.anchor)
-    rivals.samples = 0
-    for number in range(rivals.waiting):
-        follow(rivals, learning, load, rivals.kept[number])
-    rivals.waiting = 0
+            covariance.restart_past(branch, learning, load, hypotheses.anchor.time_s)
+            covariance.widen(branch, kind, learning, load, hypotheses.anchor)
+    hypotheses.samples = 0
+    for number in range(hypotheses.waiting):
+        follow(hypotheses, learning, load, hypotheses.kept[number])
+    hypotheses.waiting = 0
 
 
-def follow(rivals: Rivals, learning: settings.Learning, load: Load, sample: Datum) -> None:
+def follow(
+    hypotheses: Hypotheses, learning: settings.EstimatorSettings, load: Load, sample: Observation
+) -> None:
     """Let every explanation take in a sample, and find the likeliest.
 
     Args:
-        rivals: Overwritten.
+        hypotheses: Overwritten.
         learning: Forgetting.
         load: Order.
         sample: The functions of the initial state in it are overwritten.
     """
-    rivals.samples += 1
-    power, count = rivals.anchor.power, rivals.samples
-    for kind, branch in enumerate(rivals.branches):
+    hypotheses.samples += 1
+    power, count = hypotheses.anchor.power, hypotheses.samples
+    for kind, branch in enumerate(hypotheses.branches):
         predict_sample(branch, learning, load, sample)
         count_prediction(branch, learning.forgetting)
-        branch.score = likelihood(branch, power, count) - _rarity(rivals, kind)
+        branch.score = likelihood(branch, power, count) - _rarity(hypotheses, kind)
         learn_sample(branch, sample, learning, 0.0)
-    rivals.kind = _likeliest(rivals)
-    since_s = sample.time_s - likeliest(rivals).origin_s
+    hypotheses.kind = _likeliest(hypotheses)
+    since_s = sample.time_s - likeliest(hypotheses).origin_s
     regression.fill_initial_state(sample.regressor, learning, load, since_s)
 
 
-def _rarity(rivals: Rivals, kind: int) -> float:
+def _rarity(hypotheses: Hypotheses, kind: int) -> float:
     """Logarithm of how much rarer than a disturbance a kind of change is.
 
     A load does not change again and again: what looks like that is a disturbance of another kind.
@@ -277,79 +281,81 @@ def _rarity(rivals: Rivals, kind: int) -> float:
     if kind < covariance.LOAD:
         return 0.0
     changes = 1.0 if kind == covariance.LOAD else 2.0
-    return thresholds.RARER * (changes + rivals.loads)
+    return thresholds.RARER * (changes + hypotheses.loads)
 
 
-def likeliest(rivals: Rivals) -> Branch:
+def likeliest(hypotheses: Hypotheses) -> Branch:
     """Return the explanation in `kind`."""
-    return rivals.branches[rivals.kind]
+    return hypotheses.branches[hypotheses.kind]
 
 
-def _likeliest(rivals: Rivals) -> int:
+def _likeliest(hypotheses: Hypotheses) -> int:
     best = covariance.NOTHING
-    for kind, branch in enumerate(rivals.branches):
-        if branch.score > rivals.branches[best].score:
+    for kind, branch in enumerate(hypotheses.branches):
+        if branch.score > hypotheses.branches[best].score:
             best = kind
     return best
 
 
-def is_clear(rivals: Rivals) -> bool:
+def is_clear(hypotheses: Hypotheses) -> bool:
     """Return whether the likeliest explanation has left the others behind."""
-    best, rival = _likeliest(rivals), -math.inf
-    for kind, branch in enumerate(rivals.branches):
+    best, rival = _likeliest(hypotheses), -math.inf
+    for kind, branch in enumerate(hypotheses.branches):
         if kind != best:
             rival = max(rival, branch.score)
-    return rivals.branches[best].score - rival > thresholds.CLEAR
+    return hypotheses.branches[best].score - rival > thresholds.CLEAR
 
 
-def is_expected(rivals: Rivals, learning: settings.Learning) -> bool:
+def is_expected(hypotheses: Hypotheses, learning: settings.EstimatorSettings) -> bool:
     """Return whether an explanation that has not been left behind expected the last sample."""
-    least = rivals.branches[_likeliest(rivals)].score - thresholds.CLEAR
-    largest, rho = DRIFT * rivals.anchor.power, learning.forgetting
-    return any(one.score >= least and squared_error(one, rho) <= largest for one in rivals.branches)
+    least = hypotheses.branches[_likeliest(hypotheses)].score - thresholds.CLEAR
+    largest, rho = DRIFT * hypotheses.anchor.power, learning.forgetting
+    return any(
+        one.score >= least and squared_error(one, rho) <= largest for one in hypotheses.branches
+    )
 
 
-def is_settled(rivals: Rivals, learning: settings.Learning, load: Load) -> bool:
+def is_settled(hypotheses: Hypotheses, learning: settings.EstimatorSettings, load: Load) -> bool:
     """Decide when the evidence suffices or time is over; the explanation is in `kind` then.
 
     Another explanation than `nothing` needs proof, and a load must be one that can exist.
     """
-    best = _likeliest(rivals)
-    if rivals.samples < thresholds.EARLIEST or (
-        rivals.samples < thresholds.WINDOW and not is_clear(rivals)
+    best = _likeliest(hypotheses)
+    if hypotheses.samples < thresholds.EARLIEST or (
+        hypotheses.samples < thresholds.WINDOW and not is_clear(hypotheses)
     ):
         return False
-    if best >= covariance.LOAD and not is_possible(rivals.branches[best].theta, learning, load):
-        if rivals.samples < 2 * thresholds.WINDOW:
+    if best >= covariance.LOAD and not is_possible(hypotheses.branches[best].theta, learning, load):
+        if hypotheses.samples < 2 * thresholds.WINDOW:
             return False
         best = covariance.DISTURBANCE
-    if best >= covariance.LOAD and not is_clear(rivals):
-        power = rivals.anchor.power
+    if best >= covariance.LOAD and not is_clear(hypotheses):
+        power = hypotheses.anchor.power
         best = (
             best
-            if covariance.is_sure(rivals.branches[best], power, learning, load)
+            if covariance.is_sure(hypotheses.branches[best], power, learning, load)
             else covariance.DISTURBANCE
         )
-    if rivals.branches[best].score - rivals.branches[covariance.NOTHING].score < _PROOF:
+    if hypotheses.branches[best].score - hypotheses.branches[covariance.NOTHING].score < _PROOF:
         best = covariance.NOTHING
-    rivals.kind = best
+    hypotheses.kind = best
     return True
 
 
-def settle(rivals: Rivals) -> None:
+def settle(hypotheses: Hypotheses) -> None:
     """End a comparison that is under way: the explanation in `kind` is the one."""
-    if rivals.samples > 0 and rivals.kind >= covariance.LOAD:
-        rivals.loads += 1.0
-    rivals.samples = 0
+    if hypotheses.samples > 0 and hypotheses.kind >= covariance.LOAD:
+        hypotheses.loads += 1.0
+    hypotheses.samples = 0
 
 
-def explained_power(rivals: Rivals) -> float:
+def explained_power(hypotheses: Hypotheses) -> float:
     """Return σ² as the explanation in `kind` leaves it."""
-    power = posterior_power(likeliest(rivals), rivals.anchor.power, rivals.samples)
+    power = posterior_power(likeliest(hypotheses), hypotheses.anchor.power, hypotheses.samples)
     return max(thresholds.NOISE_FLOOR, power)
 
 
-def is_possible(theta: vectors.Vector, learning: settings.Learning, load: Load) -> bool:
+def is_possible(theta: vectors.Vector, learning: settings.EstimatorSettings, load: Load) -> bool:
     """Return whether such a load can exist: it stores and loses, so it neither grows nor swings."""
     _, denominator = regression.filtered_model(theta, learning, load)
     losing = all(coefficient > 0.0 for coefficient in denominator)

@@ -1,12 +1,12 @@
 """Second estimates: one learnt anew from an alarm on, and one whose bias is a random walk.
 
-A comparison of explanations (`rivals`) ends after some seconds. Another load that its samples
+A comparison of explanations (`hypotheses`) ends after some seconds. Another load that its samples
 hardly show can look like a disturbance, then, when the reference moves, like the next one. The
-challenger assumes nothing but that something changed: from the anchor on the load, its gain, the
+second filter assumes nothing but that something changed: from the anchor on the load, its gain, the
 offset and the state are free, so that an impact is no hindrance either. Both predict each sample
 before they learn it. Λ is the difference of their likelihoods L (`branch`), over the samples after
-the challenger's training (A. P. Dawid, J. R. Stat. Soc. A 147, 1984). When it is large enough, the
-challenger becomes the estimate.
+the second filter's training (A. P. Dawid, J. R. Stat. Soc. A 147, 1984). When it is large enough,
+the second filter becomes the estimate.
 
 Least squares take what acts with the input as a constant that jumps now and then. A torque that
 swings is neither: its residuals are coloured, and dynamics that fit them come out. With
@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from adaptdrive.control.estimation import covariance, rls
 from adaptdrive.control.estimation.branch import (
     Branch,
-    Datum,
+    Observation,
     copy_estimate,
     count_prediction,
     learn_sample,
@@ -40,23 +40,29 @@ from adaptdrive.control.estimation.branch import (
     squared_error,
     widen_last,
 )
-from adaptdrive.control.estimation.rivals import DRIFT, THRESHOLD, Rivals, is_possible, move_median
+from adaptdrive.control.estimation.hypothesis_test import (
+    DRIFT,
+    THRESHOLD,
+    Hypotheses,
+    is_possible,
+    move_median,
+)
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import Learning
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.thresholds import CLEAR, FEWEST, LIFE, MEMORY, NOISE_FLOOR, RARER, WINDOW
 
 # A second estimate, learnt anew from an alarm on, against the estimate that came out of it.
 
 _PROOF = 3.0 * RARER
-"""Λ at which the challenger takes over: it assumes a load, a disturbance and a state that jumps. At
-12 one of 60 torque steps passed for a load."""
+"""Λ at which the second filter takes over: it assumes a load, a disturbance and a state that
+jumps. At 12 one of 60 torque steps passed for a load."""
 
 _TRAINED = 10.0
 """Largest rᵀPr of a prediction that counts: the samples before are training."""
 
 
 @dataclass(slots=True)
-class Challenger:
+class SecondFilter:
     """The second estimate, and how both have predicted.
 
     Attributes:
@@ -74,98 +80,112 @@ class Challenger:
 
 
 def begin(
-    challenger: Challenger, estimate: Branch, rivals: Rivals, learning: Learning, load: Load
+    second_filter: SecondFilter,
+    estimate: Branch,
+    hypotheses: Hypotheses,
+    learning: EstimatorSettings,
+    load: Load,
 ) -> None:
     """Start at the anchor of an alarm, and learn the samples since then.
 
     Args:
-        challenger: Overwritten.
+        second_filter: Overwritten.
         estimate: The estimate, whose sums begin anew.
-        rivals: The anchor, the estimate at it, and the samples since.
+        hypotheses: The anchor, the estimate at it, and the samples since.
         learning: Scales and forgetting.
         load: Order and structure.
     """
-    copy_estimate(challenger.branch, rivals.calm)
-    covariance.restart_past(challenger.branch, learning, load, rivals.anchor.time_s)
-    covariance.widen(challenger.branch, covariance.ANEW, learning, load, rivals.anchor)
-    challenger.power = rivals.anchor.power
-    challenger.samples = 0
-    recount(challenger, estimate)
-    for number in range(rivals.waiting):
-        predict_sample(challenger.branch, learning, load, rivals.kept[number])
-        _learn(challenger, learning, rivals.kept[number])
+    copy_estimate(second_filter.branch, hypotheses.calm)
+    covariance.restart_past(second_filter.branch, learning, load, hypotheses.anchor.time_s)
+    covariance.widen(second_filter.branch, covariance.ANEW, learning, load, hypotheses.anchor)
+    second_filter.power = hypotheses.anchor.power
+    second_filter.samples = 0
+    recount(second_filter, estimate)
+    for number in range(hypotheses.waiting):
+        predict_sample(second_filter.branch, learning, load, hypotheses.kept[number])
+        _learn(second_filter, learning, hypotheses.kept[number])
 
 
-def is_surprised(challenger: Challenger, learning: Learning, load: Load, sample: Datum) -> bool:
-    """Return whether a sample that gave an alarm is new to the challenger too, or there is none.
+def is_surprised(
+    second_filter: SecondFilter, learning: EstimatorSettings, load: Load, sample: Observation
+) -> bool:
+    """Return whether a sample that gave an alarm is new to the second filter too, or there is none.
 
     Args:
-        challenger: The innovation of its branch is overwritten.
+        second_filter: The innovation of its branch is overwritten.
         learning: Forgetting.
         load: Order.
         sample: The functions of the initial state in it are overwritten.
     """
-    if challenger.samples == 0:
+    if second_filter.samples == 0:
         return True
-    predict_sample(challenger.branch, learning, load, sample)
-    return squared_error(challenger.branch, learning.forgetting) > DRIFT * challenger.power
+    predict_sample(second_filter.branch, learning, load, sample)
+    return squared_error(second_filter.branch, learning.forgetting) > DRIFT * second_filter.power
 
 
-def recount(challenger: Challenger, estimate: Branch) -> None:
+def recount(second_filter: SecondFilter, estimate: Branch) -> None:
     """Judge from now on only."""
-    for one in (challenger.branch, estimate):
+    for one in (second_filter.branch, estimate):
         one.squares = one.logs = 0.0
-    challenger.judged = 0
+    second_filter.judged = 0
 
 
 def follow(
-    challenger: Challenger, learning: Learning, load: Load, sample: Datum, estimate: Branch
+    second_filter: SecondFilter,
+    learning: EstimatorSettings,
+    load: Load,
+    sample: Observation,
+    estimate: Branch,
 ) -> None:
     """Let both predict a sample, and learn it.
 
     Args:
-        challenger: Overwritten.
+        second_filter: Overwritten.
         learning: Forgetting.
         load: Order.
         sample: The functions of the initial state in it are overwritten.
         estimate: The estimate, which has predicted it.
     """
-    predict_sample(challenger.branch, learning, load, sample)
-    if challenger.branch.excitation <= _TRAINED:
-        challenger.judged += 1
-        count_prediction(challenger.branch, learning.forgetting)
+    predict_sample(second_filter.branch, learning, load, sample)
+    if second_filter.branch.excitation <= _TRAINED:
+        second_filter.judged += 1
+        count_prediction(second_filter.branch, learning.forgetting)
         count_prediction(estimate, learning.forgetting)
-    _learn(challenger, learning, sample)
-    if challenger.samples > LIFE or lead(challenger, estimate) < -CLEAR:
-        challenger.samples = 0
+    _learn(second_filter, learning, sample)
+    if second_filter.samples > LIFE or lead(second_filter, estimate) < -CLEAR:
+        second_filter.samples = 0
 
 
-def _learn(challenger: Challenger, learning: Learning, sample: Datum) -> None:
-    challenger.samples += 1
-    learn_sample(challenger.branch, sample, learning, 0.0)
+def _learn(second_filter: SecondFilter, learning: EstimatorSettings, sample: Observation) -> None:
+    second_filter.samples += 1
+    learn_sample(second_filter.branch, sample, learning, 0.0)
 
 
-def lead(challenger: Challenger, estimate: Branch) -> float:
-    """Return Λ: how much better than the estimate the challenger has predicted."""
-    power, count = challenger.power, challenger.judged
-    return likelihood(challenger.branch, power, count) - likelihood(estimate, power, count)
+def lead(second_filter: SecondFilter, estimate: Branch) -> float:
+    """Return Λ: how much better than the estimate the second filter has predicted."""
+    power, count = second_filter.power, second_filter.judged
+    return likelihood(second_filter.branch, power, count) - likelihood(estimate, power, count)
 
 
 def has_won(
-    challenger: Challenger, estimate: Branch, loads: float, learning: Learning, load: Load
+    second_filter: SecondFilter,
+    estimate: Branch,
+    loads: float,
+    learning: EstimatorSettings,
+    load: Load,
 ) -> bool:
-    """Return whether the challenger is to be the estimate.
+    """Return whether the second filter is to be the estimate.
 
     Args:
-        challenger: As it has predicted.
+        second_filter: As it has predicted.
         estimate: As it has predicted.
         loads: Changes of the load that were found lately; each makes another one less credible.
         learning: Scales and bounds.
         load: Order and structure.
     """
-    if challenger.samples == 0 or not lead(challenger, estimate) >= _PROOF + RARER * loads:
+    if second_filter.samples == 0 or not lead(second_filter, estimate) >= _PROOF + RARER * loads:
         return False
-    return is_possible(challenger.branch.theta, learning, load)
+    return is_possible(second_filter.branch.theta, learning, load)
 
 
 # A second estimate for a disturbance that never rests: the bias of its model is a random walk.
@@ -182,7 +202,7 @@ has 90 to 110, noise of 5 % after a change up to 40."""
 
 
 @dataclass(slots=True)
-class Integrated:
+class IncrementalModel:
     """The second estimate, and how well both have predicted.
 
     Attributes:
@@ -206,25 +226,29 @@ class Integrated:
     residual_weight: float = 0.0
 
 
-def applies(learning: Learning) -> bool:
+def applies(learning: EstimatorSettings) -> bool:
     """Return whether a model has a bias that may walk; the EMF of a battery walks already."""
     return learning.bias and not learning.charge
 
 
-def restart(integrated: Integrated) -> None:
+def restart(incremental: IncrementalModel) -> None:
     """Compare anew."""
-    integrated.samples = 0
-    integrated.lead = integrated.residual_power = integrated.residual_weight = 0.0
-    integrated.in_force = False
+    incremental.samples = 0
+    incremental.lead = incremental.residual_power = incremental.residual_weight = 0.0
+    incremental.in_force = False
 
 
-def follow_integrated(
-    integrated: Integrated, learning: Learning, load: Load, sample: Datum, estimate: Branch
+def follow_incremental(
+    incremental: IncrementalModel,
+    learning: EstimatorSettings,
+    load: Load,
+    sample: Observation,
+    estimate: Branch,
 ) -> None:
     """Let the second estimate predict and learn a sample, and compare.
 
     Args:
-        integrated: Overwritten; it begins where the other estimate is.
+        incremental: Overwritten; it begins where the other estimate is.
         learning: Forgetting and gate.
         load: Order.
         sample: The functions of the initial state in it are overwritten.
@@ -232,38 +256,38 @@ def follow_integrated(
     """
     if not applies(learning):
         return
-    branch, rho = integrated.branch, learning.forgetting
-    if integrated.samples == 0:
+    branch, rho = incremental.branch, learning.forgetting
+    if incremental.samples == 0:
         copy_estimate(branch, estimate)
-        restart(integrated)
+        restart(incremental)
     squared = rls.normalised(estimate.excitation, estimate.innovation, rho)
     predict_sample(branch, learning, load, sample)
     own = squared_error(branch, rho)
     least = max(NOISE_FLOOR, sample.rounding**2)  # below it better predictions show nothing
-    integrated.samples += 1
-    if integrated.samples > WINDOW:
-        gain = _loss(squared, estimate.excitation / rho, integrated.other, least)
-        gain -= _loss(own, branch.excitation / rho, integrated.power, least)
-        integrated.lead += gain - integrated.lead / MEMORY
-    _follow_noise(integrated, own, squared)
-    if own > (DRIFT + THRESHOLD) * integrated.power:
-        widen_last(branch, branch.innovation * branch.innovation / integrated.power)
+    incremental.samples += 1
+    if incremental.samples > WINDOW:
+        gain = _loss(squared, estimate.excitation / rho, incremental.other, least)
+        gain -= _loss(own, branch.excitation / rho, incremental.power, least)
+        incremental.lead += gain - incremental.lead / MEMORY
+    _follow_noise(incremental, own, squared)
+    if own > (DRIFT + THRESHOLD) * incremental.power:
+        widen_last(branch, branch.innovation * branch.innovation / incremental.power)
     theta, regressor, target = branch.theta, sample.regressor, sample.target
     upper, diagonal = branch.upper, branch.diagonal
     rls.update_beside(theta, upper, diagonal, regressor, target, rho, learning.gate, 1)
     widen_last(branch, _WALK * _WALK)
-    integrated.residual_power = rho * integrated.residual_power + own
-    integrated.residual_weight = rho * integrated.residual_weight + 1.0
+    incremental.residual_power = rho * incremental.residual_power + own
+    incremental.residual_weight = rho * incremental.residual_weight + 1.0
 
 
-def _follow_noise(integrated: Integrated, own: float, squared: float) -> None:
+def _follow_noise(incremental: IncrementalModel, own: float, squared: float) -> None:
     """Let the medians follow a sample, and choose the estimate in force."""
-    if integrated.samples == 1:
-        integrated.power, integrated.other = own, squared
+    if incremental.samples == 1:
+        incremental.power, incremental.other = own, squared
     least = NOISE_FLOOR / (_WALK * _WALK)
-    integrated.power = max(least, move_median(integrated.power, own, _RATE))
-    integrated.other = max(least, move_median(integrated.other, squared, _RATE))
-    integrated.in_force = integrated.lead > (0.0 if integrated.in_force else _LEAD)
+    incremental.power = max(least, move_median(incremental.power, own, _RATE))
+    incremental.other = max(least, move_median(incremental.other, squared, _RATE))
+    incremental.in_force = incremental.lead > (0.0 if incremental.in_force else _LEAD)
 
 
 def _loss(squared: float, excitation: float, power: float, least: float) -> float:
