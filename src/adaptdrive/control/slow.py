@@ -211,7 +211,7 @@ def _take_sample(
 def _design_fixed(
     settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
 ) -> None:
-    drifted = not abs(sample.period_s - state.period_s) <= _RETUNE * sample.period_s
+    drifted = vectors.exceeds(abs(sample.period_s - state.period_s), _RETUNE * sample.period_s)
     if not drifted and sample.pole == state.pole:
         return
     numerator, denominator = list(load.numerator), list(load.denominator)

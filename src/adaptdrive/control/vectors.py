@@ -10,6 +10,21 @@ import math
 Vector = list[float]
 
 
+def exceeds(value: float, limit: float) -> bool:
+    """Return whether a value is above a limit, or no number."""
+    return not value <= limit
+
+
+def reaches(value: float, limit: float) -> bool:
+    """Return whether a value is at a limit, above it, or no number."""
+    return not value < limit
+
+
+def lacks(value: float, least: float) -> bool:
+    """Return whether a value is not above the least one, or no number."""
+    return not value > least
+
+
 def copy_into(target: Vector, source: Vector) -> None:
     """Overwrite the first entries of `target` with `source`."""
     for i in range(len(source)):
@@ -94,7 +109,7 @@ def eliminate(matrix: Vector, size: int) -> Vector:
     pivots = [0.0] * size
     for column in range(size):
         pivot = _pivot_row(matrix, column, size)
-        if not abs(matrix[pivot * size + column]) > 0.0:
+        if lacks(abs(matrix[pivot * size + column]), 0.0):
             return [math.nan] * size
         pivots[column] = pivot
         _swap_rows(matrix, size, pivot, column)
@@ -162,7 +177,7 @@ def is_stable(polynomial: Vector, radius: float) -> bool:
     row = [polynomial[i] / polynomial[0] / radius**i for i in range(order + 1)]
     for degree in range(order, 0, -1):
         reflection = row[degree] / row[0]
-        if not abs(reflection) < 1.0:
+        if reaches(abs(reflection), 1.0):
             return False
         for i in range(degree // 2 + 1):
             first, last = row[i], row[degree - i]

@@ -42,7 +42,7 @@ import math
 
 from adaptdrive.control.design.pole_placement import desired_polynomial, kept_factor, place
 from adaptdrive.control.thresholds import FEWEST
-from adaptdrive.control.vectors import Vector, copy_into, multiply
+from adaptdrive.control.vectors import Vector, copy_into, lacks, multiply
 
 # Closed-loop poles that keep the noise of the output out of the input.
 
@@ -135,7 +135,7 @@ def impulse_norm(numerator: Vector, denominator: Vector) -> float:
     copy_into(b, numerator)
     power = 0.0
     for k in range(degree, 0, -1):
-        if not a[0] > 0.0:
+        if lacks(a[0], 0.0):
             return math.inf
         beta = b[k] / a[0]
         power += beta * b[k]
@@ -253,7 +253,7 @@ def has_margins(forward: Vector, back: Vector, loop: Vector, circle: Vector) -> 
     for first in range(0, len(circle), row):
         least = MODULUS_MARGIN * MODULUS_MARGIN * _squared(forward, circle, first)
         least = max(least, circle[first + row - 1] * _squared(back, circle, first))
-        if not _squared(loop, circle, first) > least:
+        if lacks(_squared(loop, circle, first), least):
             return False
     return True
 

@@ -37,7 +37,7 @@ def is_sure(branch: Branch, power: float, learning: settings.EstimatorSettings, 
         load: Names and meaning of the parameters.
     """
     numerator, denominator = regression.filtered_model(branch.theta, learning, load)
-    if not abs(denominator[load.order]) > _TINY:
+    if vectors.lacks(abs(denominator[load.order]), _TINY):
         return False
     values = load.physical(numerator, denominator)
     deviations = deviations_of(branch, math.sqrt(power), learning, load, values)
@@ -118,7 +118,7 @@ def _jacobian(
         moved = list(theta)
         moved[j] += step
         numerator, denominator = regression.filtered_model(moved, learning, load)
-        if not abs(denominator[load.order]) > _TINY:
+        if vectors.lacks(abs(denominator[load.order]), _TINY):
             return [math.nan] * len(rows)
         shifted = load.physical(numerator, denominator)
         for i in range(len(values)):

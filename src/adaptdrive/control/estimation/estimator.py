@@ -299,7 +299,7 @@ def take_in(
         directional: Whether to forget only along r (`learn_sample`).
     """
     own, sample, rho = state.estimate, state.sample, learning.forgetting
-    if not own.excitation > learning.gate * (1.0 - rho):
+    if vectors.lacks(own.excitation, learning.gate * (1.0 - rho)):
         return
     state.idle_periods = 0
     theta, upper, diagonal = own.theta, own.upper, own.diagonal

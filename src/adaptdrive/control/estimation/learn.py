@@ -253,7 +253,7 @@ def correlation_factor(state: estimator.EstimatorState) -> float:
         state: Sums over the innovations.
     """
     power, lag = state.residual_power, state.residual_lag
-    if state.incremental.in_force or not lag > 0.0:
+    if state.incremental.in_force or vectors.lacks(lag, 0.0):
         return 1.0
     if lag >= power:
         return math.sqrt(state.residual_weight)

@@ -14,7 +14,7 @@ finite without excitation.
 
 import math
 
-from adaptdrive.control.vectors import Vector, copy_into, dot, identity, unit
+from adaptdrive.control.vectors import Vector, copy_into, dot, identity, lacks, unit
 
 # A covariance P in the factored form U D Uᵀ, and what is done to it in that form.
 
@@ -145,7 +145,7 @@ def bound(upper: Vector, diagonal: Vector, information: float) -> None:
     With information = (1 - ρ)/p after every update by forgetting ρ this is exponential resetting:
     P stays below p · I for ever (Salgado, Goodwin and Middleton, Int. J. Control 47, 1988).
     """
-    if not information > 0.0:
+    if lacks(information, 0.0):
         return
     size = len(diagonal)
     gain = [0.0] * size

@@ -27,7 +27,7 @@ and c_1, c_2 are chosen so that only its first coefficient is left, as in (24).
 import math
 
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.vectors import Vector, copy_into, identity
+from adaptdrive.control.vectors import Vector, copy_into, identity, reaches
 
 # From a continuous-time load model to the discrete one that the design needs.
 
@@ -113,7 +113,7 @@ def propagate(system: Vector, states: Vector, duration_s: float) -> None:
     """
     reach = _norm(system, len(system) // 2) * duration_s
     terms = [math.nan] * len(states)
-    if not reach < _LONGEST_REACH:
+    if reaches(reach, _LONGEST_REACH):
         copy_into(states, terms)
         return
     steps = max(1, math.ceil(reach / _LONGEST_STEP))

@@ -102,7 +102,7 @@ def _take_fast_law(
     loop = fast_loop(solved, a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
     gains = pole_placement.loop_gains(solved, a, b, loop)
     most = settings.supervision.spread_max
-    if most > 0.0 and not _spread(load, state, gains, loop, sample.pole) <= most:
+    if most > 0.0 and vectors.exceeds(_spread(load, state, gains, loop, sample.pole), most):
         loop, gains = quiet, pole_placement.loop_gains(solved, a, b, quiet)
     vectors.copy_into(state.fast_loop, loop)
     vectors.copy_into(state.fast_gains, gains)

@@ -135,7 +135,7 @@ def moves_better_than_nominal(state: SupervisorState) -> float:
 
 def _over_own_errors(state: SupervisorState, power: float) -> float:
     """Return an rms error over that of the estimate from its square; 1 where it is small."""
-    if not power > _RESIDUAL_FLOOR:
+    if vectors.lacks(power, _RESIDUAL_FLOOR):
         return 1.0
     return math.sqrt(power / max(state.own_power, _RESIDUAL_FLOOR))
 
