@@ -6,10 +6,9 @@ import pytest
 
 from adaptdrive.config.load import Charge
 from adaptdrive.control.estimation.regression import SlowSample
-from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.charging import (
+from adaptdrive.control.loads.battery import (
     ChargeState,
-    Charging,
+    battery_load,
     begin_anew,
     is_complete,
     is_disconnected,
@@ -19,6 +18,7 @@ from adaptdrive.control.loads.charging import (
     terminal_voltage,
     voltage_limit,
 )
+from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.slow import slow_step
 from adaptdrive.control.supervision.state import SlowState, new_slow_state
 from tests.closed_loop.bench import AT_REST, EXACT

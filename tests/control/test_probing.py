@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.charging import Charging
+from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.supervision.setpoints import EXCURSIONS, half_periods, probe
 from adaptdrive.control.supervision.state import SlowState, new_slow_state

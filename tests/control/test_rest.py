@@ -10,8 +10,7 @@ from scipy.signal import cont2discrete
 
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.charging import Charging
-from adaptdrive.control.loads.load import Load
+from adaptdrive.control.loads.load import Charging, Load
 from adaptdrive.control.supervision.setpoints import (
     Reach,
     distance_from_rest,

@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.charging import Charging
+from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Measurement, Mode, Order, Snapshot, Stage
 from adaptdrive.control.voltage_loop import LAG_TICKS

@@ -18,7 +18,7 @@ from adaptdrive.control.design.pole_placement import (
 )
 from adaptdrive.control.estimation.regression import SlowSample, theta_of
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.charging import Charging
+from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow import slow_step
 from adaptdrive.control.supervision.monitor import Fallback

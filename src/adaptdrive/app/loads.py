@@ -17,9 +17,9 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection, LoadSection, MotorSection
 from adaptdrive.control.design import pole_placement
 from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.loads import bath, charging, motor
+from adaptdrive.control.loads import bath, motor
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.load import Load
+from adaptdrive.control.loads.load import Charging, Load
 from adaptdrive.control.settings import ControllerSettings
 
 if TYPE_CHECKING:
@@ -76,10 +76,10 @@ def candidate_loads(configuration: Configuration) -> list[Load]:
     return [bath.bath_load(**(dict(model) | {"lag_s": one, "delay_s": 0.0})) for one in lags_s]
 
 
-def _charging(battery: BatterySection) -> charging.Charging:
+def _charging(battery: BatterySection) -> Charging:
     longest_h = battery.charge.longest_h
-    return charging.Charging(
-        **alike(charging.Charging, battery.model, battery.charge),
+    return Charging(
+        **alike(Charging, battery.model, battery.charge),
         longest_s=math.inf if longest_h is None else 3600.0 * longest_h,
     )
 

@@ -13,8 +13,7 @@ from typing import Final
 from adaptdrive.control import fast, signals, slow, voltage_loop
 from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.estimation import estimator, filters, methods, regression
-from adaptdrive.control.loads.charging import (
-    Charging,
+from adaptdrive.control.loads.battery import (
     highest_boost_voltage,
     is_complete,
     is_disconnected,
@@ -22,7 +21,7 @@ from adaptdrive.control.loads.charging import (
     proven_current,
     voltage_limit,
 )
-from adaptdrive.control.loads.load import Load, to_input, to_voltage
+from adaptdrive.control.loads.load import Charging, Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.supervision import monitor, setpoints
 from adaptdrive.control.supervision.state import SlowState, new_slow_state, reason

@@ -32,7 +32,7 @@ from adaptdrive.control.estimation import learn
 from adaptdrive.control.estimation.estimator import update_estimate
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.rls import predict
-from adaptdrive.control.loads.charging import begin_anew, taper, terminal_voltage
+from adaptdrive.control.loads.battery import begin_anew, taper, terminal_voltage
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.control.supervision import monitor, redesign, setpoints, supervisor

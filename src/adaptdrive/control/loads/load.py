@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from adaptdrive.control.loads.charging import Charging
 from adaptdrive.control.vectors import Vector
 
 Discretise = Callable[[Vector, Vector, float], tuple[Vector, Vector]]
@@ -19,6 +18,27 @@ Physical = Callable[[Vector, Vector], Vector]
 
 Realise = Callable[[Vector], tuple[Vector, Vector]]
 """Physical parameters to (numerator, denominator): the inverse of `Physical`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Charging:
+    """Settings of the charge of a battery.
+
+    Attributes:
+        turns_ratio: N2.
+        droop_Ohm: R_d.
+        internal_Ohm: R_0.
+        voltage_max_V: V_max.
+        end_current_A: Current at which charging ends.
+        longest_s: Longest charge.
+    """
+
+    turns_ratio: float
+    droop_Ohm: float
+    internal_Ohm: float
+    voltage_max_V: float
+    end_current_A: float
+    longest_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from adaptdrive.control.design import noise, pole_placement
 from adaptdrive.control.design.reference import PreviewState, ReferenceFilter, new_reference_filter
 from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, nominal_theta
 from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.loads.charging import ChargeState
+from adaptdrive.control.loads.battery import ChargeState
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings, Probing, SupervisionLimits
 from adaptdrive.control.supervision.monitor import (
