@@ -12,9 +12,8 @@ from jsonschema import Draft202012Validator
 from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive_sim.device import build_sensors
-from adaptdrive_sim.devices.disturbances import from_words, parse_request
+from adaptdrive_sim.devices.disturbances import Remote, from_words, parse_request
 from adaptdrive_sim.devices.drive import SimulatedDrive
-from adaptdrive_sim.devices.kinds import Remote
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad

@@ -29,11 +29,10 @@ from adaptdrive.tui.view import DIM, Surroundings, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, first_error
-from adaptdrive_sim.demo import real
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import TRIPPED, DemoRecord
+from adaptdrive_sim.demo.stages import RealStage, VirtualStage, program
 from adaptdrive_sim.demo.story import DemoSettings, Story, read_story
-from adaptdrive_sim.demo.virtual import VirtualStage
 
 # The view of a demonstration: that of `adaptdrive watch`, with the story and its table.
 
@@ -47,9 +46,7 @@ class DemoView:
         help: Whether the help is shown.
     """
 
-    def __init__(
-        self, record: DemoRecord, player: Player, stage: real.RealStage | VirtualStage
-    ) -> None:
+    def __init__(self, record: DemoRecord, player: Player, stage: RealStage | VirtualStage) -> None:
         """Prepare the view.
 
         Args:
@@ -172,7 +169,7 @@ async def _play(
     """Play a story to its end, and return its figures and what has ended it early."""
     problem: AdaptdriveError | None = None
     virtual = story.speed is not None
-    stage = VirtualStage(story, settings) if virtual else real.RealStage(story, settings)
+    stage = VirtualStage(story, settings) if virtual else RealStage(story, settings)
     record = DemoRecord(stage.drive_name, time.monotonic, story=story)
     player = Player(story, stage, record, settings.duration_s)
     try:
@@ -276,9 +273,9 @@ def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
     yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
     if session is not None and (drawn := _figure(session)) is not None:
         yield f"  figure     {_short(drawn[0])}"
-        yield f"  once more  {real.program()} plot {_short(session)} --from {drawn[1]}"
+        yield f"  once more  {program()} plot {_short(session)} --from {drawn[1]}"
     else:
-        yield f"  once more  {real.program('adaptdrive-sim')} demo {summary['demo']}"
+        yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
     yield f"  next       {next_step()}"
 
 
@@ -287,7 +284,7 @@ def next_step() -> str:
     activate = Path(sys.executable).with_name("activate")
     if shutil.which("adaptdrive") is None and activate.exists():
         return f". {_short(activate)}   # then adaptdrive is a command here: README.md goes on"
-    return f"{real.program()} init motor --device siemens-v20 --name pump   # README.md goes on"
+    return f"{program()} init motor --device siemens-v20 --name pump   # README.md goes on"
 
 
 def _figure(session: Path) -> tuple[Path, int] | None:

@@ -10,6 +10,7 @@ import msgspec
 from cyclopts import Parameter
 
 from adaptdrive.cli.options import Integer
+from adaptdrive.control.signals import Waveform
 from adaptdrive.util.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.experiments.examples import example_tables
 
@@ -20,15 +21,6 @@ FOLDER = Path(__file__).parent / "stories"
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pass
-
-
-class Wave(_Table, frozen=True):
-    """A waveform of the set-point, as the command `waveform` takes it."""
-
-    shape: str
-    low: float
-    high: float
-    period_s: float
 
 
 class Scene(_Table, frozen=True):
@@ -47,7 +39,7 @@ class Scene(_Table, frozen=True):
     say: str
     mode: str | None = None
     setpoint: float | None = None
-    waveform: Wave | None = None
+    waveform: Waveform | None = None
     disturb: dict[str, float] | None = None
 
 

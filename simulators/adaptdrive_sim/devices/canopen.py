@@ -10,7 +10,6 @@ the host's heartbeat: when that stays away it switches off by itself.
 """
 
 import asyncio
-import collections
 import functools
 import math
 import struct
@@ -27,8 +26,8 @@ from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.util.errors import BusError, ConfigurationError
-from adaptdrive_sim.devices import canopen_objects, frames
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
+from adaptdrive_sim.devices import canopen_objects
+from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, Report, SimulatedDrive
 
 # The state machine of CiA 402 as a drive runs it: controlwords in, statusword out.
 
@@ -96,7 +95,7 @@ class PowerStates:
 
 _NMT, _SYNC = 0x000, 0x080
 _CONTROLWORD, _STATUSWORD = (0x6040, 0), (0x6041, 0)
-_SYNC_ID, _HEARD, _SENT = (0x1005, 0), (0x1016, 1), (0x1017, 0)
+_SYNC_ID, _CONSUMED, _PRODUCED = (0x1005, 0), (0x1016, 1), (0x1017, 0)
 _REGISTER, _ERROR, _ABORT = (0x1001, 0), (0x603F, 0), (0x6007, 0)
 _PRODUCES_SYNC = 1 << 30
 _FAULT_ON_ABORT = 1
@@ -120,12 +119,8 @@ _ORDERS = {0x01: _Nmt.OPERATIONAL, 0x02: _Nmt.STOPPED, 0x80: _Nmt.PRE_OPERATIONA
 _RESETS = frozenset({0x81, 0x82})
 
 
-class CanOpenDrive:
-    """One simulated drive on one bus.
-
-    Attributes:
-        counts: Frames sent, dropped, obeyed and refused, by name.
-    """
+class CanOpenDrive(DriveNode):
+    """One simulated drive on one bus."""
 
     def __init__(
         self,
@@ -140,12 +135,9 @@ class CanOpenDrive:
         Raises:
             ConfigurationError: EDS and configuration do not fit together.
         """
-        assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - who builds it has looked
-        self.counts: collections.Counter[str] = collections.Counter()
+        super().__init__(drive, report, clock)
+        assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - `KINDS` has looked
         self._config = configuration.bus
-        self._drive = drive
-        self._report = report
-        self._clock = clock
         self._holds = configuration.voltage_loop.where == "drive"
         self._shown, self._obeyed = _addresses(configuration, self._config, source)
         self._wire = canopen_objects.NodeNetwork(self._put)
@@ -169,10 +161,8 @@ class CanOpenDrive:
             opened(describe_bus(self._config))
             self._boot()
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._hear(bus))
-                tasks.create_task(
-                    run_half_cycles(self._drive, self._clock, self._half_cycle, self._report)
-                )
+                tasks.create_task(self._receive(bus))
+                tasks.create_task(self._run_half_cycles(self._half_cycle))
         finally:
             self._bus = None
             bus.shutdown()
@@ -201,10 +191,10 @@ class CanOpenDrive:
     @property
     def _watched(self) -> tuple[int, float]:
         """Monitored node, and the longest time between two of its heartbeats; 0 for none."""
-        entry = int(self._objects.number(_HEARD))
+        entry = int(self._objects.number(_CONSUMED))
         return entry >> 16 & 0x7F, (entry & 0xFFFF) * 1e-3
 
-    async def _hear(self, bus: can.BusABC) -> None:
+    async def _receive(self, bus: can.BusABC) -> None:
         raise BusError(describe_bus(self._config), await FrameReader(bus, self).run())
 
     def _boot(self) -> None:
@@ -261,20 +251,18 @@ class CanOpenDrive:
 
     def _half_cycle(self, frame: Frame) -> None:
         """Carry out one zero crossing of the line."""
-        for name, value in frames.quantities_of(frame).items():
+        for name, value in frame.quantities().items():
             if name in self._shown:
                 address, source = self._shown[name]
-                self._show(name, address, (value - source.offset) / source.scale)
+                shown = (value - source.offset) / source.scale
+                self._objects.put(address, shown % 65536 if name == "counter" else shown)
         self._watch_host()
         self._watch_fault(frame.fault)
-        if self._clock() - self._beat_s >= self._objects.number(_SENT) * 1e-3 > 0.0:
+        if self._clock() - self._beat_s >= self._objects.number(_PRODUCED) * 1e-3 > 0.0:
             self._send_heartbeat()
         if int(self._objects.number(_SYNC_ID)) & _PRODUCES_SYNC and self._nmt >= _Nmt.OPERATIONAL:
             self._put(_SYNC, b"")
             self._measure()
-
-    def _show(self, name: str, address: canopen_objects.Address, value: float) -> None:
-        self._objects.put(address, value % 65536 if name == "counter" else value)
 
     def _measure(self) -> None:
         """Send the PDOs that follow SYNC."""
@@ -341,7 +329,7 @@ def _addresses(
     catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     find = functools.partial(_places, catalogue)
     measured = ((name, one) for name, one, _ in configuration.signals.entries())
-    shown = find((one for one in measured if one[0] in frames.QUANTITIES), "signals")
+    shown = find((one for one in measured if one[0] in QUANTITIES), "signals")
     command = configuration.signals.command
     obeyed = find(((name, getattr(command, name)) for name in COMMANDED), "signals.command")
     if catalogue.flaws:

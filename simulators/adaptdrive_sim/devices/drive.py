@@ -15,10 +15,10 @@ itself and does not trust its host:
 """
 
 import asyncio
-import contextlib
-from collections.abc import Callable, Iterator
+import time
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntFlag
 from typing import Any, NamedTuple
 
 from adaptdrive.control import voltage_loop
@@ -26,8 +26,6 @@ from adaptdrive.util.clock import TickTimer
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import HeldOutput, Sample
 from adaptdrive_sim.world import World
-
-# Behaviour of the simulated drive that does not depend on its bus.
 
 # The voltage loop inside a drive that holds its own boost voltage.
 
@@ -71,15 +69,21 @@ COMMAND_TIMEOUT_s = 0.100
 LINE_LOST_SHARE = 0.5
 FAULT_MAX = 0x7F
 
+_OVERVOLTAGE, _LINE_LOST = 4, 8
+"""Fault bits that the drive raises by itself."""
+
+QUANTITIES = (
+    "boost_voltage_V",
+    "line_voltage_V",
+    "load_power_W",
+    "output",
+    "counter",
+    "fault",
+    "bridge",
+)
+"""What a drive may send, by the names of the configuration."""
+
 Report = Callable[..., Any]
-
-
-class Fault(IntFlag):
-    """Fault bits that the drive raises by itself."""
-
-    NONE = 0
-    BOOST_OVERVOLTAGE = 4
-    LINE_LOST = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +110,20 @@ class Frame(NamedTuple):
     sample: Sample
     fault: int
     bridge: bool
+
+    def quantities(self) -> dict[str, float]:
+        """Return `QUANTITIES`, and the load current."""
+        sample = self.sample
+        return {
+            "boost_voltage_V": sample.boost_voltage_V,
+            "line_voltage_V": sample.line_voltage_V,
+            "load_power_W": sample.load_power_W,
+            "output": sample.output,
+            "counter": sample.tick,
+            "fault": self.fault,
+            "bridge": self.bridge,
+            "load_current_A": sample.load_current_A,
+        }
 
 
 class SimulatedDrive:
@@ -261,63 +279,78 @@ class SimulatedDrive:
         nominal_V = self.world.parameters.line.voltage_V
         word = self._injected
         if self._overvoltage:
-            word |= Fault.BOOST_OVERVOLTAGE
+            word |= _OVERVOLTAGE
         if line_V < LINE_LOST_SHARE * nominal_V:
-            word |= Fault.LINE_LOST
-        return int(word)
+            word |= _LINE_LOST
+        return word
 
 
-# The half cycles of a simulated drive in real time, on an absolute grid that follows the line.
+# A drive on a bus: half cycles in real time, on an absolute grid that follows the line.
 
 STALL_s = 1.0
 """A process that slept longer than this (a suspended machine) starts a new grid."""
 
 
-async def run_half_cycles(
-    drive: SimulatedDrive,
-    clock: Callable[[], float],
-    deliver: Callable[[Frame], None],
-    report: Report,
-) -> None:
-    """Run one half cycle after the other until cancelled.
+class DriveNode:
+    """One simulated drive on one bus.
 
-    Args:
-        drive: What lives through them.
-        clock: Monotonic clock in seconds.
-        deliver: Given the last frame of those that have passed.
-        report: Takes a report of a process that slept.
+    Attributes:
+        counts: Frames or requests answered, commands obeyed and refused, by name.
     """
-    expired = asyncio.Event()
-    deadline_s = clock() + drive.world.line.half_cycle_s
-    with _timer(expired) as timer:
-        while True:
-            timer.arm(deadline_s)
-            await expired.wait()
-            expired.clear()
-            now_s = clock()
-            if now_s - deadline_s > STALL_s:
-                report("stalled", seconds=round(now_s - deadline_s, 3))
-                deadline_s = now_s
-            deadline_s = _catch_up(drive, now_s, deadline_s, deliver)
 
+    def __init__(
+        self, drive: SimulatedDrive, report: Report, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Build the node; nothing is opened yet.
 
-def _catch_up(
-    drive: SimulatedDrive, now_s: float, deadline_s: float, deliver: Callable[[Frame], None]
-) -> float:
-    """Run every half cycle that has passed and deliver the last one; the next deadline."""
-    frame: Frame | None = None
-    while deadline_s <= now_s:
-        frame = drive.tick(now_s)
-        deadline_s += frame.sample.tick_period_s
-    if frame is not None:
-        deliver(frame)
-    return deadline_s
+        Args:
+            drive: The drive.
+            report: Takes events, as an event's name and its data as keywords.
+            clock: Monotonic clock in seconds.
+        """
+        self.counts: Counter[str] = Counter()
+        self._drive = drive
+        self._report = report
+        self._clock = clock
 
+    async def run(self, opened: Callable[[str], None]) -> None:
+        """Open the bus, pass its description to `opened`, and serve it until cancelled.
 
-@contextlib.contextmanager
-def _timer(expired: asyncio.Event) -> Iterator[TickTimer]:
-    timer = TickTimer(asyncio.get_running_loop(), lambda _: expired.set())
-    try:
-        yield timer
-    finally:
-        timer.close()
+        Raises:
+            BusError: The bus cannot be opened.
+        """
+        raise NotImplementedError
+
+    def _refuse(self, reason: str) -> None:
+        """Count a refusal, and report the first of its kind: a flood must not fill the log."""
+        self.counts[reason] += 1
+        if self.counts[reason] == 1:
+            self._report("command refused", reason=reason)
+
+    async def _run_half_cycles(self, deliver: Callable[[Frame], None]) -> None:
+        """Run one half cycle after the other, and deliver the last frame of those that passed."""
+        expired = asyncio.Event()
+        deadline_s = self._clock() + self._drive.world.line.half_cycle_s
+        timer = TickTimer(asyncio.get_running_loop(), lambda _: expired.set())
+        try:
+            while True:
+                timer.arm(deadline_s)
+                await expired.wait()
+                expired.clear()
+                now_s = self._clock()
+                if now_s - deadline_s > STALL_s:
+                    self._report("stalled", seconds=round(now_s - deadline_s, 3))
+                    deadline_s = now_s
+                deadline_s = self._catch_up(now_s, deadline_s, deliver)
+        finally:
+            timer.close()
+
+    def _catch_up(self, now_s: float, deadline_s: float, deliver: Callable[[Frame], None]) -> float:
+        """Run every half cycle that has passed and deliver the last one; the next deadline."""
+        frame: Frame | None = None
+        while deadline_s <= now_s:
+            frame = self._drive.tick(now_s)
+            deadline_s += frame.sample.tick_period_s
+        if frame is not None:
+            deliver(frame)
+        return deadline_s

@@ -1,33 +1,49 @@
-"""The stage of a story in real time: broker, simulated drive and daemon, each a process."""
+"""The stages of a story: processes in real time, or one process in virtual time.
+
+In real time broker, simulated drive and daemon are processes of their own on a real bus. In virtual
+time there is neither bus nor broker, and the drive lives N times faster.
+"""
 
 import asyncio
+import json
 import os
 import shutil
 import socket
 import sys
 import tempfile
 import time
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Mapping
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Self
 
+import msgspec
 import tomlkit
 
 from adaptdrive.app.process import NAMESPACE
+from adaptdrive.app.settings import operator_profile
 from adaptdrive.cli.desk import panel_address
+from adaptdrive.config.bus import MEASURED
+from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.services import Mqtt
+from adaptdrive.mqtt import clock, commands, contract
 from adaptdrive.mqtt.client import NoAnswerError
-from adaptdrive.mqtt.contract import DeviceReply, Reply
 from adaptdrive.processes.owned import BROKER, Child, Household, Ports
 from adaptdrive.recording.session import Ending, read_info
+from adaptdrive.runtime import reports
+from adaptdrive.runtime.accounts import state_report
 from adaptdrive.tui.main import follow_drive, over_mqtt
 from adaptdrive.tui.terminal import KeyCommand
-from adaptdrive.util.errors import RecordingError
+from adaptdrive.util.errors import RecordingError, RefusedError
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.story import DemoError, DemoSettings, Story
+from adaptdrive_sim.device import DeviceSettings, build_world
+from adaptdrive_sim.devices.disturbances import answer, features_of
 from adaptdrive_sim.experiments.examples import FOLDER
+from adaptdrive_sim.site import OperatedDrive
+
+# In real time: broker, simulated drive and daemon, each a process.
 
 SESSION_s = 10.0
 AFTERMATH_s = 1.5
@@ -40,6 +56,7 @@ _ASKED = 3
 _LOOK_s = 0.05
 _WAIT_s = 0.1
 
+Reply = contract.Reply | contract.DeviceReply
 
 _HEAD = "# Written by `adaptdrive-sim demo`. The commented original is in deploy/examples.\n\n"
 
@@ -137,7 +154,7 @@ class RealStage:
         """Let some time pass."""
         await asyncio.sleep(min(max(longest_s, 0.0), _WAIT_s))
 
-    async def ask(self, command: KeyCommand) -> Reply | DeviceReply:
+    async def ask(self, command: KeyCommand) -> Reply:
         """Send a command or a disturbance; one without an answer is sent again."""
         for _ in range(_ASKED - 1):
             with suppress(NoAnswerError):
@@ -212,3 +229,160 @@ def program(name: str = "adaptdrive") -> str:
         return name
     path = Path(sys.executable).with_name(name)
     return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)
+
+
+# In virtual time: one process, no bus, N times real time.
+
+_SLICE_s = 0.02
+_BREAK_s = 0.005
+_REPORT_TICKS = 240
+
+
+class VirtualStage:
+    """A drive in virtual time, whose messages go straight into a record.
+
+    Attributes:
+        drive: The drive.
+        drive_name: Its name.
+        record: Takes its messages.
+        places: What the help shows of the surroundings.
+        facts: What the summary has of them.
+        session: There is no recorded session.
+    """
+
+    session = None
+
+    def __init__(self, story: Story, settings: DemoSettings) -> None:
+        """Put the daemon's controller in front of the load of a story."""
+        configuration = validate_configuration(story.document(), FOLDER / story.configuration)
+        noise = story.noise if settings.noise is None else settings.noise
+        device = DeviceSettings(
+            noise_V=noise, seed=settings.seed, initial_voltage_V=story.initial_voltage_V
+        )
+        self.drive = OperatedDrive(configuration, build_world(configuration, device))
+        self.drive_name = configuration.drive.name
+        self.record: DemoRecord | None = None
+        self._profile = operator_profile(configuration)
+        self._speed = settings.speed or story.speed or 1.0
+        passing = f"virtual, {self._speed:g} times real time: no bus, no broker, no panel"
+        self.places = {"time": passing}
+        self.facts = {"virtual_time": True, "speed": self._speed}
+        self._began = datetime.now(UTC)
+        self._due_s = 0.0
+        self._last_s = time.monotonic()
+        self._report_ticks = max(_REPORT_TICKS, configuration.ticks_per_period // 2)
+        self._last_state = ""
+
+    async def __aenter__(self) -> Self:
+        """Begin; there is nothing to start."""
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """End; there is nothing to stop."""
+
+    def services(self, record: DemoRecord) -> list[Coroutine[Any, Any, None]]:
+        """Publish the first messages into a record; nothing else runs."""
+        self.record = record
+        self._publish("availability", {"availability": "online"})
+        self.drive.tick()
+        self._report()
+        self._publish_state()
+        return []
+
+    async def panel(self) -> str:
+        """Refuse the panel.
+
+        Raises:
+            DemoError: There is no broker.
+        """
+        raise DemoError("this story passes in virtual time, without a broker")
+
+    @property
+    def time_s(self) -> float:
+        """Time of the drive."""
+        return self.drive.time_s
+
+    async def wait(self, longest_s: float) -> None:
+        """Let time pass as fast as asked for, or as this machine can."""
+        now_s = time.monotonic()
+        since_s, self._last_s = now_s - self._last_s, now_s
+        self._due_s = min(self._due_s + since_s * self._speed, self.time_s + self._speed)
+        end_s = min(self.time_s + longest_s, self._due_s)
+        while self.time_s < end_s and time.monotonic() < now_s + _SLICE_s:
+            self._tick()
+        await asyncio.sleep(_BREAK_s if self.time_s >= self._due_s else 0.0)
+
+    async def ask(self, command: KeyCommand) -> Reply:
+        """Carry out a command or a disturbance."""
+        content = {"id": "demo"} | dict(command.disturbance or {"value": command.value})
+        raw, reason = json.dumps(content).encode(), ""
+        if command.disturbance is not None:
+            reply = answer(raw, self.drive.world)
+            self._publish_state()
+            return reply
+        try:
+            self.drive.carry_out(commands.Payload(raw).request(command.verb)[0])
+        except RefusedError as refusal:
+            reason = refusal.reason
+        self._publish_state()
+        state = self.drive.machine.state
+        return contract.Reply("demo", command.verb, not reason, reason, state)
+
+    def _tick(self) -> None:
+        """Run one half line cycle."""
+        drive = self.drive
+        decided = drive.tick()
+        if drive.ticks % self._report_ticks == 0:
+            self._report()
+        if decided and drive.snapshot is not None and drive.decision is not None:
+            report = reports.LoadReport(drive.snapshot, drive.decision, drive.time_s)
+            load = contract.load_message(report, self._now, self._profile.output)
+            self._publish("telemetry/load", load)
+            self._publish_truth()
+            self._publish_state()
+        elif drive.machine.state != self._last_state:
+            self._publish_state()
+
+    @property
+    def _now(self) -> datetime:
+        return self._began + timedelta(seconds=self.drive.time_s)
+
+    def _report(self) -> None:
+        """Publish what the fast loop measures, and the truth."""
+        sample = self.drive.sample
+        content = {name: getattr(sample, name) for name in MEASURED}
+        counts = {"ticks": self.drive.ticks, "missed": 0, "held": 0, "age_s": 0.0}
+        self._publish("telemetry/drive", {"time": self._now, **content, **counts})
+        self._publish_truth()
+
+    def _publish_truth(self) -> None:
+        world = self.drive.world
+        offered = [msgspec.to_builtins(one) for one in features_of(world.load)]
+        self._publish("simulator", world.truth() | {"features": offered})
+
+    def _publish_state(self) -> None:
+        """Publish the state, and its change as an event."""
+        drive, machine = self.drive, self.drive.machine
+        report = state_report(machine, drive.decision, reports.StopWord.CONFIRMED)
+        last = contract.LastTrip(self._now, machine.trip, "") if machine.trip else None
+        standing = contract.Standing(self._now, last, clock.Synchronisation.UNKNOWN, self._now)
+        self._publish("state", contract.state_message(report, standing, self._profile))
+        if machine.state == self._last_state:
+            return
+        if self._last_state:
+            self._event("state", f"{self._last_state} to {machine.state}")
+        if machine.trip is not None:
+            self._event("trip", machine.trip, reports.Severity.ALARM)
+        if drive.completed:
+            self._event("complete", "charging is complete")
+        self._last_state = str(machine.state)
+
+    def _event(
+        self, kind: str, detail: str, severity: reports.Severity = reports.Severity.INFO
+    ) -> None:
+        event = reports.Event(kind, severity, detail, self.drive.ticks)
+        self._publish("event", contract.event_message(event, self._now))
+
+    def _publish(self, name: str, content: Mapping[str, Any]) -> None:
+        if self.record is not None:
+            self.record.take(name, msgspec.json.decode(contract.encode(dict(content))))
