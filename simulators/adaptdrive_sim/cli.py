@@ -124,14 +124,13 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
         keep_speed: The motor's disks turn with the shaft when they are added, so that its speed
             stays. Without it they land at rest and share its momentum, as in the paper.
     """
+    from adaptdrive_sim.experiments import reproduce as run  # noqa: PLC0415  # keeps --help fast
     from adaptdrive_sim.experiments.case import ReproduceRequest, disturbance_of  # noqa: PLC0415
-    from adaptdrive_sim.experiments.outcome import print_claims  # noqa: PLC0415  # keeps --help fast
-    from adaptdrive_sim.experiments.reproduce import find_experiment, run_request  # noqa: PLC0415
 
-    chosen = find_experiment(experiment, keep_speed=keep_speed)
+    chosen = run.find_experiment(experiment, keep_speed=keep_speed)
     disturbance = disturbance_of(chosen.noise if noise is None else noise, spikes)
-    claims = run_request(ReproduceRequest(chosen, design, disturbance, seed), output)
-    print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)
+    claims = run.run_request(ReproduceRequest(chosen, design, disturbance, seed), output)
+    run.print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)
 
 
 @app.command

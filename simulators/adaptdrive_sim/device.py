@@ -22,9 +22,8 @@ from adaptdrive_sim import wire
 from adaptdrive_sim.devices import can, canopen, disturbances, modbus, scpi
 from adaptdrive_sim.devices import drive as drives
 from adaptdrive_sim.devices.sensors import CanSensors, ModbusSensors, check_names
-from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.parameters import check_range
-from adaptdrive_sim.plants.boost import BoostParameters, HeldOutput
+from adaptdrive_sim.plants.boost import BoostParameters, HeldOutput, LineParameters
 from adaptdrive_sim.plants.load import coupling_of, load_of
 from adaptdrive_sim.world import World, WorldParameters
 

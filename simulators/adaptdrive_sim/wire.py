@@ -9,13 +9,13 @@ for each sample would cost more than the plant.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector, shift_in
-from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.parameters import check_quantities, quantity
 from adaptdrive_sim.plants.boost import Sample
 
@@ -103,21 +103,9 @@ class NoiseParameters:
         """True if no sample is ever disturbed."""
         return self.sigma == 0.0 and (self.spike_share == 0.0 or self.spike_sigma == 0.0)
 
-
-def read_spikes(text: str) -> tuple[float, float]:
-    """Read the share and the deviation of spikes from a command line.
-
-    Args:
-        text: RATE,SIGMA.
-
-    Raises:
-        RefusedError: They cannot be read.
-    """
-    try:
-        share, sigma = (float(part) for part in text.split(","))
-    except ValueError as problem:
-        raise RefusedError(f"spikes {text!r} is not RATE,SIGMA") from problem
-    return share, sigma
+    def scaled(self, step: float) -> Self:
+        """Return the noise in the unit of the output, of one that is relative to a step."""
+        return replace(self, sigma=self.sigma * step, spike_sigma=self.spike_sigma * step)
 
 
 def samples(parameters: NoiseParameters, generator: np.random.Generator) -> Iterator[float]:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptdrive_sim import wire
-from adaptdrive_sim.line import Line, LineParameters
 from adaptdrive_sim.parameters import SEED_MAX, ParameterError, check_range
-from adaptdrive_sim.plants.boost import Boost, BoostParameters, Coupling, CouplingParameters, Sample
+from adaptdrive_sim.plants import boost as stage
+from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.load import SimulatedLoad
 
 
@@ -31,9 +31,9 @@ class WorldParameters:
         seed: Seed of the noise.
     """
 
-    line: LineParameters = field(default_factory=LineParameters)
-    boost: BoostParameters = field(default_factory=BoostParameters)
-    coupling: CouplingParameters = field(default_factory=CouplingParameters)
+    line: stage.LineParameters = field(default_factory=stage.LineParameters)
+    boost: stage.BoostParameters = field(default_factory=stage.BoostParameters)
+    coupling: stage.CouplingParameters = field(default_factory=stage.CouplingParameters)
     noise: wire.NoiseParameters = field(default_factory=wire.NoiseParameters)
     sampling_phase_rad: float = 0.0
     seed: int = 0
@@ -54,9 +54,9 @@ class World:
         """
         self.parameters = parameters or WorldParameters()
         self.load = load
-        self.line = Line(self.parameters.line)
-        self.coupling = Coupling(self.parameters.coupling)
-        self.boost = Boost(self.parameters.boost, self.parameters.line.voltage_V * 2.0**0.5)
+        self.line = stage.Line(self.parameters.line)
+        self.coupling = self.parameters.coupling
+        self.boost = stage.Boost(self.parameters.boost, self.parameters.line.voltage_V * 2.0**0.5)
         self.tick = 0
         self.load_current_A = 0.0
         self.current_scale_S = 0.0

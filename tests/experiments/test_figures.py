@@ -11,10 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
-from adaptdrive_sim.experiments.case import Disturbance, ReproduceRequest, Variant, run_case
+from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
 from adaptdrive_sim.experiments.experiment import DROPPED, LoadChange
 from adaptdrive_sim.experiments.figure import experiment_figure
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
+from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import make_case
 
 SHORT = dataclasses.replace(
@@ -26,7 +27,7 @@ VARIANTS: tuple[Variant, ...] = ("fixed", "adaptive", "direct_rls")
 @pytest.fixture(scope="module")
 def outcome() -> ExperimentOutcome:
     records = {one: run_case(make_case(SHORT, one, seed=81_200)) for one in VARIANTS}
-    return judge(ReproduceRequest(SHORT, "paper", Disturbance(SHORT.noise), 81_200), records)
+    return judge(ReproduceRequest(SHORT, "paper", NoiseParameters(SHORT.noise), 81_200), records)
 
 
 @pytest.fixture(scope="module")

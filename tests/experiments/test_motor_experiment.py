@@ -5,7 +5,6 @@ import statistics
 import pytest
 
 from adaptdrive_sim.experiments.case import (
-    Disturbance,
     Variant,
     cycles,
     model_errors,
@@ -13,11 +12,13 @@ from adaptdrive_sim.experiments.case import (
     run_case,
 )
 from adaptdrive_sim.experiments.experiment import MOTOR
-from adaptdrive_sim.experiments.outcome import NOISY, ExperimentOutcome
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.reproduce import NOISY
+from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import SEEDS, SHORT_LAST_CYCLES, SHORT_MOTOR, make_case, outcome
 
 LAST_CYCLES = (4, 7, 10)
-SILENT = Disturbance(0.0)
+SILENT = NoiseParameters(0.0)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +85,7 @@ def test_without_noise_the_estimates_end_on_the_truth() -> None:
 
 @pytest.mark.proof
 def test_with_much_noise_the_papers_design_is_worse_adaptive_than_fixed() -> None:
-    found = outcome(MOTOR, ("fixed", "adaptive"), Disturbance(0.02))
+    found = outcome(MOTOR, ("fixed", "adaptive"), NoiseParameters(0.02))
     fixed, adaptive = (
         rms_between(one, model_errors(MOTOR, "paper", one), 1200.0, 1320.0)
         for one in (found.records["fixed"], found.records["adaptive"])

@@ -17,10 +17,9 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim import course, site, wire
 from adaptdrive_sim.campaign.drawn import Row, Trial, columns_of, each, uniform
 from adaptdrive_sim.campaign.settings import CampaignFile, CampaignTable, LineRanges, Range, within
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.boost import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters, LineParameters
 from adaptdrive_sim.world import World, WorldParameters
 
 _BEGINS_s = 60.0
@@ -189,7 +188,7 @@ class BatteryScenario:
         load["charge"]["voltage_max_V"] = CELL_FULL_V * self.cells
         load["charge"]["end_current_A"] /= self.scale
         tables["interlocks"]["output_max"] /= self.scale
-        return validate_configuration(tables, FOLDER / "battery.toml")
+        return validate_configuration(tables, EXAMPLES / "battery.toml")
 
 
 def draw_battery(campaign: BatteryCampaign, seed: int) -> BatteryScenario:

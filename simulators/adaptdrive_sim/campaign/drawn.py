@@ -16,10 +16,9 @@ from adaptdrive.control import controller, signals
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.supervision.supervisor import Verdict
-from adaptdrive_sim.campaign.ideal import follow_ideal
-from adaptdrive_sim.course import Array, Course, Run, TripLevels
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.course import Array, Course, Run, follow_ideal
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
+from adaptdrive_sim.plants.boost import LineParameters
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.wire import Wire
 from adaptdrive_sim.world import World
@@ -34,19 +33,19 @@ class Deployed:
 
     settings: ControllerSettings
     load: Load
-    interlocks: TripLevels
+    trips: tuple[float, float]
     pole: float
     period_s: float
 
 
 def deploy(name: str, tables: dict[str, Any] | None = None) -> Deployed:
     """Return what the daemon makes of an example configuration, or of its changed tables."""
-    configuration = validate_configuration(tables or example_tables(name), FOLDER / name)
+    configuration = validate_configuration(tables or example_tables(name), EXAMPLES / name)
     limits = configuration.interlocks
     return Deployed(
         settings=controller_settings(configuration),
         load=build_load(configuration),
-        interlocks=TripLevels(limits.boost_voltage_max_V, limits.output_max),
+        trips=(limits.boost_voltage_max_V, limits.output_max),
         pole=configuration.load.pole,
         period_s=configuration.load.period_s,
     )
@@ -299,7 +298,7 @@ class DrawnRun(Trial):
             self.disturbances,
             mode,
             self.own.pole,
-            self.own.interlocks,
+            self.own.trips,
             self.burdens,
             self.offset,
             self.stops,

@@ -21,7 +21,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun, Row, Trial
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.figure import CONTROLLERS, SYMBOLS, mark_in_force, minutes_of
-from adaptdrive_sim.experiments.outcome import Claim, print_claims
+from adaptdrive_sim.experiments.reproduce import Claim, print_claims
 
 # Judges a run by criteria that every load shares.
 

@@ -40,7 +40,7 @@ from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.story import DemoError, DemoSettings, Story
 from adaptdrive_sim.device import DeviceSettings, build_world
 from adaptdrive_sim.devices.disturbances import answer, features_of
-from adaptdrive_sim.experiments.examples import FOLDER
+from adaptdrive_sim.parameters import EXAMPLES
 from adaptdrive_sim.site import OperatedDrive
 
 # In real time: broker, simulated drive and daemon, each a process.
@@ -199,7 +199,7 @@ class RealStage:
         """
         database = document["bus"]["database"]
         try:
-            (self.directory / database).write_bytes((FOLDER / database).read_bytes())
+            (self.directory / database).write_bytes((EXAMPLES / database).read_bytes())
             self.configuration.write_text(_HEAD + tomlkit.dumps(document), encoding="utf-8")
         except OSError as problem:
             raise DemoError(f"{self.directory}: {problem.strerror or problem}") from problem
@@ -254,7 +254,7 @@ class VirtualStage:
 
     def __init__(self, story: Story, settings: DemoSettings) -> None:
         """Put the daemon's controller in front of the load of a story."""
-        configuration = validate_configuration(story.document(), FOLDER / story.configuration)
+        configuration = validate_configuration(story.document(), EXAMPLES / story.configuration)
         noise = story.noise if settings.noise is None else settings.noise
         device = DeviceSettings(
             noise_V=noise, seed=settings.seed, initial_voltage_V=story.initial_voltage_V

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from adaptdrive.cli.options import Integer
 from adaptdrive.control.signals import Waveform
 from adaptdrive.util.errors import AdaptdriveError, RefusedError
-from adaptdrive_sim.experiments.examples import example_tables
+from adaptdrive_sim.parameters import example_tables
 
 # Stories as data: one file each, which names what happens when, and the sentence about it.
 

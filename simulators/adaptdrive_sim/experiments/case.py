@@ -30,10 +30,11 @@ from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim import parameters, wire, world
 from adaptdrive_sim.course import Array, Course, Run
-from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
+from adaptdrive_sim.parameters import EXAMPLES
 from adaptdrive_sim.site import Site
 
 # One run of an experiment: which controller, which design, which noise; and the run itself.
@@ -42,42 +43,25 @@ Design = Literal["paper", "exact"]
 Variant = Literal["fixed", "adaptive", "direct_rls", "lm_rls"]
 
 
-@dataclass(frozen=True, slots=True)
-class Disturbance:
-    """Measurement noise of every fast sample; deviations are fractions of the reference step.
-
-    Attributes:
-        noise: Standard deviation of every sample.
-        spike_share: Share of samples that carry a spike.
-        spike_noise: Standard deviation of the spikes.
-    """
-
-    noise: float
-    spike_share: float = 0.0
-    spike_noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        parameters.check_range("noise", self.noise, 0.0, 10.0, "of the step")
-        parameters.check_range("share of spikes", self.spike_share, 0.0, 1.0, "")
-        parameters.check_range("noise of spikes", self.spike_noise, 0.0, 10.0, "of the step")
-
-    def scaled(self, step: float) -> wire.NoiseParameters:
-        """The same in the unit of the output."""
-        return wire.NoiseParameters(self.noise * step, self.spike_share, self.spike_noise * step)
-
-
-def disturbance_of(noise: float, spikes: str) -> Disturbance:
-    """Return the disturbance that a command line requests.
+def disturbance_of(noise: float, spikes: str) -> wire.NoiseParameters:
+    """Return the measurement noise that a command line requests, as fractions of the step.
 
     Args:
-        noise: Standard deviation of every sample, as a fraction of the step.
+        noise: Standard deviation of every sample.
         spikes: RATE,SIGMA.
 
     Raises:
         RefusedError: The spikes cannot be read.
         ParameterError: A value lies outside its range.
     """
-    return Disturbance(noise, *wire.read_spikes(spikes))
+    try:
+        share, sigma = (float(part) for part in spikes.split(","))
+    except ValueError as problem:
+        raise RefusedError(f"spikes {spikes!r} is not RATE,SIGMA") from problem
+    parameters.check_range("noise", noise, 0.0, 10.0, "of the step")
+    parameters.check_range("share of spikes", share, 0.0, 1.0, "")
+    parameters.check_range("noise of spikes", sigma, 0.0, 10.0, "of the step")
+    return wire.NoiseParameters(noise, share, sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +73,14 @@ class Case:
         variant: Which controller runs; `direct_rls` and `lm_rls` are adaptive ones with the
             estimator named, whatever the design's own is.
         settings: Settings of the controller.
-        disturbance: Measurement noise.
+        disturbance: Measurement noise, as fractions of the reference step.
         seed: Of the noise; runs with the same seed see the same noise.
     """
 
     experiment: Experiment
     variant: Variant
     settings: ControllerSettings
-    disturbance: Disturbance
+    disturbance: wire.NoiseParameters
     seed: int
 
 
@@ -118,13 +102,13 @@ class ReproduceRequest:
     Attributes:
         experiment: The experiment.
         design: The paper's controller or the daemon's default one.
-        disturbance: Measurement noise.
+        disturbance: Measurement noise, as fractions of the reference step.
         seed: Of the noise.
     """
 
     experiment: Experiment
     design: Design
-    disturbance: Disturbance
+    disturbance: wire.NoiseParameters
     seed: int
 
     def __post_init__(self) -> None:
@@ -135,11 +119,11 @@ class ReproduceRequest:
         settings = case_settings(self.experiment, variant, self.design)
         return Case(self.experiment, variant, settings, self.disturbance, self.seed)
 
-    def listener(self) -> Case:
-        """The plain estimator that other settings are tried with; it always hears some noise."""
-        settings = case_settings(self.experiment, "fixed", "paper")
-        silent = self.disturbance.scaled(1.0).silent
-        disturbance = Disturbance(self.experiment.noise) if silent else self.disturbance
+    def sweep_case(self) -> Case:
+        """The run on which other settings of the estimator are tried; there always is noise."""
+        settings, disturbance = case_settings(self.experiment, "fixed", "paper"), self.disturbance
+        if disturbance.silent:
+            disturbance = wire.NoiseParameters(self.experiment.noise)
         return Case(self.experiment, "fixed", settings, disturbance, self.seed)
 
 
@@ -179,7 +163,7 @@ def paper_settings(experiment: Experiment) -> ControllerSettings:
 
 
 def _from_tables(experiment: Experiment, tables: dict[str, Any]) -> ControllerSettings:
-    source = FOLDER / f"{experiment.name}.toml"
+    source = EXAMPLES / f"{experiment.name}.toml"
     return controller_settings(validate_configuration(tables, source))
 
 

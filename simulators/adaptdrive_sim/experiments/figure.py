@@ -14,9 +14,9 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from adaptdrive.analysis import style
 from adaptdrive.control.loads.load import to_input
 from adaptdrive_sim.course import Array, Run
-from adaptdrive_sim.experiments import case, sweep
+from adaptdrive_sim.experiments import case
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome, SweepPoint, settling_time_s
 
 # The figures of the experiments, laid out like the paper's Fig. 4 and Fig. 9, with more panels.
 
@@ -41,9 +41,9 @@ _MARGIN = 0.06
 def describe(outcome: ExperimentOutcome) -> str:
     """Design, noise, seed and the kind of load change, for the head of a figure."""
     noise, experiment = outcome.disturbance, outcome.experiment
-    parts = [f"{outcome.design} design", f"noise {100.0 * noise.noise:.3g} % of the step"]
+    parts = [f"{outcome.design} design", f"noise {100.0 * noise.sigma:.3g} % of the step"]
     if noise.spike_share:
-        share, size = 100.0 * noise.spike_share, 100.0 * noise.spike_noise
+        share, size = 100.0 * noise.spike_share, 100.0 * noise.spike_sigma
         parts.append(f"spikes of {size:.3g} % in {share:.3g} % of the samples")
     parts.append(f"seed {outcome.seed}")
     if experiment.dropped:
@@ -316,8 +316,8 @@ def _memory(forgetting: float) -> float:
 
 def _column(
     axes: Sequence[Axes],
-    points: list[sweep.SweepPoint],
-    position: Callable[[sweep.SweepPoint], float],
+    points: list[SweepPoint],
+    position: Callable[[SweepPoint], float],
 ) -> None:
     for method, (label, look) in _LOOKS.items():
         chosen = [one for one in points if one.setting.method == method]
@@ -327,8 +327,8 @@ def _column(
 
 def _curves(
     axes: Sequence[Axes],
-    points: list[sweep.SweepPoint],
-    position: Callable[[sweep.SweepPoint], float],
+    points: list[SweepPoint],
+    position: Callable[[SweepPoint], float],
     label: str,
     look: style.Look,
 ) -> None:
@@ -382,7 +382,7 @@ def _name(axes: Grid, experiment: Experiment) -> None:
 def _mark(axes: Grid, experiment: Experiment) -> None:
     """The paper's choice, and what is slower than the load itself."""
     paper, load = experiment.paper, experiment.nominal()
-    settled_s = sweep.settling_time_s(load, 0.1 * experiment.period_s)
+    settled_s = settling_time_s(load, 0.1 * experiment.period_s)
     for row in axes:
         row[0].axvline(_memory(paper.forgetting), **_PAPER)
         row[1].axvline(paper.tau_lambda_s, **_PAPER)
