@@ -57,7 +57,6 @@ class Course:
             torque in N m, or an inflow relative to that at the start. Empty for nothing.
         offset: What the sensor of the output shows in addition to the output.
         stops: Slow periods in which the drive is off; it precharges in the last of each.
-        steady: Whether the reference counts as a constant set-point, which may be probed.
         preview: Whether the controller knows the references to come.
         start: Output at which everything rests before; the first reference when left out.
     """
@@ -72,7 +71,6 @@ class Course:
     burdens: Array = field(default_factory=lambda: np.empty(0))
     offset: float = 0.0
     stops: tuple[range, ...] = ()
-    steady: bool = False
     preview: bool = False
     start: float | None = None
 

@@ -100,9 +100,7 @@ class DeviceKind:
         times_commands: Whether the drive shuts down when commands stop; otherwise a heartbeat.
     """
 
-    drive: Callable[
-        [drives.SimulatedDrive, root.Configuration, drives.Report, Path], drives.DriveNode
-    ]
+    drive: Callable[[drives.SimulatedDrive, root.Configuration, Path], drives.DriveNode]
     overrides: Mapping[str, str]
     sensors: type[CanSensors | ModbusSensors] | None = None
     times_commands: bool = True
@@ -128,14 +126,14 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     """
     configuration = _overridden(file.load_configuration(path), settings)
     drive = build_drive(configuration, settings, report)
-    node = build_node(configuration, drive, report, path)
+    node = build_node(configuration, drive, path)
     modules = build_sensors(configuration, drive, path)
     jobs: list[Job] = [partial(node.run, partial(_say_bus, "drive", configuration.drive.name))]
     for bus, one in zip(configuration.sensor_bus, modules, strict=True):
         jobs.append(partial(one.run, partial(_say_bus, "sensors", bus.name)))
     if settings.broker is not None:
         address = parse_address(settings.broker)
-        jobs.append(disturbances.Remote(address, configuration.drive.name, drive, report).run)
+        jobs.append(disturbances.Remote(address, configuration.drive.name, drive).run)
     try:
         asyncio.run(_until_signal(jobs))
     except ExceptionGroup as problems:
@@ -161,22 +159,18 @@ def build_drive(
     elif configuration.voltage_loop.where == "drive":
         bidirectional = power.kind == "bidirectional"
         holder = drives.VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
+    over_V = configuration.interlocks.boost_voltage_max_V
+    normal_V = power.limits.boost_reference_max_V
     return drives.SimulatedDrive(
         world,
         report,
         holder,
         _command_timeout_s(configuration, settings),
         boost_needs_bridge=settings.boost_needs_bridge,
-        overvoltage=_overvoltage(configuration),
+        trip_V=over_V + OVERVOLTAGE_SHARE * (over_V - normal_V),
+        over_V=over_V,
+        normal_V=normal_V,
     )
-
-
-def _overvoltage(configuration: root.Configuration) -> drives.Overvoltage:
-    """Return the protection of the drive itself, which acts above the trip of the daemon."""
-    daemon_V = configuration.interlocks.boost_voltage_max_V
-    normal_V = configuration.drive.limits.boost_reference_max_V
-    trip_V = daemon_V + OVERVOLTAGE_SHARE * (daemon_V - normal_V)
-    return drives.Overvoltage(trip_V, over_V=daemon_V, normal_V=normal_V)
 
 
 def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettings) -> float:
@@ -204,17 +198,14 @@ def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettin
 
 
 def build_node(
-    configuration: root.Configuration,
-    drive: drives.SimulatedDrive,
-    report: drives.Report,
-    path: Path,
+    configuration: root.Configuration, drive: drives.SimulatedDrive, path: Path
 ) -> drives.DriveNode:
     """Put the drive on the bus that its configuration names.
 
     Raises:
         ConfigurationError: Bus and signals do not fit together.
     """
-    return KINDS[configuration.bus.type].drive(drive, configuration, report, path)
+    return KINDS[configuration.bus.type].drive(drive, configuration, path)
 
 
 def build_sensors(

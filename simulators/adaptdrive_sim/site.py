@@ -124,9 +124,7 @@ class Site:
         for k, reference in enumerate(course.references.tolist()):
             change_plant(load, course, k)
             self.upcoming = course.upcoming(k)
-            order = signals.Order(
-                course.stage(k), reference, course.mode, course.pole, steady=course.steady
-            )
+            order = signals.Order(course.stage(k), reference, course.mode, course.pole)
             for n in range(k * ticks, (k + 1) * ticks):
                 measurement = self.measure(n)
                 cause = find_cause(measurement, *course.trips)

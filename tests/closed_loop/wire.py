@@ -154,7 +154,7 @@ async def _begin(
     clock: Any,
 ) -> Coroutine[Any, Any, None]:
     """Put the drive on its bus; what keeps it alive."""
-    node = build_node(configuration, drive, lambda *_, **__: None, path)
+    node = build_node(configuration, drive, path)
     node._clock = clock
     if isinstance(node, ModbusDrive):
         await stack.enter_async_context(serving(node._config, {node._config.device_id: node}))

@@ -29,7 +29,7 @@ class Host:
         self.events: list[tuple[str, dict[str, Any]]] = []
         settings = DeviceSettings(initial_voltage_V=300.0)
         self._drive = build_drive(configuration, settings, self._report)
-        node = build_node(configuration, self._drive, self._report, EXAMPLE)
+        node = build_node(configuration, self._drive, EXAMPLE)
         assert isinstance(node, CanDrive)
         self._node, self._now_s, self.alive = node, 1000.0, 0
         node._clock = lambda: self._now_s

@@ -42,9 +42,7 @@ def ask(remote: Remote, **request: Any) -> tuple[bool, str]:
 
 
 def of(load: SimulatedLoad) -> Remote:
-    return Remote(
-        Mqtt(host="localhost", port=1), "bench", SimulatedDrive(World(load), ignore), ignore
-    )
+    return Remote(Mqtt(host="localhost", port=1), "bench", SimulatedDrive(World(load), ignore))
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,10 @@ class Drawn:
         """Height of the reference's step."""
         return self.reference.high - self.reference.low
 
+    def references_at(self, times_s: Array) -> Array:
+        """Return the set-point at each time."""
+        return np.array([self.reference.value(time_s) for time_s in times_s.tolist()])
+
     def disturbances(self, count: int, offset: float = 0.0) -> Array:
         """Measurement noise of every tick, and the offset of the sensor."""
         generator = np.random.default_rng([self.seed, 1])
@@ -340,6 +344,8 @@ class DrawnRun(Trial):
     def seen(self, run: Run) -> Row:
         """Return what the supervisor has done, and the errors of the estimates at the end."""
         in_force, verdicts = run["adaptive"] > 0.0, run["verdict"]
+        wanted_V = run["boost_reference_V"]
+        saturated = (wanted_V <= 200.0 + 1e-9) | (wanted_V >= 400.0 - 1e-9)
         truth = self.truth_at(self.times_s.size - 1)
         estimates = np.array([run[name][-1] for name in self.own.load.names])
         row: Row = {
@@ -347,7 +353,7 @@ class DrawnRun(Trial):
             "accepted_share": float(np.mean(run["accepted"] > 0.0)),
             "switches": int(np.count_nonzero(np.diff(in_force.astype(int)))),
             "estimate_error": float(np.max(np.abs(estimates / truth - 1.0))),
-            "saturated_share": float(np.mean(_at_limit(run["boost_reference_V"]))),
+            "saturated_share": float(np.mean(saturated)),
         }
         for verdict in Verdict:
             row[f"verdict_{verdict.name.lower()}"] = int(np.count_nonzero(verdicts == verdict))
@@ -373,7 +379,3 @@ class DrawnRun(Trial):
         """Return the true physical parameters in a slow period."""
         load = self.true_load(k)
         return np.array(load.physical(list(load.numerator), list(load.denominator)))
-
-
-def _at_limit(voltage_V: Array) -> NDArray[np.bool_]:
-    return (voltage_V <= 200.0 + 1e-9) | (voltage_V >= 400.0 - 1e-9)

@@ -68,6 +68,7 @@ class RealStage:
         drive_name: Name of the drive.
         directory: Its folder, with configuration, messages, logs and sessions.
         configuration: Configuration of daemon and simulated drive.
+        broker: The broker as HOST:PORT.
         places: What the help shows of the surroundings.
     """
 
@@ -86,6 +87,7 @@ class RealStage:
         document = story.document()
         self.drive_name = str(document["drive"]["name"])
         self._broker = Mqtt(port=self._ports.take())
+        self.broker = f"{self._broker.host}:{self._broker.port}"
         self._page, self._websocket = self._ports.take(), self._ports.take()
         document["bus"] |= {"interface": "udp_multicast", "channel": group, "udp_port": port}
         document["mqtt"] = {"host": self._broker.host, "port": self._broker.port}
@@ -141,14 +143,9 @@ class RealStage:
     @property
     def facts(self) -> dict[str, Any]:
         """Surroundings of the demonstration, for its summary."""
-        found = {name: self.places[name] for name in ("bus", "broker")}
         session = None if self.session is None else str(self.session)
-        return found | {"directory": self.places["folder"], "session": session}
-
-    @property
-    def broker(self) -> str:
-        """The broker as HOST:PORT."""
-        return f"{self._broker.host}:{self._broker.port}"
+        own = {"directory": self.places["folder"], "session": session}
+        return {name: self.places[name] for name in ("bus", "broker")} | own
 
     async def wait(self, longest_s: float) -> None:
         """Let some time pass."""

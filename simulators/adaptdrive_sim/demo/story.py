@@ -19,11 +19,7 @@ from adaptdrive_sim.parameters import example_tables
 FOLDER = Path(__file__).parent / "stories"
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    pass
-
-
-class Scene(_Table, frozen=True):
+class Scene(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One turn of a story.
 
     Attributes:
@@ -43,7 +39,7 @@ class Scene(_Table, frozen=True):
     disturb: dict[str, float] | None = None
 
 
-class Overshoot(_Table, frozen=True):
+class Overshoot(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """By which size of the load the overshoots are told apart.
 
     Attributes:
@@ -66,7 +62,7 @@ class Overshoot(_Table, frozen=True):
         return next(near, None)
 
 
-class Value(_Table, frozen=True):
+class Value(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A value of the truth that is shown.
 
     Attributes:
@@ -94,7 +90,12 @@ class Value(_Table, frozen=True):
         return self.at_least <= value <= self.at_most
 
 
-class Story(_Table, frozen=True, rename={"scenes": "scene", "values": "value"}):
+class Story(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    rename={"scenes": "scene", "values": "value"},
+):
     """A load, and what happens to it.
 
     Attributes:

@@ -12,7 +12,6 @@ commanded there is obeyed here.
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +28,7 @@ from adaptdrive.devices.can.codec import MessageCodec, counter_modulus, frame_ke
 from adaptdrive.devices.can.layout import compile_field
 from adaptdrive.devices.description import demands_of
 from adaptdrive.util.errors import BusError, ConfigurationError
-from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 # Quantities of the drive in messages.
 
@@ -188,20 +187,13 @@ _REOPEN_S = 0.1
 class CanDrive(DriveNode):
     """One simulated drive on one bus."""
 
-    def __init__(
-        self,
-        drive: SimulatedDrive,
-        configuration: Configuration,
-        report: Report,
-        source: Path,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, drive: SimulatedDrive, configuration: Configuration, source: Path) -> None:
         """Build the node; nothing is opened yet.
 
         Raises:
             ConfigurationError: Database and configuration do not fit together.
         """
-        super().__init__(drive, report, clock)
+        super().__init__(drive)
         assert isinstance(configuration.bus, CanBus)  # noqa: S101 - `KINDS` has looked
         self._config = configuration.bus
         self._status, self._orders = load_messages(self._config, configuration, source)
@@ -251,16 +243,7 @@ class CanDrive(DriveNode):
         }
         self._wanted |= received
         if "bridge" in received:
-            self._obey()
-
-    def _obey(self) -> None:
-        self.counts["obeyed"] += 1
-        wanted, now_s = self._wanted, self._clock()
-        bridge = bool(wanted["bridge"])
-        if self._drive.holds_voltage:
-            self._drive.hold(wanted.get("boost_reference_V", 0.0), bridge, now_s)
-        else:
-            self._drive.command(wanted.get("current_scale_S", 0.0), bridge, now_s)
+            self._obey(self._wanted)
 
     def take_garbage(self) -> None:
         """Count what is no frame."""

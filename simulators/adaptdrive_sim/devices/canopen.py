@@ -13,7 +13,6 @@ import asyncio
 import functools
 import math
 import struct
-import time
 from collections.abc import Callable, Iterable
 from enum import IntEnum
 from pathlib import Path
@@ -27,7 +26,7 @@ from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.util.errors import BusError, ConfigurationError
 from adaptdrive_sim.devices import canopen_objects
-from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 # The state machine of CiA 402 as a drive runs it: controlwords in, statusword out.
 
@@ -55,11 +54,6 @@ class PowerStates:
         self.state = PowerState.SWITCH_ON_DISABLED
         self._reset = False
 
-    @property
-    def charging(self) -> bool:
-        """True if line current may flow."""
-        return self.state in {PowerState.SWITCHED_ON, PowerState.ENABLED}
-
     def obey(self, controlword: int, *, healthy: bool) -> None:
         """Make the transition that a controlword asks for, if there is one."""
         edge = bool(controlword & _RESET) and not self._reset
@@ -74,10 +68,6 @@ class PowerStates:
         """Leave everything but a fault at once."""
         if self.state is not PowerState.FAULT:
             self.state = PowerState.SWITCH_ON_DISABLED
-
-    def fail(self) -> None:
-        """Enter the fault; the power stage is off at once."""
-        self.state = PowerState.FAULT
 
     def _next(self, word: int) -> PowerState:
         if not word & _ENABLE_VOLTAGE or not word & _NO_QUICK_STOP:
@@ -122,23 +112,15 @@ _RESETS = frozenset({0x81, 0x82})
 class CanOpenDrive(DriveNode):
     """One simulated drive on one bus."""
 
-    def __init__(
-        self,
-        drive: SimulatedDrive,
-        configuration: Configuration,
-        report: Report,
-        source: Path,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, drive: SimulatedDrive, configuration: Configuration, source: Path) -> None:
         """Build the node; nothing is opened yet.
 
         Raises:
             ConfigurationError: EDS and configuration do not fit together.
         """
-        super().__init__(drive, report, clock)
+        super().__init__(drive)
         assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - `KINDS` has looked
         self._config = configuration.bus
-        self._holds = configuration.voltage_loop.where == "drive"
         self._shown, self._obeyed = _addresses(configuration, self._config, source)
         self._wire = canopen_objects.NodeNetwork(self._put)
         self._objects = canopen_objects.Objects(
@@ -182,7 +164,7 @@ class CanOpenDrive(DriveNode):
             if self._nmt is not _Nmt.STOPPED:
                 self._wire.notify(can_id, bytearray(data), 0.0)
         elif self._nmt is _Nmt.OPERATIONAL and self._objects.take_pdo(can_id, data):
-            self._obey()
+            self._follow_controlword()
 
     def take_garbage(self) -> None:
         """Count what is no frame."""
@@ -223,31 +205,22 @@ class CanOpenDrive(DriveNode):
             self._emergency(_NO_ERROR, 0)
         self._host_s = self._clock()
 
-    def _obey(self) -> None:
-        """Follow the controlword and the values that came with it."""
-        self.counts["obeyed"] += 1
+    def _follow_controlword(self) -> None:
+        """Follow the controlword, and pass to the power stage what the state lets through."""
         before, healthy = self._power.state, not self._drive.fault
         self._power.obey(int(self._objects.number(_CONTROLWORD)), healthy=healthy)
-        if before is not self._power.state:
-            self._report("power state", state=self._power.state.name)
+        state = self._power.state
+        if before is not state:
+            self._report("power state", state=state.name)
             if before is PowerState.FAULT:
                 self._emergency(_NO_ERROR, 0)
-        self._apply()
-
-    def _apply(self) -> None:
-        """Pass to the power stage what the present state lets through."""
-        power, now_s = self._power, self._clock()
-        bridge = power.state is PowerState.ENABLED
         values = dict.fromkeys(COMMANDED, 0.0)
-        if power.charging:
+        if state in {PowerState.SWITCHED_ON, PowerState.ENABLED}:
             values |= {
                 name: self._objects.number(address) * source.scale + source.offset
                 for name, (address, source) in self._obeyed.items()
             }
-        if self._holds:
-            self._drive.hold(values["boost_reference_V"], bridge, now_s)
-        else:
-            self._drive.command(values["current_scale_S"], bridge, now_s)
+        self._obey(values | {"bridge": state is PowerState.ENABLED})
 
     def _half_cycle(self, frame: Frame) -> None:
         """Carry out one zero crossing of the line."""
@@ -283,14 +256,14 @@ class CanOpenDrive(DriveNode):
         self._host_s = None
         self._nmt = _Nmt.PRE_OPERATIONAL
         if self._objects.number(_ABORT) == _FAULT_ON_ABORT:
-            self._power.fail()
+            self._power.state = PowerState.FAULT
         self._switch_off("heartbeat lost", silent_s)
         self._emergency(_HEARTBEAT_LOST, _COMMUNICATION)
 
     def _watch_fault(self, fault: int) -> None:
         if not fault or self._power.state is PowerState.FAULT:
             return
-        self._power.fail()
+        self._power.state = PowerState.FAULT
         self._drive.shut_down("fault")
         self._emergency(_CODES[fault & -fault], _GENERIC)
 

@@ -42,7 +42,7 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.contract import DeviceReply, Feature, simulator_topic
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.util.errors import NOT_JSON, RefusedError
-from adaptdrive_sim.devices.drive import Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensors import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants import bath, battery, motor
@@ -273,11 +273,11 @@ CLOSING_s = 1.0
 class Remote:
     """Serves one simulated drive on one broker."""
 
-    def __init__(self, broker: Mqtt, name: str, drive: SimulatedDrive, report: Report) -> None:
+    def __init__(self, broker: Mqtt, name: str, drive: SimulatedDrive) -> None:
         self._broker = broker
         self._name = name
         self._drive = drive
-        self._report = report
+        self._report = drive.report
         self._retry_s = RETRY_FIRST_s
 
     async def run(self) -> None:

@@ -17,8 +17,7 @@ itself and does not trust its host:
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from adaptdrive.control import voltage_loop
@@ -73,35 +72,12 @@ _OVERVOLTAGE, _LINE_LOST = 4, 8
 """Fault bits that the drive raises by itself."""
 
 QUANTITIES = (
-    "boost_voltage_V",
-    "line_voltage_V",
-    "load_power_W",
-    "output",
-    "counter",
-    "fault",
-    "bridge",
+    *("boost_voltage_V", "line_voltage_V", "load_power_W", "output"),
+    *("counter", "fault", "bridge"),
 )
 """What a drive may send, by the names of the configuration."""
 
 Report = Callable[..., Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Overvoltage:
-    """Boost voltages of the drive's own protection.
-
-    Attributes:
-        trip_V: Above it the drive draws no line current.
-        over_V: Below it the fault can end.
-        normal_V: Down to it the capacitor is discharged while the bridge is off.
-    """
-
-    trip_V: float = 450.0
-    over_V: float = 430.0
-    normal_V: float = 400.0
-
-
-REFERENCE_OVERVOLTAGE = Overvoltage()
 
 
 class Frame(NamedTuple):
@@ -134,6 +110,7 @@ class SimulatedDrive:
         fault: Fault word of the last half cycle.
         frame: What was measured in the last half cycle, None before the first.
         has_sensors: Sensor modules on separate buses measure too.
+        report: Takes events, as an event's name and its data as keywords.
     """
 
     def __init__(  # noqa: PLR0913 - what makes one drive another
@@ -144,28 +121,32 @@ class SimulatedDrive:
         timeout_s: float = COMMAND_TIMEOUT_s,
         *,
         boost_needs_bridge: bool = False,
-        overvoltage: Overvoltage = REFERENCE_OVERVOLTAGE,
+        trip_V: float = 450.0,
+        over_V: float = 430.0,
+        normal_V: float = 400.0,
     ) -> None:
         """Start a drive that has had no command yet, and so is in its safe state.
 
         Args:
             world: The plant.
-            report: Takes events, as an event's name and its data as keywords.
+            report: Takes events.
             holder: The voltage loop of a drive that holds its own boost voltage.
             timeout_s: Age of the last valid command at which the drive shuts down.
             boost_needs_bridge: Whether the boost stage works only while the bridge is on.
-            overvoltage: Voltages of the drive's protection.
+            trip_V: Boost voltage above which the drive draws no line current.
+            over_V: Below it the fault can end.
+            normal_V: Down to it the capacitor is discharged while the bridge is off.
         """
         self._holder = holder
         self._timeout_s = timeout_s
         self._boost_needs_bridge = boost_needs_bridge
-        self._limits = overvoltage
+        self._trip_V, self._over_V, self._normal_V = trip_V, over_V, normal_V
         self._reference_V = 0.0
         self.world = world
         self.fault = 0
         self.frame: Frame | None = None
         self.has_sensors = False
-        self._report = report
+        self.report = report
         self._scale_S = 0.0
         self._bridge = False
         self._commanded_s: float | None = None
@@ -187,11 +168,11 @@ class SimulatedDrive:
             now_s: Monotonic time of its arrival.
         """
         if self._commanded_s is None:
-            self._report("commanded", current_scale_S=current_scale_S, bridge=bridge)
+            self.report("commanded", current_scale_S=current_scale_S, bridge=bridge)
         self._commanded_s = now_s
         self._scale_S = current_scale_S
         self._bridge = bridge
-        if not bridge and self.world.boost.voltage_V < self._limits.over_V:
+        if not bridge and self.world.boost.voltage_V < self._over_V:
             self._overvoltage = False
 
     def hold(self, boost_reference_V: float, bridge: bool, now_s: float) -> None:
@@ -213,7 +194,7 @@ class SimulatedDrive:
         """
         check_range("fault", fault, 0, FAULT_MAX, "")
         self._injected = fault
-        self._report("fault injected" if fault else "fault cleared", fault=fault)
+        self.report("fault injected" if fault else "fault cleared", fault=fault)
 
     def tick(self, now_s: float) -> Frame:
         """Run the half cycle that has just elapsed.
@@ -229,7 +210,7 @@ class SimulatedDrive:
         boosts = bridge or not (self._boost_needs_bridge or self._injected)
         scale_S = self._scale_S if boosts and not self._overvoltage else 0.0
         if not self.world.bridge:
-            self.world.boost.discharge(self._limits.normal_V, self.world.line.half_cycle_s)
+            self.world.boost.discharge(self._normal_V, self.world.line.half_cycle_s)
         sample = self.world.step(scale_S, bridge)
         self.fault = self._word(sample.line_voltage_V)
         if self._holder is not None:
@@ -239,9 +220,7 @@ class SimulatedDrive:
 
     def _watch_command(self, now_s: float) -> None:
         """Shut down when the last valid command is too old."""
-        if self._commanded_s is None:
-            return
-        age_s = now_s - self._commanded_s
+        age_s = 0.0 if self._commanded_s is None else now_s - self._commanded_s
         if age_s >= self._timeout_s:
             self.shut_down("command timeout", age_s)
 
@@ -254,10 +233,10 @@ class SimulatedDrive:
         """
         if self._commanded_s is None:
             return
-        self._commanded_s, self._scale_S, self._bridge = None, 0.0, False
-        self._reference_V = 0.0
+        self._commanded_s, self._bridge = None, False
+        self._scale_S = self._reference_V = 0.0
         self.world.shut()
-        self._report(
+        self.report(
             "safe",
             reason=reason,
             after_ms=round(1e3 * age_s, 1),
@@ -269,18 +248,17 @@ class SimulatedDrive:
     def _watch_voltage(self) -> None:
         """Stop drawing line current when the capacitor's voltage is too high."""
         voltage_V = self.world.boost.voltage_V
-        if not self._overvoltage and voltage_V > self._limits.trip_V:
+        if not self._overvoltage and voltage_V > self._trip_V:
             self._overvoltage = True
-            self._report("over-voltage", boost_voltage_V=round(voltage_V, 1))
+            self.report("over-voltage", boost_voltage_V=round(voltage_V, 1))
         if self._overvoltage:
             self.world.current_scale_S = 0.0
 
     def _word(self, line_V: float) -> int:
-        nominal_V = self.world.parameters.line.voltage_V
         word = self._injected
         if self._overvoltage:
             word |= _OVERVOLTAGE
-        if line_V < LINE_LOST_SHARE * nominal_V:
+        if line_V < LINE_LOST_SHARE * self.world.parameters.line.voltage_V:
             word |= _LINE_LOST
         return word
 
@@ -298,20 +276,11 @@ class DriveNode:
         counts: Frames or requests answered, commands obeyed and refused, by name.
     """
 
-    def __init__(
-        self, drive: SimulatedDrive, report: Report, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        """Build the node; nothing is opened yet.
-
-        Args:
-            drive: The drive.
-            report: Takes events, as an event's name and its data as keywords.
-            clock: Monotonic clock in seconds.
-        """
+    def __init__(self, drive: SimulatedDrive) -> None:
         self.counts: Counter[str] = Counter()
         self._drive = drive
-        self._report = report
-        self._clock = clock
+        self._report = drive.report
+        self._clock = time.monotonic
 
     async def run(self, opened: Callable[[str], None]) -> None:
         """Open the bus, pass its description to `opened`, and serve it until cancelled.
@@ -320,6 +289,15 @@ class DriveNode:
             BusError: The bus cannot be opened.
         """
         raise NotImplementedError
+
+    def _obey(self, values: Mapping[str, float]) -> None:
+        """Obey a command, by the names of the configuration; what is not among them is 0."""
+        self.counts["obeyed"] += 1
+        bridge, now_s = bool(values.get("bridge", 0.0)), self._clock()
+        if self._drive.holds_voltage:
+            self._drive.hold(values.get("boost_reference_V", 0.0), bridge, now_s)
+        else:
+            self._drive.command(values.get("current_scale_S", 0.0), bridge, now_s)
 
     def _refuse(self, reason: str) -> None:
         """Count a refusal, and report the first of its kind: a flood must not fill the log."""

@@ -13,7 +13,6 @@ import contextlib
 import math
 import os
 import termios
-import time
 import tty
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -27,11 +26,10 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from adaptdrive.config import polled
 from adaptdrive.config.bus import COMMANDED, MEASURED, SignalSource
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.signals import Command
 from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive.devices.polled import registers as codec
 from adaptdrive.util.errors import BusError
-from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 # A serial cable without wires: two pseudo-terminals, each end of which is a serial port.
 
@@ -180,15 +178,8 @@ def _block(table: Table) -> list[SimData]:
 class ModbusDrive(DriveNode):
     """One simulated drive on one link."""
 
-    def __init__(
-        self,
-        drive: SimulatedDrive,
-        configuration: Configuration,
-        report: Report,
-        _source: Path,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        super().__init__(drive, report, clock)
+    def __init__(self, drive: SimulatedDrive, configuration: Configuration, _source: Path) -> None:
+        super().__init__(drive)
         assert isinstance(configuration.bus, polled.ModbusTcp | polled.ModbusRtu)  # noqa: S101 - `KINDS` has looked
         self._config = configuration.bus
         self._tables = tables_of(self._config.registers.values())
@@ -246,13 +237,12 @@ class ModbusDrive(DriveNode):
             self._refuse("counter_stuck")
             return None
         self._heartbeat = heartbeat
-        self.counts["obeyed"] += 1
-        self._drive.hold(command.boost_reference_V, command.bridge, self._clock())
+        self._obey(command)
         return None
 
-    def _command(self, tables: Mapping[str, Table]) -> Command | None:
+    def _command(self, tables: Mapping[str, Table]) -> dict[str, float] | None:
         """Return the command of the daemon; None when a register has an invalid value."""
-        found: dict[str, float] = {"current_scale_S": 0.0, "boost_reference_V": 0.0}
+        found: dict[str, float] = {}
         for name in COMMANDED:
             given = getattr(self._signals.command, name)
             if given is None:
@@ -265,7 +255,7 @@ class ModbusDrive(DriveNode):
                 found[name] = value * given.scale + given.offset
             else:
                 found[name] = value == _switching(given.on, register)
-        return Command(**found)  # type: ignore[arg-type]
+        return found
 
     def _words(self, name: str, tables: Mapping[str, Table]) -> list[int]:
         return [tables[table][at] for table, at in _places(self._config.registers[name])]

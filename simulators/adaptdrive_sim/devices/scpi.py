@@ -7,7 +7,6 @@ into its queue of errors, which `SYST:ERR?` or whatever the configuration names 
 import asyncio
 import collections
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.config.root import Configuration
 from adaptdrive.devices.scpi.port import describe_supply
 from adaptdrive.util.errors import BusError
-from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 NO_NUMBER = "9.91E37"
 _LISTED = 10
@@ -25,15 +24,8 @@ UNDEFINED, OUT_OF_RANGE = '-113,"Undefined header"', '-222,"Data out of range"'
 class ScpiDrive(DriveNode):
     """One simulated supply."""
 
-    def __init__(
-        self,
-        drive: SimulatedDrive,
-        configuration: Configuration,
-        report: Report,
-        _source: Path,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        super().__init__(drive, report, clock)
+    def __init__(self, drive: SimulatedDrive, configuration: Configuration, _source: Path) -> None:
+        super().__init__(drive)
         assert isinstance(configuration.bus, ScpiBus)  # noqa: S101 - `KINDS` has looked
         self._config = configuration.bus
         self._signals = configuration.signals
@@ -128,10 +120,8 @@ class ScpiDrive(DriveNode):
         reference, bridge = command.boost_reference_V, command.bridge
         if reference is None or bridge is None or name not in {reference.signal, bridge.signal}:
             return
-        self.counts["obeyed"] += 1
         wanted_V = self._held.get(reference.signal, 0.0) * reference.scale + reference.offset
-        on = bool(self._held.get(bridge.signal, 0.0))
-        self._drive.hold(wanted_V, on, self._clock())
+        self._obey({"boost_reference_V": wanted_V, "bridge": self._held.get(bridge.signal, 0.0)})
 
     def _queue_error(self, error: str) -> None:
         self._errors.append(error)

@@ -89,7 +89,11 @@ _METHODS = {"direct_rls": "rls", "lm_rls": "lm-rls"}
 
 def case_settings(experiment: Experiment, variant: Variant, design: Design) -> ControllerSettings:
     """Settings of one controller of an experiment."""
-    settings = paper_settings(experiment) if design == "paper" else _exact_settings(experiment)
+    if design == "paper":
+        settings = paper_settings(experiment)
+    else:
+        settings = _from_tables(experiment, experiment.tables())
+        settings = from_rest(settings, experiment.paper.warm_up_s, experiment.period_s)
     method = _METHODS.get(variant, settings.learning.method)
     learning = dataclasses.replace(settings.learning, method=method)
     return dataclasses.replace(settings, learning=learning)
@@ -125,12 +129,6 @@ class ReproduceRequest:
         if disturbance.silent:
             disturbance = wire.NoiseParameters(self.experiment.noise)
         return Case(self.experiment, "fixed", settings, disturbance, self.seed)
-
-
-def _exact_settings(experiment: Experiment) -> ControllerSettings:
-    """The daemon's default controller, for an experiment that starts at rest."""
-    settings = _from_tables(experiment, experiment.tables())
-    return from_rest(settings, experiment.paper.warm_up_s, experiment.period_s)
 
 
 def from_rest(
@@ -191,22 +189,19 @@ def _course(case: Case) -> Course:
     experiment = case.experiment
     times_s = experiment.times_s()
     ticks = len(times_s) * case.settings.rates.ticks_per_period
-    noise = case.disturbance.scaled(experiment.step)
+    noise, disturbances = case.disturbance.scaled(experiment.step), np.zeros(ticks + 1)
+    if not noise.silent:
+        drawn = wire.samples(noise, np.random.default_rng(case.seed))
+        disturbances = np.fromiter(drawn, np.float64, ticks + 1)
     return Course(
         references=np.array([experiment.reference.value(time_s) for time_s in times_s]),
         sizes=experiment.sizes_at(times_s, wanted=True),
         over_s=max((change.over_s for change in experiment.changes), default=0.0),
-        disturbances=_disturbances(noise, case.seed, ticks + 1),
+        disturbances=disturbances,
         mode=signals.Mode.FIXED if case.variant == "fixed" else signals.Mode.ADAPTIVE,
         pole=experiment.pole,
         start=experiment.reference.low,
     )
-
-
-def _disturbances(noise: wire.NoiseParameters, seed: int, count: int) -> Array:
-    if noise.silent:
-        return np.zeros(count)
-    return np.fromiter(wire.samples(noise, np.random.default_rng(seed)), np.float64, count)
 
 
 # Metrics of an experiment, always from the output without noise at the slow instants.

@@ -52,6 +52,7 @@ class Motor:
 
     Attributes:
         speed_rad_s: Shaft speed.
+        inertia_kgm2: Inertia of the shaft with its disks, J.
         output: Filtered tachometer voltage.
     """
 
@@ -62,7 +63,7 @@ class Motor:
         self.output = 0.0
         self._torque_Nm = 0.0
         self._disks = 1
-        self._inertia_kgm2 = parameters.disk_kgm2
+        self.inertia_kgm2 = parameters.disk_kgm2
         self._driven = _Step()
         self._coasting = _Step()
         self.disks = disks
@@ -83,16 +84,10 @@ class Motor:
         self._disks = disks
         self.resize(float(disks), 0.0)
 
-    @property
-    def inertia_kgm2(self) -> float:
-        """Inertia of the shaft with its disks, J."""
-        return self._inertia_kgm2
-
     def set_inertia(self, inertia_kgm2: float) -> None:
         """Turn any inertia in place of the disks; the speed stays."""
-        self._inertia_kgm2 = inertia_kgm2
-        self._driven.forget()
-        self._coasting.forget()
+        self.inertia_kgm2 = inertia_kgm2
+        self._driven.duration_s = self._coasting.duration_s = math.nan
 
     def resize(self, size: float, _over_s: float) -> None:
         """Turn a multiple of one disk's inertia from now on.
@@ -100,8 +95,8 @@ class Motor:
         What is added at rest shares the angular momentum of the shaft.
         """
         inertia_kgm2 = self.parameters.disk_kgm2 * size
-        if self.parameters.dropped_at_rest and inertia_kgm2 > self._inertia_kgm2:
-            self.speed_rad_s *= self._inertia_kgm2 / inertia_kgm2
+        if self.parameters.dropped_at_rest and inertia_kgm2 > self.inertia_kgm2:
+            self.speed_rad_s *= self.inertia_kgm2 / inertia_kgm2
         self.set_inertia(inertia_kgm2)
 
     @property
@@ -241,10 +236,6 @@ class _Step:
     mean: float = 0.0
     filter_decay: float = 0.0
     filter_share: float = 0.0
-
-    def forget(self) -> None:
-        """Have it worked out again before it is used."""
-        self.duration_s = math.nan
 
     def tune(
         self, rate: float, damping: float, filter_s: float, source_Ohm: float, duration_s: float
