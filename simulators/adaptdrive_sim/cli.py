@@ -28,11 +28,8 @@ ANSWER_s = 5.0
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
     try:
-        sys.exit(
-            carry_out(
-                app.name[0], commands.understood(app), sys.argv[1:], unusable=standard_files.FAILED
-            )
-        )
+        words, failed = sys.argv[1:], standard_files.FAILED
+        sys.exit(carry_out(app.name[0], commands.understood(app), words, unusable=failed))
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise
@@ -88,9 +85,8 @@ def disturb(
         text = f"no answer from {drive} at {broker}" if late else silence.problem
         return standard_files.complain(app.name[0], text, NO_ANSWER)
     if not reply.accepted:
-        return standard_files.complain(
-            app.name[0], f"refused: {reply.reason}", standard_files.FAILED
-        )
+        text = f"refused: {reply.reason}"
+        return standard_files.complain(app.name[0], text, standard_files.FAILED)
     print(f"{drive}: {' '.join([action, *(f'{value:g}' for value in values)])}: done")
     return 0
 

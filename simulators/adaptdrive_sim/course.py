@@ -26,6 +26,7 @@ from adaptdrive.control.signals import Decision, Mode, Stage
 from adaptdrive.control.vectors import Vector, total
 
 Array = NDArray[np.float64]
+Floats = Sequence[float]
 
 COLUMNS = (
     *("output", "measured", "boost_reference_V", "applied_V", "adaptive", "accepted"),
@@ -90,10 +91,7 @@ class Course:
 
 
 def moving(
-    times_s: Array,
-    starts_s: Sequence[float],
-    levels: Sequence[float],
-    ramps_s: Sequence[float] | float = 0.0,
+    times_s: Array, starts_s: Floats, levels: Floats, ramps_s: Floats | float = 0.0
 ) -> Array:
     """Return a quantity that moves from level to level.
 

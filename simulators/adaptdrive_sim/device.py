@@ -240,9 +240,8 @@ def build_world(configuration: root.Configuration, settings: DeviceSettings) -> 
         drift_Hz=settings.line_drift_Hz,
         voltage_V=drive.line_voltage_V,
     )
-    boost = BoostParameters(
-        capacitance_F=drive.boost_capacitance_F, bidirectional=drive.kind == "bidirectional"
-    )
+    bidirectional = drive.kind == "bidirectional"
+    boost = BoostParameters(drive.boost_capacitance_F, bidirectional=bidirectional)
     noise = wire.NoiseParameters(sigma=settings.noise_V)
     stage = coupling_of(configuration)
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)

@@ -97,12 +97,9 @@ class Site:
         if needed_V < peak_V:
             output = world.true_output + course.offset
         boost_V, load_W = world.boost.voltage_V, world.boost.mean_load_W
-        at_rest = signals.Measurement(
-            -1, line.half_cycle_s, boost_V, line.voltage_V, load_W, output
-        )
-        self.controller.tick(
-            at_rest, signals.Order(signals.Stage.RUN, output, course.mode, course.pole)
-        )
+        rest = signals.Measurement(-1, line.half_cycle_s, boost_V, line.voltage_V, load_W, output)
+        order = signals.Order(signals.Stage.RUN, output, course.mode, course.pole)
+        self.controller.tick(rest, order)
 
     def run(self, course: Course, *, keep_ticks: bool = False) -> Run:
         """Run a course, from rest.

@@ -131,15 +131,9 @@ class World:
 
     def at_rest(self) -> Sample:
         """Return the present measurements, without any time passing."""
-        return Sample(
-            self.tick,
-            self.line.half_cycle_s,
-            self.boost.voltage_V,
-            self.line.voltage_V,
-            0.0,
-            self.load.output,
-            self.load_current_A,
-        )
+        line, boost_V, output = self.line, self.boost.voltage_V, self.load.output
+        duration_s, current_A = line.half_cycle_s, self.load_current_A
+        return Sample(self.tick, duration_s, boost_V, line.voltage_V, 0.0, output, current_A)
 
     def step(self, current_scale_S: float, bridge: bool) -> Sample:
         """Run one half cycle under the latched command, then latch the given one.
@@ -165,15 +159,9 @@ class World:
         self.tick += 1
         self.current_scale_S = current_scale_S
         self.bridge = bridge
-        return Sample(
-            self.tick,
-            duration_s,
-            boost_V,
-            line.voltage_V,
-            boost.mean_load_W,
-            self.load.output + disturbance,
-            self.load_current_A,
-        )
+        load_W, output = boost.mean_load_W, self.load.output + disturbance
+        line_V, current_A = line.voltage_V, self.load_current_A
+        return Sample(self.tick, duration_s, boost_V, line_V, load_W, output, current_A)
 
     def _run(self, line_V: float, duration_s: float) -> float:
         """Advance boost stage and load under the latched command."""

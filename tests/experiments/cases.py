@@ -13,7 +13,7 @@ from adaptdrive_sim.experiments.case import (
     run_case,
 )
 from adaptdrive_sim.experiments.experiment import MOTOR, Experiment, LoadChange
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
+from adaptdrive_sim.experiments.outcome import Outcome, judge
 from adaptdrive_sim.wire import NoiseParameters
 
 SEEDS = range(20)
@@ -43,7 +43,7 @@ def outcome(
     variants: tuple[Variant, ...],
     disturbance: NoiseParameters | None = None,
     seed: int = 0,
-) -> ExperimentOutcome:
+) -> Outcome:
     """The experiment in the paper's design."""
     noise = disturbance or NoiseParameters(experiment.noise)
     records = {one: run_case(make_case(experiment, one, "paper", noise, seed)) for one in variants}

@@ -12,7 +12,7 @@ from adaptdrive_sim.experiments.case import (
     run_case,
 )
 from adaptdrive_sim.experiments.experiment import MOTOR
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.outcome import Outcome
 from adaptdrive_sim.experiments.reproduce import NOISY
 from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import SEEDS, SHORT_LAST_CYCLES, SHORT_MOTOR, make_case, outcome
@@ -22,17 +22,17 @@ SILENT = NoiseParameters(0.0)
 
 
 @pytest.fixture(scope="module")
-def short() -> ExperimentOutcome:
+def short() -> Outcome:
     return outcome(SHORT_MOTOR, ("fixed", "adaptive"))
 
 
 def overshoots(
-    found: ExperimentOutcome, variant: Variant, last: tuple[int, ...] = SHORT_LAST_CYCLES
+    found: Outcome, variant: Variant, last: tuple[int, ...] = SHORT_LAST_CYCLES
 ) -> list[float]:
     return [found.cycles[variant][i].overshoot for i in last]
 
 
-def test_each_disk_makes_the_fixed_controller_overshoot_more(short: ExperimentOutcome) -> None:
+def test_each_disk_makes_the_fixed_controller_overshoot_more(short: Outcome) -> None:
     one, two, three = overshoots(short, "fixed")
     assert one < 0.01
     assert 0.04 < two < 0.10
@@ -40,17 +40,17 @@ def test_each_disk_makes_the_fixed_controller_overshoot_more(short: ExperimentOu
 
 
 def test_the_adaptive_controller_does_not_overshoot_whatever_the_load(
-    short: ExperimentOutcome,
+    short: Outcome,
 ) -> None:
     assert max(overshoots(short, "adaptive")) < 0.02
 
 
-def test_the_estimates_follow_each_disk_within_two_cycles(short: ExperimentOutcome) -> None:
+def test_the_estimates_follow_each_disk_within_two_cycles(short: Outcome) -> None:
     assert all(found is not None and found <= 2.0 for found in short.converged)
 
 
 def test_the_fixed_controller_is_in_force_until_the_warm_up_is_over(
-    short: ExperimentOutcome,
+    short: Outcome,
 ) -> None:
     record = short.records["adaptive"]
     assert record["adaptive"].tolist().index(True) == 90
@@ -58,14 +58,14 @@ def test_the_fixed_controller_is_in_force_until_the_warm_up_is_over(
     assert not any(short.records["fixed"]["adaptive"])
 
 
-def test_until_then_both_controllers_do_the_same(short: ExperimentOutcome) -> None:
+def test_until_then_both_controllers_do_the_same(short: Outcome) -> None:
     fixed, adaptive = short.records["fixed"], short.records["adaptive"]
     for name in ("boost_reference_V", "output"):
         assert fixed[name][:90].tolist() == adaptive[name][:90].tolist()
 
 
 def test_the_reference_starts_with_its_high_half_and_the_plant_at_rest(
-    short: ExperimentOutcome,
+    short: Outcome,
 ) -> None:
     record = short.records["fixed"]
     assert record["reference"][:61].tolist() == [3.2] * 60 + [3.0]

@@ -9,9 +9,9 @@ from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import run_case
 from adaptdrive_sim.experiments.experiment import MOTOR
 from adaptdrive_sim.experiments.outcome import (
-    EstimatorInput,
+    Recording,
     _estimate_filtered,
-    estimator_input,
+    recording_of,
     setting,
     try_settings,
 )
@@ -22,10 +22,10 @@ SILENT = NoiseParameters(0.0)
 MINUTE = dataclasses.replace(MOTOR, duration_s=240.0, changes=())
 
 
-def recorded(variant: str) -> tuple[EstimatorInput, Run]:
+def recorded(variant: str) -> tuple[Recording, Run]:
     case = make_case(MINUTE, variant, disturbance=SILENT)  # type: ignore[arg-type]
     record = run_case(case, keep_ticks=True)
-    return estimator_input(case, record), record
+    return recording_of(case, record), record
 
 
 def test_estimates_from_the_recorded_ticks_are_those_of_the_controller() -> None:
@@ -38,7 +38,7 @@ def test_estimates_from_the_recorded_ticks_are_those_of_the_controller() -> None
 @pytest.mark.proof
 def test_forgetting_and_filtering_trade_speed_for_noise() -> None:
     case = make_case(MOTOR, "fixed")
-    given = estimator_input(case, run_case(case, keep_ticks=True))
+    given = recording_of(case, run_case(case, keep_ticks=True))
     quick, published, slow, sluggish = try_settings(
         given,
         [

@@ -1,7 +1,6 @@
 """Runs of baths: what a seed draws, and plant, controller and course made of it."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -51,20 +50,20 @@ class BathScenario(drawn.Drawn):
 
 def draw_bath(campaign: settings.BathCampaign, seed: int) -> BathScenario:
     """The run of a campaign that a seed stands for."""
-    generator = np.random.default_rng([seed, _STREAM])
+    rng = np.random.default_rng([seed, _STREAM])
     water, sensor = campaign.water, campaign.sensor
     quiet_s, end_s = water.quiet_s, max(water.quiet_s, campaign.duration_s - water.quiet_s)
     volumes_gal = drawn.several_sizes(
-        generator, water.volume_gal, water.unchanged, water.fills, water.fill_min
+        rng, water.volume_gal, water.unchanged, water.fills, water.fill_min
     )
-    fill_times_s = drawn.times(generator, len(volumes_gal) - 1, quiet_s, end_s)
-    moves = drawn.whole(generator, water.inflow_changes)
-    inflows = tuple(drawn.uniform(generator, water.inflow) for _ in range(moves + 1))
-    drift = drawn.uniform(generator, water.drift_K_per_h) * float(generator.choice((-1.0, 1.0)))
-    turn_s = drawn.uniform(generator, water.turn_s)
-    offset_K = drawn.uniform(generator, sensor.offset_K)
-    resistance = drawn.uniform(generator, campaign.heater.resistance)
-    ageing = drawn.uniform(generator, campaign.heater.ageing_per_h)
+    fill_times_s = drawn.times(rng, len(volumes_gal) - 1, quiet_s, end_s)
+    moves = drawn.whole(rng, water.inflow_changes)
+    inflows = tuple(drawn.uniform(rng, water.inflow) for _ in range(moves + 1))
+    drift = drawn.uniform(rng, water.drift_K_per_h) * float(rng.choice((-1.0, 1.0)))
+    turn_s = drawn.uniform(rng, water.turn_s)
+    offset_K = drawn.uniform(rng, sensor.offset_K)
+    resistance = drawn.uniform(rng, campaign.heater.resistance)
+    ageing = drawn.uniform(rng, campaign.heater.ageing_per_h)
     aged = resistance * (1.0 + ageing * campaign.duration_s / 3600.0)
     shift_K = abs(drift) * turn_s / 3600.0 + abs(offset_K)
     room = settings.bath_reach(inflows, (resistance, aged), shift_K)
@@ -73,36 +72,36 @@ def draw_bath(campaign: settings.BathCampaign, seed: int) -> BathScenario:
         duration_s=campaign.duration_s,
         volumes_gal=volumes_gal,
         fill_times_s=fill_times_s,
-        fill_s=drawn.uniform(generator, water.fill_s),
+        fill_s=drawn.uniform(rng, water.fill_s),
         inflows=inflows,
-        inflow_times_s=drawn.times(generator, moves, quiet_s, end_s),
+        inflow_times_s=drawn.times(rng, moves, quiet_s, end_s),
         drift_K_per_h=drift,
         turn_s=turn_s,
         resistance=resistance,
         ageing_per_h=ageing,
-        reference=_waveform(generator, campaign.reference, room),
-        constant=bool(generator.random() < campaign.reference.constant),
-        sigma=drawn.uniform(generator, sensor.sigma_K),
-        spike_share=drawn.uniform(generator, sensor.spike_share),
+        reference=_waveform(rng, campaign.reference, room),
+        constant=bool(rng.random() < campaign.reference.constant),
+        sigma=drawn.uniform(rng, sensor.sigma_K),
+        spike_share=drawn.uniform(rng, sensor.spike_share),
         spike_sigma=sensor.spike_K,
-        output_quantum=drawn.uniform(generator, sensor.output_K),
+        output_quantum=drawn.uniform(rng, sensor.output_K),
         offset_K=offset_K,
-        output_delay_ticks=drawn.whole(generator, sensor.output_delay_ticks),
-        line_voltage=drawn.uniform(generator, campaign.line.voltage),
-        frequency_Hz=drawn.uniform(generator, campaign.line.frequency_Hz),
-        **drawn.each(generator, campaign.wire, "voltage_V", "power_W", "scale_S"),
+        output_delay_ticks=drawn.whole(rng, sensor.output_delay_ticks),
+        line_voltage=drawn.uniform(rng, campaign.line.voltage),
+        frequency_Hz=drawn.uniform(rng, campaign.line.frequency_Hz),
+        **drawn.each(rng, campaign.wire, "voltage_V", "power_W", "scale_S"),
     )
 
 
 def _waveform(
-    generator: np.random.Generator, ranges: settings.BathReferenceRanges, room: tuple[float, float]
+    rng: np.random.Generator, ranges: settings.BathReferenceRanges, room: settings.Range
 ) -> Waveform:
     """Draw a waveform and move it into what V_c holds."""
-    shape = ranges.shapes[int(generator.integers(len(ranges.shapes)))]
-    step = drawn.uniform(generator, ranges.step)
-    low = ranges.low + drawn.uniform(generator, ranges.low_above)
+    shape = ranges.shapes[int(rng.integers(len(ranges.shapes)))]
+    step = drawn.uniform(rng, ranges.step)
+    low = ranges.low + drawn.uniform(rng, ranges.low_above)
     ends = drawn.within_reach(low, step, room)
-    return Waveform(Shape(shape), *ends, float(round(drawn.uniform(generator, ranges.period_s))))
+    return Waveform(Shape(shape), *ends, float(round(drawn.uniform(rng, ranges.period_s))))
 
 
 @cache
@@ -138,7 +137,7 @@ class BathStand(drawn.DrawnRun):
     def world(self) -> World:
         """Return the plant as it is at the start."""
         scenario = self.scenario
-        parameters = dataclasses.replace(
+        parameters = replace(
             self._parameters(0),
             drift_K_per_h=scenario.drift_K_per_h,
             turn_s=scenario.turn_s,
@@ -152,9 +151,7 @@ class BathStand(drawn.DrawnRun):
         model = Bath(self._parameters(k)).model(stage.ratio, stage.droop_Ohm)
         power = model["heater_W_per_V2"] / nominal.input_gain
         numerator, denominator = realise([model["resistance_K_per_W"] * power, model["tau_s"]])
-        return dataclasses.replace(
-            nominal, numerator=tuple(numerator), denominator=tuple(denominator)
-        )
+        return replace(nominal, numerator=tuple(numerator), denominator=tuple(denominator))
 
     def _parameters(self, k: int) -> BathParameters:
         """Return the bath as it is in a slow period, without what moves it."""

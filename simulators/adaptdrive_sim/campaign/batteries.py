@@ -193,19 +193,19 @@ class BatteryScenario:
 
 def draw_battery(campaign: BatteryCampaign, seed: int) -> BatteryScenario:
     """Return the run of a campaign that a seed stands for."""
-    generator = np.random.default_rng([seed, 4])
+    rng = np.random.default_rng([seed, 4])
     own = campaign.battery
     log_low, log_high = np.log(own.full_V)
     resistances = ("series", "relaxation", "relaxation_s", "second", "second_s")
     return BatteryScenario(
         seed=seed,
         duration_s=campaign.duration_s,
-        cells=max(3, round(float(np.exp(uniform(generator, (log_low, log_high)))) / CELL_FULL_V)),
-        **each(generator, own, "rate_per_h", "charge", *resistances),
-        growth=uniform(generator, own.growth) if generator.random() < own.aged else 1.0,
-        **each(generator, campaign.current, "share", "lowered", "ripple", "noise"),
-        line_voltage=uniform(generator, campaign.line.voltage),
-        frequency_Hz=uniform(generator, campaign.line.frequency_Hz),
+        cells=max(3, round(float(np.exp(uniform(rng, (log_low, log_high)))) / CELL_FULL_V)),
+        **each(rng, own, "rate_per_h", "charge", *resistances),
+        growth=uniform(rng, own.growth) if rng.random() < own.aged else 1.0,
+        **each(rng, campaign.current, "share", "lowered", "ripple", "noise"),
+        line_voltage=uniform(rng, campaign.line.voltage),
+        frequency_Hz=uniform(rng, campaign.line.frequency_Hz),
     )
 
 

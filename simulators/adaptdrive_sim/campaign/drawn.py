@@ -16,6 +16,7 @@ from adaptdrive.control import controller, signals
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.supervision.supervisor import Verdict
+from adaptdrive_sim.campaign.settings import Range, WholeRange
 from adaptdrive_sim.course import Array, Course, Run, follow_ideal
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.boost import LineParameters
@@ -96,11 +97,11 @@ class Drawn:
 
     def disturbances(self, count: int, offset: float = 0.0) -> Array:
         """Measurement noise of every tick, and the offset of the sensor."""
-        generator = np.random.default_rng([self.seed, 1])
-        noise = offset + self.sigma * generator.standard_normal(count)
+        rng = np.random.default_rng([self.seed, 1])
+        noise = offset + self.sigma * rng.standard_normal(count)
         if self.spike_share > 0.0:
-            struck = np.flatnonzero(generator.random(count) < self.spike_share)
-            noise[struck] += self.spike_sigma * generator.standard_normal(struck.size)
+            struck = np.flatnonzero(rng.random(count) < self.spike_share)
+            noise[struck] += self.spike_sigma * rng.standard_normal(struck.size)
         return noise
 
     def line(self) -> LineParameters:
@@ -134,63 +135,57 @@ def columns_of(drawn: Any) -> Row:  # noqa: ANN401 - any dataclass
     return row
 
 
-def uniform(generator: np.random.Generator, ends: tuple[float, float]) -> float:
+def uniform(rng: np.random.Generator, ends: Range) -> float:
     """Draw a number."""
-    return float(generator.uniform(*ends))
+    return float(rng.uniform(*ends))
 
 
-def each(generator: np.random.Generator, ranges: object, *names: str) -> dict[str, Any]:
+def each(rng: np.random.Generator, ranges: object, *names: str) -> dict[str, Any]:
     """Draw a number from each of some ranges, in the order of their names."""
-    return {name: uniform(generator, getattr(ranges, name)) for name in names}
+    return {name: uniform(rng, getattr(ranges, name)) for name in names}
 
 
-def whole(generator: np.random.Generator, ends: tuple[int, int]) -> int:
+def whole(rng: np.random.Generator, ends: WholeRange) -> int:
     """Draw a whole number; both ends are possible."""
-    return int(generator.integers(ends[0], ends[1] + 1))
+    return int(rng.integers(ends[0], ends[1] + 1))
 
 
-def times(generator: np.random.Generator, count: int, begin_s: float, end_s: float) -> Numbers:
+def times(rng: np.random.Generator, count: int, begin_s: float, end_s: float) -> Numbers:
     """Draw whole seconds in their order."""
-    return tuple(np.sort(np.round(generator.uniform(begin_s, end_s, count))).tolist())
+    return tuple(np.sort(np.round(rng.uniform(begin_s, end_s, count))).tolist())
 
 
 def several_sizes(
-    generator: np.random.Generator,
-    ends: tuple[float, float],
-    unchanged: float,
-    changes: tuple[int, int],
-    least: float,
+    rng: np.random.Generator, ends: Range, unchanged: float, changes: WholeRange, least: float
 ) -> Numbers:
     """Draw the size of a load, and those that it changes to in the same run.
 
     Args:
-        generator: Of random numbers.
+        rng: Of random numbers.
         ends: Smallest and largest size.
         unchanged: Share of runs in which it never changes.
         changes: How often it changes in the others.
         least: By this factor at least, up or down.
     """
-    sizes = [uniform(generator, ends)]
-    count = 0 if generator.random() < unchanged else whole(generator, changes)
+    sizes = [uniform(rng, ends)]
+    count = 0 if rng.random() < unchanged else whole(rng, changes)
     for _ in range(count):
-        sizes.append(_another(generator, ends, least, sizes[-1]))
+        sizes.append(_another(rng, ends, least, sizes[-1]))
     return tuple(sizes)
 
 
-def _another(
-    generator: np.random.Generator, ends: tuple[float, float], least: float, present: float
-) -> float:
+def _another(rng: np.random.Generator, ends: Range, least: float, present: float) -> float:
     """Draw a size that differs by the least factor, in either direction."""
     low, high = ends
     below, above = present / least, present * least
     room_below, room_above = max(0.0, below - low), max(0.0, high - above)
     if room_below + room_above == 0.0:
         return low if present > 0.5 * (low + high) else high
-    place = uniform(generator, (0.0, room_below + room_above))
+    place = uniform(rng, (0.0, room_below + room_above))
     return low + place if place < room_below else above + place - room_below
 
 
-def within_reach(low: float, step: float, reach: tuple[float, float]) -> tuple[float, float]:
+def within_reach(low: float, step: float, reach: Range) -> Range:
     """Return the ends of a step of the set-point, moved into what V_c holds.
 
     Args:
@@ -322,9 +317,8 @@ class DrawnRun(Trial):
 
     def site(self) -> Site:
         """Return the controller and the plant."""
-        return Site(
-            controller.Controller(self.own.settings, self.own.load), self.world(), self._wire()
-        )
+        control = controller.Controller(self.own.settings, self.own.load)
+        return Site(control, self.world(), self._wire())
 
     def run(self, mode: signals.Mode) -> Run:
         """Run the deployed controller."""

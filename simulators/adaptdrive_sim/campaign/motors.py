@@ -96,37 +96,35 @@ def draw_life(ranges: settings.LifeRanges, seed: int, duration_s: float, changes
         duration_s: Its length.
         changes: How often its inertia changes.
     """
-    generator = np.random.default_rng([seed, _STREAM])
-    torques = drawn.whole(generator, ranges.torque_changes)
-    phases = drawn.whole(generator, ranges.idle)
-    restarts = int(generator.random() < ranges.restarted)
-    constant = generator.random() < ranges.constant
+    rng = np.random.default_rng([seed, _STREAM])
+    torques = drawn.whole(rng, ranges.torque_changes)
+    phases = drawn.whole(rng, ranges.idle)
+    restarts = int(rng.random() < ranges.restarted)
+    constant = rng.random() < ranges.constant
     return Life(
-        torque_times_s=drawn.times(generator, torques, 0.0, duration_s),
-        torques_V=_several(generator, torques, ranges.torque_V),
-        torque_ramps_s=_ramps_s(generator, torques, ranges.torque_ramp_s, ranges.sudden),
-        inertia_ramps_s=_ramps_s(generator, changes, ranges.inertia_ramp_s, ranges.sudden),
-        idle_times_s=(0.0,) if constant else drawn.times(generator, phases, 0.0, duration_s),
-        idle_s=(np.inf,) if constant else _several(generator, phases, ranges.idle_s),
-        stop_times_s=_several(generator, restarts, (0.2 * duration_s, 0.8 * duration_s)),
-        off_s=_several(generator, restarts, ranges.off_s),
-        coulomb_V=drawn.uniform(generator, ranges.coulomb_V),
-        drag_V=drawn.uniform(generator, ranges.drag_V),
-        offset=drawn.uniform(generator, ranges.offset),
+        torque_times_s=drawn.times(rng, torques, 0.0, duration_s),
+        torques_V=_several(rng, torques, ranges.torque_V),
+        torque_ramps_s=_ramps_s(rng, torques, ranges.torque_ramp_s, ranges.sudden),
+        inertia_ramps_s=_ramps_s(rng, changes, ranges.inertia_ramp_s, ranges.sudden),
+        idle_times_s=(0.0,) if constant else drawn.times(rng, phases, 0.0, duration_s),
+        idle_s=(np.inf,) if constant else _several(rng, phases, ranges.idle_s),
+        stop_times_s=_several(rng, restarts, (0.2 * duration_s, 0.8 * duration_s)),
+        off_s=_several(rng, restarts, ranges.off_s),
+        coulomb_V=drawn.uniform(rng, ranges.coulomb_V),
+        drag_V=drawn.uniform(rng, ranges.drag_V),
+        offset=drawn.uniform(rng, ranges.offset),
     )
 
 
 def _ramps_s(
-    generator: np.random.Generator, count: int, ends: tuple[float, float], sudden: float
+    rng: np.random.Generator, count: int, ends: settings.Range, sudden: float
 ) -> drawn.Numbers:
-    ramps_s, jumps = generator.uniform(*ends, count), generator.random(count) < sudden
+    ramps_s, jumps = rng.uniform(*ends, count), rng.random(count) < sudden
     return tuple(np.where(jumps, 0.0, ramps_s).tolist())
 
 
-def _several(
-    generator: np.random.Generator, count: int, ends: tuple[float, float]
-) -> drawn.Numbers:
-    return tuple(generator.uniform(*ends, count).tolist())
+def _several(rng: np.random.Generator, count: int, ends: settings.Range) -> drawn.Numbers:
+    return tuple(rng.uniform(*ends, count).tolist())
 
 
 # Runs of motors: what a seed draws, and plant, controller and course made of it.
@@ -163,22 +161,22 @@ class Scenario(drawn.Drawn):
 
 def draw(campaign: settings.Campaign, seed: int) -> Scenario:
     """The run of a campaign that a seed stands for."""
-    generator = np.random.default_rng([seed, 0])
+    rng = np.random.default_rng([seed, 0])
     load, reference, noise = campaign.load, campaign.reference, campaign.noise
     inertias = drawn.several_sizes(
-        generator,
+        rng,
         load.inertia,
         load.unchanged if campaign.duration_s > 2.0 * load.quiet_s else 1.0,
         load.changes,
         load.change_min,
     )
     end_s = max(load.quiet_s, campaign.duration_s - load.quiet_s)
-    times_s = drawn.times(generator, len(inertias) - 1, load.quiet_s, end_s)
-    step = drawn.uniform(generator, reference.step)
-    shape = reference.shapes[int(generator.integers(len(reference.shapes)))]
-    period_s = round(drawn.uniform(generator, reference.period_s))
+    times_s = drawn.times(rng, len(inertias) - 1, load.quiet_s, end_s)
+    step = drawn.uniform(rng, reference.step)
+    shape = reference.shapes[int(rng.integers(len(reference.shapes)))]
+    period_s = round(drawn.uniform(rng, reference.period_s))
     line, wire = campaign.line, campaign.wire
-    gain = drawn.uniform(generator, load.gain)
+    gain = drawn.uniform(rng, load.gain)
     # from a separate stream, so that a file without it draws the same as ever
     above = drawn.uniform(np.random.default_rng([seed, 2]), reference.low_above)
     life = draw_life(campaign.life, seed, campaign.duration_s, len(times_s))
@@ -190,16 +188,16 @@ def draw(campaign: settings.Campaign, seed: int) -> Scenario:
         inertias=inertias,
         change_times_s=times_s,
         gain=gain,
-        filter=drawn.uniform(generator, load.filter),
+        filter=drawn.uniform(rng, load.filter),
         reference=Waveform(Shape(shape), low, high, float(period_s)),
-        sigma=(high - low) * drawn.uniform(generator, noise.sigma),
-        spike_share=drawn.uniform(generator, noise.spike_share),
+        sigma=(high - low) * drawn.uniform(rng, noise.sigma),
+        spike_share=drawn.uniform(rng, noise.spike_share),
         spike_sigma=(high - low) * noise.spike_sigma,
-        line_voltage=drawn.uniform(generator, line.voltage),
-        frequency_Hz=drawn.uniform(generator, line.frequency_Hz),
-        output_delay_ticks=drawn.whole(generator, wire.output_delay_ticks),
-        output_quantum=drawn.uniform(generator, wire.output_V),
-        **drawn.each(generator, wire, "voltage_V", "power_W", "scale_S"),
+        line_voltage=drawn.uniform(rng, line.voltage),
+        frequency_Hz=drawn.uniform(rng, line.frequency_Hz),
+        output_delay_ticks=drawn.whole(rng, wire.output_delay_ticks),
+        output_quantum=drawn.uniform(rng, wire.output_V),
+        **drawn.each(rng, wire, "voltage_V", "power_W", "scale_S"),
         life=life,
     )
 

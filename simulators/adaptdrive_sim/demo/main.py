@@ -89,10 +89,8 @@ class DemoView:
 
     def _lead(self, width: int) -> list[Text]:
         said = wrap(self._player.say, max(20, width - 2))[:2]
-        return [
-            Text(f" {self._player.position}", "bold cyan"),
-            *(Text(f" {line}", "italic") for line in said),
-        ]
+        position = Text(f" {self._player.position}", "bold cyan")
+        return [position, *(Text(f" {line}", "italic") for line in said)]
 
     def _help(self, width: int) -> Text:
         """Return what else can be done, here and from another terminal."""

@@ -73,10 +73,8 @@ class Player:
         """Present scene and time of the story."""
         scenes = len(self._story.scenes)
         held = " · paused" if self.paused else ""
-        return (
-            f"{_clock(self.at_s)} of {_clock(self.duration_s)} · "
-            f"scene {self.number + 1} of {scenes}{held}"
-        )
+        time = f"{_clock(self.at_s)} of {_clock(self.duration_s)}"
+        return f"{time} · scene {self.number + 1} of {scenes}{held}"
 
     async def run(self) -> None:
         """Play until the story is over.

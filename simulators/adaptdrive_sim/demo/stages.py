@@ -253,9 +253,8 @@ class VirtualStage:
         """Put the daemon's controller in front of the load of a story."""
         configuration = validate_configuration(story.document(), EXAMPLES / story.configuration)
         noise = story.noise if settings.noise is None else settings.noise
-        device = DeviceSettings(
-            noise_V=noise, seed=settings.seed, initial_voltage_V=story.initial_voltage_V
-        )
+        begin_V = story.initial_voltage_V
+        device = DeviceSettings(noise_V=noise, seed=settings.seed, initial_voltage_V=begin_V)
         self.drive = OperatedDrive(configuration, build_world(configuration, device))
         self.drive_name = configuration.drive.name
         self.record: DemoRecord | None = None

@@ -139,7 +139,10 @@ def _find_sinks(
             sink = _sink(catalogue, quantity, hit[1], given)
             sinks.setdefault(hit[0].name, []).append((hit[1], sink))
     for name, found in sinks.items():
-        found.extend(_load_current(catalogue, name))
+        mapped = SignalSource(signal=f"{name}.{LOAD_CURRENT}")
+        for signal in catalogue.known(name).signals:
+            if signal.name == LOAD_CURRENT:
+                found.append((signal, _sink(catalogue, "load_current_A", signal, mapped)))
     return sinks
 
 
@@ -167,15 +170,6 @@ def _sink(
     low, high = sorted((layout.physical(layout.low), layout.physical(layout.high)))
     modulus = counter_modulus(compile_field(signal)) if quantity == "counter" else 0
     return SignalSink(quantity, signal.name, scale, offset, low, high, modulus)
-
-
-def _load_current(
-    catalogue: database.SignalCatalogue, message: str
-) -> Iterator[tuple[Signal, SignalSink]]:
-    mapped = SignalSource(signal=f"{message}.{LOAD_CURRENT}")
-    for signal in catalogue.known(message).signals:
-        if signal.name == LOAD_CURRENT:
-            yield signal, _sink(catalogue, "load_current_A", signal, mapped)
 
 
 # The drive on its bus.
@@ -237,10 +231,8 @@ class CanDrive(DriveNode):
         if order is None:
             self._refuse("wrong_constant")
             return
-        received = {
-            part.name: (values[signal] - part.base) / part.factor
-            for signal, part in order.parts.items()
-        }
+        parts = order.parts.items()
+        received = {one.name: (values[signal] - one.base) / one.factor for signal, one in parts}
         self._wanted |= received
         if "bridge" in received:
             self._obey(self._wanted)

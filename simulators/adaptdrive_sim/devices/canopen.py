@@ -123,9 +123,8 @@ class CanOpenDrive(DriveNode):
         self._config = configuration.bus
         self._shown, self._obeyed = _addresses(configuration, self._config, source)
         self._wire = canopen_objects.NodeNetwork(self._put)
-        self._objects = canopen_objects.Objects(
-            str(self._config.eds), self._config.node_id, self._wire
-        )
+        eds, node_id = str(self._config.eds), self._config.node_id
+        self._objects = canopen_objects.Objects(eds, node_id, self._wire)
         self._power = PowerStates()
         self._nmt = _Nmt.BOOT_UP
         self._beat_s = -math.inf
@@ -295,15 +294,13 @@ class CanOpenDrive(DriveNode):
 _Places = dict[str, tuple[canopen_objects.Address, SignalSource]]
 
 
-def _addresses(
-    configuration: Configuration, bus: CanOpenBus, source: Path
-) -> tuple[_Places, _Places]:
+def _addresses(whole: Configuration, bus: CanOpenBus, source: Path) -> tuple[_Places, _Places]:
     """Return the address of each quantity, and of each part of the command."""
     catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     find = functools.partial(_places, catalogue)
-    measured = ((name, one) for name, one, _ in configuration.signals.entries())
+    measured = ((name, one) for name, one, _ in whole.signals.entries())
     shown = find((one for one in measured if one[0] in QUANTITIES), "signals")
-    command = configuration.signals.command
+    command = whole.signals.command
     obeyed = find(((name, getattr(command, name)) for name in COMMANDED), "signals.command")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)

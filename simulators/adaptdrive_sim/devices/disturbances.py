@@ -138,10 +138,6 @@ def _change_disks(world: World, _drive: Drive, disks: int, _: float) -> None:
     _plant(world, motor.Motor).disks += disks
 
 
-def _sag(world: World, _drive: Drive, sag: float, duration_s: float) -> None:
-    world.line.sag(sag, duration_s)
-
-
 def _set_noise(world: World, _drive: Drive, noise_V: float, _: float) -> None:
     world.noise = dataclasses.replace(world.noise, sigma=noise_V)
 
@@ -157,10 +153,6 @@ def _disturb_sensors(world: World, drive: Drive, sensor_fault: int, _: float) ->
         raise RefusedError("this drive has no sensor modules")
     check_range("sensor_fault", sensor_fault, 0, max(SensorFault), "")
     world.sensor_fault = sensor_fault
-
-
-def _fill(world: World, _drive: Drive, volume_gal: float, duration_s: float) -> None:
-    _plant(world, bath.Bath).fill(volume_gal, duration_s)
 
 
 def _set_charge(world: World, _drive: Drive, charge: float, _: float) -> None:
@@ -179,11 +171,11 @@ _LASTING = ("sag", "volume_gal")
 _ACTIONS: dict[str, Action] = {
     "disks": _change_disks,
     "torque_Nm": _put(motor.Motor, "torque_Nm"),
-    "sag": _sag,
+    "sag": lambda world, _, sag, duration_s: world.line.sag(sag, duration_s),
     "noise_V": _set_noise,
     "fault": _inject,
     "sensor_fault": _disturb_sensors,
-    "volume_gal": _fill,
+    "volume_gal": lambda world, _, gal, duration_s: _plant(world, bath.Bath).fill(gal, duration_s),
     "inflow_L_per_min": _put(bath.Bath, "inflow_L_per_min"),
     "series_Ohm": _put(battery.Battery, "series_Ohm"),
     "charge": _set_charge,
@@ -208,12 +200,8 @@ def from_words(action: str, values: Sequence[float]) -> dict[str, float]:
     for name, value in given.items():
         if not math.isfinite(value):
             raise RefusedError(f"{action}: {name} = {value:g} is not finite")
-    return fixed | {name: _whole(value) for name, value in given.items()}
-
-
-def _whole(value: float) -> float:
-    """Return an integer where the value is one: fault words are integers on the wire."""
-    return int(value) if value.is_integer() else value
+    # fault words are integers on the wire
+    return fixed | {name: int(v) if v.is_integer() else v for name, v in given.items()}
 
 
 _WORDS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {

@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.control import voltage_loop
 from adaptdrive.util.clock import TickTimer
 from adaptdrive_sim.parameters import check_range
@@ -48,13 +49,10 @@ class VoltageHolder:
         voltage_V = sample.boost_voltage_V
         if self._sum is None:
             self._sum = voltage_loop.initial_sum(voltage_V)
+        load_W, line_V = sample.load_power_W, max(sample.line_voltage_V, LOWEST_LINE_V)
+        duration_s, capacitance_F = sample.tick_period_s, self._capacitance_F
         wanted_S = voltage_loop.current_scale(
-            self._sum,
-            voltage_V,
-            sample.load_power_W,
-            max(sample.line_voltage_V, LOWEST_LINE_V),
-            sample.tick_period_s,
-            self._capacitance_F,
+            self._sum, voltage_V, load_W, line_V, duration_s, capacitance_F
         )
         scale_S = min(max(wanted_S, self._lowest_S), SCALE_MAX_S)
         limit = (wanted_S > scale_S) - (wanted_S < scale_S)
@@ -71,10 +69,7 @@ FAULT_MAX = 0x7F
 _OVERVOLTAGE, _LINE_LOST = 4, 8
 """Fault bits that the drive raises by itself."""
 
-QUANTITIES = (
-    *("boost_voltage_V", "line_voltage_V", "load_power_W", "output"),
-    *("counter", "fault", "bridge"),
-)
+QUANTITIES = (*MEASURED, "counter", "fault", "bridge")
 """What a drive may send, by the names of the configuration."""
 
 Report = Callable[..., Any]

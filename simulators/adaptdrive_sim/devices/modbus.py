@@ -83,6 +83,7 @@ def _pty() -> Iterator[tuple[int, Path]]:
 _TABLES = {3: "holding", 4: "input", 6: "holding", 16: "holding", 22: "holding", 23: "holding"}
 
 Table = dict[int, int]
+Link = polled.TcpLink | polled.RtuLink
 
 
 class Registers(Protocol):
@@ -96,9 +97,7 @@ class Registers(Protocol):
 
 
 @contextlib.asynccontextmanager
-async def serving(
-    link: polled.TcpLink | polled.RtuLink, devices: Mapping[int, Registers]
-) -> AsyncIterator[None]:
+async def serving(link: Link, devices: Mapping[int, Registers]) -> AsyncIterator[None]:
     """Serve devices while the block runs.
 
     Args:
@@ -122,7 +121,7 @@ async def serving(
 
 
 def _server(
-    link: polled.TcpLink | polled.RtuLink, devices: list[SimDevice], stack: contextlib.ExitStack
+    link: Link, devices: list[SimDevice], stack: contextlib.ExitStack
 ) -> ModbusTcpServer | ModbusSerialServer:
     if isinstance(link, polled.TcpLink):
         return ModbusTcpServer(devices, address=(link.host, link.port))

@@ -68,14 +68,11 @@ def check_names(buses: Iterable[root.AnySensorBus], world: World, source: Path) 
         ConfigurationError: It has not; all that is missing is listed.
     """
     known = values_of(world, Frame(world.at_rest(), 0, bridge=False))
-    choices = ", ".join(sorted(known))
+    wanted = [(number, name) for number, bus in enumerate(buses) for name in bus.signals]
+    lacking = f"the simulated plant has no {{!r}}; it has {', '.join(sorted(known))}"
     flaws = [
-        Flaw(
-            f"sensor_bus.{number}.signals.{name}",
-            f"the simulated plant has no {name!r}; it has {choices}",
-        )
-        for number, bus in enumerate(buses)
-        for name in bus.signals
+        Flaw(f"sensor_bus.{number}.signals.{name}", lacking.format(name))
+        for number, name in wanted
         if name not in known
     ]
     if flaws:

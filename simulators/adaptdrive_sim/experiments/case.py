@@ -176,10 +176,8 @@ def run_case(case: Case, *, keep_ticks: bool = False) -> Run:
         The run, with the columns `time_s`, `reference` and `size`.
     """
     experiment, course = case.experiment, _course(case)
-    site = Site(
-        controller.Controller(case.settings, experiment.nominal()), world.World(experiment.plant())
-    )
-    run = site.run(course, keep_ticks=keep_ticks)
+    control = controller.Controller(case.settings, experiment.nominal())
+    run = Site(control, world.World(experiment.plant())).run(course, keep_ticks=keep_ticks)
     times_s = experiment.times_s()
     sizes = experiment.sizes_at(times_s)
     return run.beside(time_s=np.array(times_s), reference=course.references, size=sizes)
@@ -296,9 +294,8 @@ def _half(
     """Overshoot, and settling time or infinity, of one half cycle."""
     reference, target = experiment.reference, experiment.reference.value(first_s)
     before = reference.low + reference.high - target
-    overshoot, periods = judge_step(
-        record["output"][_between(record, first_s, last_s)], before, target
-    )
+    outputs = record["output"][_between(record, first_s, last_s)]
+    overshoot, periods = judge_step(outputs, before, target)
     return overshoot, periods * experiment.period_s
 
 

@@ -172,16 +172,10 @@ NOMINAL_gal = 0.6
 @cache
 def true_bath(size: float) -> Load:
     """The bath's model at a multiple of its nominal volume."""
-    coupling = boost.CouplingParameters()
-    bath = Bath(BathParameters(volume_gal=size * NOMINAL_gal))
-    model = bath.model(coupling.ratio, coupling.droop_Ohm)
-    return bath_load(
-        model["resistance_K_per_W"],
-        model["tau_s"],
-        coupling.ratio,
-        coupling.droop_Ohm,
-        bath.resistance_Ohm,
-    )
+    stage, bath = boost.CouplingParameters(), Bath(BathParameters(volume_gal=size * NOMINAL_gal))
+    model, ratio = bath.model(stage.ratio, stage.droop_Ohm), stage.ratio
+    heat_K_per_W, heater_Ohm = model["resistance_K_per_W"], bath.resistance_Ohm
+    return bath_load(heat_K_per_W, model["tau_s"], ratio, stage.droop_Ohm, heater_Ohm)
 
 
 def _bath_tables() -> dict[str, Any]:
@@ -193,13 +187,8 @@ def _bath_tables() -> dict[str, Any]:
         "period_s": 20.0,
         "pole": 0.80,
         "reference_max": 20.0,
-        "model": {
-            "resistance_K_per_W": model["resistance_K_per_W"],
-            "tau_s": model["tau_s"],
-            "turns_ratio": 0.25,
-            "droop_Ohm": 1.0,
-            "heater_Ohm": 7.87,
-        },
+        "model": {name: model[name] for name in ("resistance_K_per_W", "tau_s")}
+        | {"turns_ratio": 0.25, "droop_Ohm": 1.0, "heater_Ohm": 7.87},
     }
     found["estimator"] = {"method": "lm-rls", "forgetting": 0.99, "tau_lambda_s": 100.0}
     found["interlocks"]["output_max"] = 25.0
@@ -218,8 +207,8 @@ BATH = read_experiment(
 @cache
 def true_motor(size: float) -> Load:
     """The motor's model with that many disks."""
-    coupling = boost.CouplingParameters()
-    model = Motor(MotorParameters(), round(size)).model(coupling.ratio, coupling.droop_Ohm)
+    stage = boost.CouplingParameters()
+    model = Motor(MotorParameters(), round(size)).model(stage.ratio, stage.droop_Ohm)
     return motor.motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
 
 

@@ -36,7 +36,7 @@ _REALISATIONS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class EstimatorInput:
+class Recording:
     """Input of the estimators.
 
     Attributes:
@@ -72,13 +72,13 @@ class SweepPoint:
     transient: float
 
 
-def estimator_input(case: Case, record: Run) -> EstimatorInput:
+def recording_of(case: Case, record: Run) -> Recording:
     """Take what the estimators need from a run that kept its ticks."""
     load = case.experiment.nominal()
     gain, exponent = load.input_gain, load.input_exponent
     voltage_V = np.array(record.fast_voltage_V)
     held = [to_input(value, gain, exponent) for value in record["boost_reference_V"].tolist()]
-    return EstimatorInput(case, np.array(record.fast_output), gain * voltage_V**exponent, held)
+    return Recording(case, np.array(record.fast_output), gain * voltage_V**exponent, held)
 
 
 def settings_over_forgetting(case: Case) -> list[Learning]:
@@ -105,7 +105,7 @@ def setting(case: Case, method: str, forgetting: float, tau_lambda_s: float) -> 
     )
 
 
-def try_settings(given: EstimatorInput, settings: list[Learning]) -> list[SweepPoint]:
+def try_settings(given: Recording, settings: list[Learning]) -> list[SweepPoint]:
     """See how settings of the estimator do."""
     noises = _noises(given)
     return [_try_setting(given, noises, one) for one in settings]
@@ -123,7 +123,7 @@ def settling_time_s(load: Load, tick_s: float) -> float:
     return float(np.flatnonzero(np.abs(error) > SETTLED)[-1] + 1) * tick_s
 
 
-def _noises(given: EstimatorInput) -> list[Array]:
+def _noises(given: Recording) -> list[Array]:
     """Noise of every tick, several times."""
     case, count = given.case, given.output.size
     parameters = case.disturbance.scaled(case.experiment.step)
@@ -131,7 +131,7 @@ def _noises(given: EstimatorInput) -> list[Array]:
     return [np.fromiter(samples(parameters, one), np.float64, count) for one in generators]
 
 
-def _try_setting(given: EstimatorInput, noises: list[Array], learning: Learning) -> SweepPoint:
+def _try_setting(given: Recording, noises: list[Array], learning: Learning) -> SweepPoint:
     physical = methods.METHODS[learning.method].physical
     estimate = _estimate_filtered if physical else _estimate_directly
     quiet, *noisy = estimate(given, learning, noises)
@@ -140,18 +140,15 @@ def _try_setting(given: EstimatorInput, noises: list[Array], learning: Learning)
     return SweepPoint(learning, _speed(experiment, quiet), spread, _transient(experiment, quiet))
 
 
-def _estimate_filtered(
-    given: EstimatorInput, learning: Learning, noises: list[Array]
-) -> list[Array]:
+def _estimate_filtered(given: Recording, learning: Learning, noises: list[Array]) -> list[Array]:
     """Physical parameters at every slow instant: without noise, and with each one."""
     load, rates = given.case.experiment.nominal(), given.case.settings.rates
     ticks = rates.ticks_per_period
     tick_s = given.case.experiment.period_s / ticks
     chain = _chain(load.order, tick_s, learning.tau_lambda_s, ticks)
     clean = np.column_stack((given.output[::ticks], _sampled(chain, given.output)))
-    inputs = np.column_stack(
-        (given.load_input[::ticks], _sampled(chain, given.load_input))
-    ).tolist()
+    applied = given.load_input
+    inputs = np.column_stack((applied[::ticks], _sampled(chain, applied))).tolist()
     found = [_follow_filtered(load, learning, clean.tolist(), inputs)]
     for noise in noises:
         added = np.column_stack((noise[::ticks], _sampled(chain, noise)))
@@ -172,9 +169,7 @@ def _follow_filtered(
     return np.array(found)
 
 
-def _estimate_directly(
-    given: EstimatorInput, learning: Learning, noises: list[Array]
-) -> list[Array]:
+def _estimate_directly(given: Recording, learning: Learning, noises: list[Array]) -> list[Array]:
     """The same by least squares on the samples themselves."""
     ticks = given.case.settings.rates.ticks_per_period
     clean = given.output[::ticks]
@@ -182,16 +177,15 @@ def _estimate_directly(
     return [_follow_directly(given, learning, one.tolist()) for one in outputs]
 
 
-def _follow_directly(given: EstimatorInput, learning: Learning, outputs: list[float]) -> Array:
+def _follow_directly(given: Recording, learning: Learning, outputs: list[float]) -> Array:
     load, period_s = given.case.experiment.nominal(), given.case.experiment.period_s
     state = est.new_estimator(methods.METHODS[learning.method], learning, load, load.paper_taps)
     past_outputs = [outputs[0]] * load.order
     past_inputs = [float(given.load_input[0])] * load.paper_taps
     found = []
     for target, applied in zip(outputs, given.held_input, strict=True):
-        methods.fill_direct_regressor(
-            state.sample.regressor, learning, load, past_outputs, past_inputs
-        )
+        regressor = state.sample.regressor
+        methods.fill_direct_regressor(regressor, learning, load, past_outputs, past_inputs)
         est.learn(state, learning, load, target, usable=True)
         a, b = methods.direct_model(state.estimate.theta, learning, load)
         found.append(_physical(load, *methods.continuous_model(a, b, period_s)))
@@ -237,7 +231,7 @@ def _speed(experiment: Experiment, estimates: Array) -> float | None:
     return max(known, default=0.0) if len(known) == len(found) else None
 
 
-def _spread(given: EstimatorInput, quiet: Array, noisy: list[Array]) -> float:
+def _spread(given: Recording, quiet: Array, noisy: list[Array]) -> float:
     experiment = given.case.experiment
     periods = round(experiment.reference.period_s / experiment.period_s)
     chosen = np.concatenate(
@@ -258,7 +252,7 @@ def _transient(experiment: Experiment, estimates: Array) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class ExperimentOutcome(ReproduceRequest):
+class Outcome(ReproduceRequest):
     """Everything that was found.
 
     Attributes:
@@ -286,13 +280,11 @@ class ExperimentOutcome(ReproduceRequest):
         return math.sqrt(sum(squares) / len(squares))
 
 
-def judge(request: ReproduceRequest, records: dict[Variant, Run]) -> ExperimentOutcome:
+def judge(request: ReproduceRequest, records: dict[Variant, Run]) -> Outcome:
     """Work out the metrics of all runs."""
     experiment, design = request.experiment, request.design
-    judged = {
-        variant: cases.cycles(experiment, design, record) for variant, record in records.items()
-    }
+    judged = {one: cases.cycles(experiment, design, record) for one, record in records.items()}
     adaptive = records["adaptive"]
     converged = [cases.convergence_cycles(experiment, adaptive, one) for one in experiment.changes]
     noise, seed = request.disturbance, request.seed
-    return ExperimentOutcome(experiment, design, noise, seed, records, judged, converged)
+    return Outcome(experiment, design, noise, seed, records, judged, converged)

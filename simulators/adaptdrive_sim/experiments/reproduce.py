@@ -22,7 +22,7 @@ from adaptdrive_sim.course import Run, processes, progress
 from adaptdrive_sim.experiments import case
 from adaptdrive_sim.experiments import outcome as outcomes
 from adaptdrive_sim.experiments.experiment import BATH, DROPPED, MOTOR, Experiment
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.outcome import Outcome
 from adaptdrive_sim.wire import NoiseParameters
 
 _VERDICTS = {True: "holds", False: "FAILS", None: "not judged"}
@@ -54,9 +54,7 @@ def print_claims(title: str, claims: list[Claim]) -> None:
     sys.stdout.write("\n".join((title, *lines)) + "\n")
 
 
-def summary(
-    outcome: ExperimentOutcome, claims: list[dict[str, Any]], wall_s: float
-) -> dict[str, Any]:
+def summary(outcome: Outcome, claims: list[dict[str, Any]], wall_s: float) -> dict[str, Any]:
     """The content of summary.json."""
     return {
         "experiment": outcome.experiment.name,
@@ -87,12 +85,12 @@ _MOVED = 0.05
 """An estimate that moves by this share has been disturbed."""
 
 
-def claims(outcome: ExperimentOutcome) -> list[Claim]:
+def claims(outcome: Outcome) -> list[Claim]:
     """Judge every claim that the paper makes of an experiment."""
     return [make(outcome) for make in _CLAIMS[outcome.experiment.name]]
 
 
-def _fixed_motor(outcome: ExperimentOutcome) -> Claim:
+def _fixed_motor(outcome: Outcome) -> Claim:
     overshoots = _last_of_segments(outcome, "fixed")
     rising = all(a < b for a, b in pairwise(overshoots))
     return Claim(
@@ -103,7 +101,7 @@ def _fixed_motor(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _adaptive_motor(outcome: ExperimentOutcome) -> Claim:
+def _adaptive_motor(outcome: Outcome) -> Claim:
     overshoots = _last_of_segments(outcome, "adaptive")
     return Claim(
         "the adaptive one does not, in the last cycle with each load",
@@ -113,7 +111,7 @@ def _adaptive_motor(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _converged(outcome: ExperimentOutcome) -> Claim:
+def _converged(outcome: Outcome) -> Claim:
     found, most = outcome.converged, _CYCLES_DROPPED if outcome.experiment.dropped else 2.0
     return Claim(
         "its estimates are within 5 % of the truth about two cycles after each load change",
@@ -123,7 +121,7 @@ def _converged(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _disturbed(outcome: ExperimentOutcome) -> Claim:
+def _disturbed(outcome: Outcome) -> Claim:
     least = case.estimate_moves(outcome.experiment, outcome.records["adaptive"])
     judged = outcome.experiment.dropped and outcome.design == "paper"
     return Claim(
@@ -134,7 +132,7 @@ def _disturbed(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _direct_motor(outcome: ExperimentOutcome) -> Claim:
+def _direct_motor(outcome: Outcome) -> Claim:
     ratio = outcome.model_error("direct_rls") / outcome.model_error("adaptive")
     judged = outcome.disturbance == NOISY and outcome.design == "paper"
     return Claim(
@@ -145,7 +143,7 @@ def _direct_motor(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _fixed_bath(outcome: ExperimentOutcome) -> Claim:
+def _fixed_bath(outcome: Outcome) -> Claim:
     last = outcome.experiment.changes[-1].size
     overshoots = [one.overshoot for one in outcome.cycles["fixed"] if one.load == last]
     return Claim(
@@ -156,7 +154,7 @@ def _fixed_bath(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _adaptive_bath(outcome: ExperimentOutcome) -> Claim:
+def _adaptive_bath(outcome: Outcome) -> Claim:
     overshoots = [one.overshoot for one in outcome.cycles["adaptive"]]
     return Claim(
         "the adaptive one hardly does, in any cycle",
@@ -166,7 +164,7 @@ def _adaptive_bath(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _forgetting(outcome: ExperimentOutcome) -> Claim:
+def _forgetting(outcome: Outcome) -> Claim:
     method = outcome.experiment.sweep.methods[0]
     points = [one for one in outcome.over_forgetting if one.setting.method == method]
     first, last = points[0], points[-1]
@@ -179,7 +177,7 @@ def _forgetting(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _tau_lambda(outcome: ExperimentOutcome) -> Claim:
+def _tau_lambda(outcome: Outcome) -> Claim:
     experiment = outcome.experiment
     limit_s = outcomes.settling_time_s(experiment.nominal(), 0.1 * experiment.period_s)
     below, beyond = (
@@ -198,14 +196,11 @@ def _tau_lambda(outcome: ExperimentOutcome) -> Claim:
     )
 
 
-def _last_of_segments(outcome: ExperimentOutcome, variant: case.Variant) -> list[float]:
+def _last_of_segments(outcome: Outcome, variant: case.Variant) -> list[float]:
     """Overshoot in the last cycle with each load."""
-    experiment = outcome.experiment
-    found = {
-        one.start_s + experiment.reference.period_s: one.overshoot
-        for one in outcome.cycles[variant]
-    }
-    return [found[end] for end in experiment.ends_s]
+    cycle_s = outcome.experiment.reference.period_s
+    found = {one.start_s + cycle_s: one.overshoot for one in outcome.cycles[variant]}
+    return [found[end] for end in outcome.experiment.ends_s]
 
 
 def _percents(values: list[float]) -> str:
@@ -221,7 +216,7 @@ def _speed_and_noise(point: outcomes.SweepPoint) -> str:
     return f"{speed}, {100.0 * point.deviation:.2g} %"
 
 
-_CLAIMS: dict[str, tuple[Callable[[ExperimentOutcome], Claim], ...]] = {
+_CLAIMS: dict[str, tuple[Callable[[Outcome], Claim], ...]] = {
     "motor": (
         *(_fixed_motor, _adaptive_motor, _converged, _disturbed, _direct_motor),
         *(_forgetting, _tau_lambda),
@@ -288,7 +283,7 @@ def run_request(request: case.ReproduceRequest, folder: Path) -> list[Claim]:
     return verdicts
 
 
-def _carry_out(request: case.ReproduceRequest, folder: Path) -> ExperimentOutcome:
+def _carry_out(request: case.ReproduceRequest, folder: Path) -> Outcome:
     """Run everything in parallel, and draw each figure as soon as its data is there."""
     variants = VARIANTS[request.experiment.name]
     workers = min(len(variants), os.cpu_count() or 1)
@@ -307,7 +302,7 @@ def _carry_out(request: case.ReproduceRequest, folder: Path) -> ExperimentOutcom
         )
 
         sweep_case = request.sweep_case()
-        given = outcomes.estimator_input(sweep_case, runs["fixed"].result())
+        given = outcomes.recording_of(sweep_case, runs["fixed"].result())
         over_forgetting, over_tau_lambda = (
             pool.submit(outcomes.try_settings, given, settings)
             for settings in (
@@ -333,7 +328,7 @@ def _carry_out(request: case.ReproduceRequest, folder: Path) -> ExperimentOutcom
     return outcome
 
 
-def _write_record(path: Path, outcome: ExperimentOutcome, variant: case.Variant) -> None:
+def _write_record(path: Path, outcome: Outcome, variant: case.Variant) -> None:
     """Write a row for each slow period; what a run was made with is in the file's metadata."""
     disturbance = outcome.disturbance
     metadata = {

@@ -163,10 +163,8 @@ class Battery:
         own = self.parameters
         if self._decays_s != duration_s:
             self._decays_s = duration_s
-            self._decays = [
-                math.exp(-duration_s / own.relaxation_s),
-                math.exp(-duration_s / own.relaxation_2_s),
-            ]
+            taus_s = own.relaxation_s, own.relaxation_2_s
+            self._decays = [math.exp(-duration_s / tau_s) for tau_s in taus_s]
         one, two = self._decays[0], self._decays[1]
         rest_V, rest_2_V = current_A * own.relaxation_Ohm, current_A * own.relaxation_2_Ohm
         relaxed = self.relaxed_V

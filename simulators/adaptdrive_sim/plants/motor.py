@@ -162,11 +162,7 @@ class Motor:
 
     def state(self) -> dict[str, float]:
         """Disks, speed and load torque."""
-        return {
-            "disks": self._disks,
-            "speed_rad_s": self.speed_rad_s,
-            "torque_Nm": self._torque_Nm,
-        }
+        return {"disks": self._disks, "speed_rad_s": self.speed_rad_s, "torque_Nm": self._torque_Nm}
 
     def _brake_Nm(self, speed_rad_s: float) -> float:
         """Return the torque against the rotation besides viscous friction: T + T_c + d·ω²."""
@@ -182,10 +178,8 @@ class Motor:
 
     def _damping(self, source_Ohm: float) -> float:
         """Torque per speed, electrical part included: f + K²/(R_d + R_f)."""
-        constant = self.parameters.constant_Vs
-        return self.parameters.friction_Nms + constant * constant / (
-            source_Ohm + self.resistance_Ohm
-        )
+        constant, total_Ohm = self.parameters.constant_Vs, source_Ohm + self.resistance_Ohm
+        return self.parameters.friction_Nms + constant * constant / total_Ohm
 
     def _tune(self, step: _Step, damping: float, source_Ohm: float, duration_s: float) -> None:
         rate = damping / self.inertia_kgm2
