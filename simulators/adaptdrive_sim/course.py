@@ -136,7 +136,7 @@ def follow_ideal(references: Array, loads: Sequence[Load], pole: float, period_s
     weights: Vector = []
     outputs = [0.0] * len(moves)
     for k, load in enumerate(loads):
-        if k == 0 or _differ(load, loads[k - 1]):
+        if k == 0 or load != loads[k - 1]:
             weights = _weights(load, desired, period_s)
         for i in range(min(k + 1, len(weights))):
             outputs[k] += weights[i] * moves[k - i]
@@ -150,10 +150,6 @@ def _weights(load: Load, desired: Vector, period_s: float) -> Vector:
     _, b = held_model(list(load.numerator), list(load.denominator), period_s, 0.0, 0.0)
     scale = total(desired) / total(b)
     return [one * scale for one in b]
-
-
-def _differ(one: Load, other: Load) -> bool:
-    return (one.numerator, one.denominator) != (other.numerator, other.denominator)
 
 
 # The table of what a run has shown.
@@ -226,12 +222,8 @@ class Run:
 
 def processes(count: int) -> ProcessPoolExecutor:
     """Return processes that inherit nothing and end quietly on Ctrl-C."""
-    return ProcessPoolExecutor(
-        max_workers=count,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_DFL),
-    )
+    context, quietly = multiprocessing.get_context("spawn"), (signal.SIGINT, signal.SIG_DFL)
+    return ProcessPoolExecutor(count, context, initializer=signal.signal, initargs=quietly)
 
 
 @contextmanager
@@ -243,8 +235,7 @@ def progress(total: int) -> Iterator[Callable[[int, str], None]]:
     """
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
     console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    hidden = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task("", total=total)
         yield lambda count, what: bar.update(task, advance=count, description=what)

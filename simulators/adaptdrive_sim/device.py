@@ -29,8 +29,6 @@ from adaptdrive_sim.world import World, WorldParameters
 
 # Command-line settings of a simulated drive.
 
-InterfaceChoice = Literal["socketcan", "udp_multicast"]
-
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ class DeviceSettings:
     command_timeout_s: Annotated[float | None, Parameter(name="--command-timeout")] = None
     boost_needs_bridge: bool = False
     line_drift_Hz: Annotated[float, Parameter(name="--line-drift")] = 0.1
-    interface: InterfaceChoice | None = None
+    interface: Literal["socketcan", "udp_multicast"] | None = None
     channel: str | None = None
     port: Integer | None = None
 

@@ -54,14 +54,11 @@ class Wire:
 def received(wire: Wire, tick: int, sample: Sample) -> Measurement:
     """Return what arrives at a tick of what the drive measures now."""
     shift_in(wire.outputs, sample.output)
-    return Measurement(
-        tick,
-        sample.tick_period_s,
-        rounded(sample.boost_voltage_V, wire.voltage_quantum_V),
-        rounded(sample.line_voltage_V, wire.voltage_quantum_V),
-        rounded(sample.load_power_W, wire.power_quantum_W),
-        rounded(wire.outputs[-1], wire.output_quantum),
-    )
+    boost_V = rounded(sample.boost_voltage_V, wire.voltage_quantum_V)
+    line_V = rounded(sample.line_voltage_V, wire.voltage_quantum_V)
+    load_W = rounded(sample.load_power_W, wire.power_quantum_W)
+    output = rounded(wire.outputs[-1], wire.output_quantum)
+    return Measurement(tick, sample.tick_period_s, boost_V, line_V, load_W, output)
 
 
 def rounded(value: float, quantum: float) -> float:

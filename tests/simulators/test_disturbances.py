@@ -146,14 +146,14 @@ def test_words_become_requests(
 )
 def test_what_a_device_offers_is_carried_out(load: SimulatedLoad) -> None:
     remote = of(load)
-    features = json.loads(msgspec.json.encode(remote.state()))["features"]
+    features = json.loads(msgspec.json.encode(remote.truth()))["features"]
     assert len(features) >= 3
     for feature in features:
         assert ask(remote, **feature["request"]) == (True, ""), feature
 
 
 def test_the_state_of_a_device_fits_its_schema(remote: Remote) -> None:
-    state = json.loads(msgspec.json.encode(remote.state()))
+    state = json.loads(msgspec.json.encode(remote.truth()))
     topic = next(one for one in simulator_topics() if one.name == "simulator/truth")
     Draft202012Validator(schema(topic)).validate(state)
     assert {"text": "add a disk", "request": {"disks": 1}} in state["features"]

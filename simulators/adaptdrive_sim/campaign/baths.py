@@ -53,9 +53,8 @@ def draw_bath(campaign: settings.BathCampaign, seed: int) -> BathScenario:
     rng = np.random.default_rng([seed, _STREAM])
     water, sensor = campaign.water, campaign.sensor
     quiet_s, end_s = water.quiet_s, max(water.quiet_s, campaign.duration_s - water.quiet_s)
-    volumes_gal = drawn.several_sizes(
-        rng, water.volume_gal, water.unchanged, water.fills, water.fill_min
-    )
+    ends_gal, unchanged = water.volume_gal, water.unchanged
+    volumes_gal = drawn.several_sizes(rng, ends_gal, unchanged, water.fills, water.fill_min)
     fill_times_s = drawn.times(rng, len(volumes_gal) - 1, quiet_s, end_s)
     moves = drawn.whole(rng, water.inflow_changes)
     inflows = tuple(drawn.uniform(rng, water.inflow) for _ in range(moves + 1))

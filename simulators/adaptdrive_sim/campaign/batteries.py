@@ -168,14 +168,11 @@ class BatteryScenario:
     def world(self) -> WorldParameters:
         """The true drive, line and sensor."""
         nominal = CouplingParameters()
-        return WorldParameters(
-            line=LineParameters.steady(self.line_voltage, self.frequency_Hz),
-            coupling=CouplingParameters(
-                ratio=nominal.ratio * self.scale, droop_Ohm=nominal.droop_Ohm * self.scale**2
-            ),
-            noise=wire.NoiseParameters(sigma=self.noise * self.largest_A),
-            seed=self.seed,
-        )
+        line = LineParameters.steady(self.line_voltage, self.frequency_Hz)
+        droop_Ohm = nominal.droop_Ohm * self.scale**2
+        stage = CouplingParameters(nominal.ratio * self.scale, droop_Ohm)
+        noise = wire.NoiseParameters(sigma=self.noise * self.largest_A)
+        return WorldParameters(line, coupling=stage, noise=noise, seed=self.seed)
 
     def configuration(self) -> Configuration:
         """The daemon's: the example's for this voltage, with its model of the battery."""

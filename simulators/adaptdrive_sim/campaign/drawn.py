@@ -42,14 +42,10 @@ class Deployed:
 def deploy(name: str, tables: dict[str, Any] | None = None) -> Deployed:
     """Return what the daemon makes of an example configuration, or of its changed tables."""
     configuration = validate_configuration(tables or example_tables(name), EXAMPLES / name)
-    limits = configuration.interlocks
-    return Deployed(
-        settings=controller_settings(configuration),
-        load=build_load(configuration),
-        trips=(limits.boost_voltage_max_V, limits.output_max),
-        pole=configuration.load.pole,
-        period_s=configuration.load.period_s,
-    )
+    settings, load = controller_settings(configuration), build_load(configuration)
+    limits, section = configuration.interlocks, configuration.load
+    trips = limits.boost_voltage_max_V, limits.output_max
+    return Deployed(settings, load, trips, section.pole, section.period_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +106,8 @@ class Drawn:
 
     def wire(self, output: float) -> Wire:
         """Return the connection between drive and controller, at rest at an output."""
-        return Wire(
-            output_quantum=self.output_quantum,
-            voltage_quantum_V=self.voltage_V,
-            power_quantum_W=self.power_W,
-            scale_quantum_S=self.scale_S,
-            outputs=[output] * (self.output_delay_ticks + 1),
-        )
+        outputs = [output] * (self.output_delay_ticks + 1)
+        return Wire(self.output_quantum, self.voltage_V, self.power_W, self.scale_S, outputs)
 
 
 def columns_of(drawn: Any) -> Row:  # noqa: ANN401 - any dataclass

@@ -163,13 +163,8 @@ def draw(campaign: settings.Campaign, seed: int) -> Scenario:
     """The run of a campaign that a seed stands for."""
     rng = np.random.default_rng([seed, 0])
     load, reference, noise = campaign.load, campaign.reference, campaign.noise
-    inertias = drawn.several_sizes(
-        rng,
-        load.inertia,
-        load.unchanged if campaign.duration_s > 2.0 * load.quiet_s else 1.0,
-        load.changes,
-        load.change_min,
-    )
+    unchanged = load.unchanged if campaign.duration_s > 2.0 * load.quiet_s else 1.0
+    inertias = drawn.several_sizes(rng, load.inertia, unchanged, load.changes, load.change_min)
     end_s = max(load.quiet_s, campaign.duration_s - load.quiet_s)
     times_s = drawn.times(rng, len(inertias) - 1, load.quiet_s, end_s)
     step = drawn.uniform(rng, reference.step)

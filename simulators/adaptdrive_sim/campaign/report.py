@@ -120,8 +120,7 @@ def _reason(row: Row) -> str:
         "V_c at a limit": row.get("saturated_share", 0.0),
         "estimate outside of the bounds": row.get("verdict_out_of_bounds", 0) / max(1, verdicts),
     }
-    found = [f"{name} for {share:.0%} of the time" for name, share in shares.items()]
-    named = [text for text, share in zip(found, shares.values(), strict=True) if share > _MUCH]
+    named = [f"{one} for {share:.0%} of the time" for one, share in shares.items() if share > _MUCH]
     return "; ".join(named) or "none of those that are looked for"
 
 

@@ -248,9 +248,6 @@ NOMINAL_REACH_K = (5.5, 20.0)
 _BOOST_V = (200.0, 400.0)
 
 
-"""Least distance from what V_c holds to a set-point, as a share: noise needs some room."""
-
-
 def bath_reach(inflows: Iterable[float], resistances: Iterable[float], shift_K: float) -> Range:
     """Return the least and the largest set-point, by the drawn bath and by the model.
 

@@ -24,9 +24,7 @@ import tomlkit
 from adaptdrive.app.process import NAMESPACE
 from adaptdrive.app.settings import operator_profile
 from adaptdrive.cli.desk import panel_address
-from adaptdrive.config.bus import MEASURED
-from adaptdrive.config.file import validate_configuration
-from adaptdrive.config.services import Mqtt
+from adaptdrive.config import bus, file, services
 from adaptdrive.mqtt import clock, commands, contract
 from adaptdrive.mqtt.client import NoAnswerError
 from adaptdrive.processes.owned import BROKER, Child, Household, Ports
@@ -86,7 +84,7 @@ class RealStage:
         group = f"239.74.{number >> 8 & 255}.{number & 255}"
         document = story.document()
         self.drive_name = str(document["drive"]["name"])
-        self._broker = Mqtt(port=self._ports.take())
+        self._broker = services.Mqtt(port=self._ports.take())
         self.broker = f"{self._broker.host}:{self._broker.port}"
         self._page, self._websocket = self._ports.take(), self._ports.take()
         document["bus"] |= {"interface": "udp_multicast", "channel": group, "udp_port": port}
@@ -251,7 +249,8 @@ class VirtualStage:
 
     def __init__(self, story: Story, settings: DemoSettings) -> None:
         """Put the daemon's controller in front of the load of a story."""
-        configuration = validate_configuration(story.document(), EXAMPLES / story.configuration)
+        path = EXAMPLES / story.configuration
+        configuration = file.validate_configuration(story.document(), path)
         noise = story.noise if settings.noise is None else settings.noise
         begin_V = story.initial_voltage_V
         device = DeviceSettings(noise_V=noise, seed=settings.seed, initial_voltage_V=begin_V)
@@ -346,7 +345,7 @@ class VirtualStage:
     def _report(self) -> None:
         """Publish what the fast loop measures, and the truth."""
         sample = self.drive.sample
-        content = {name: getattr(sample, name) for name in MEASURED}
+        content = {name: getattr(sample, name) for name in bus.MEASURED}
         counts = {"ticks": self.drive.ticks, "missed": 0, "held": 0, "age_s": 0.0}
         self._publish("telemetry/drive", {"time": self._now, **content, **counts})
         self._publish_truth()

@@ -12,7 +12,7 @@ commanded there is obeyed here.
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,6 +66,7 @@ class SignalSink:
         return min(max(value, self.low), self.high)
 
 
+Sinks = list[tuple[Signal, SignalSink]]
 Page = tuple[Mapping[str, float], tuple[SignalSink, ...]]
 """Selectors of one frame of a message, and its sinks; without multiplexing there is one page."""
 
@@ -115,23 +116,14 @@ def load_messages(
         raise ConfigurationError(source, catalogue.flaws)
     half_cycle_ms = 500.0 / configuration.drive.line_frequency_Hz
     names = sorted(sinks, key=lambda name: (name == bus.clock_message, name))
-    status = [
-        StatusMessage(
-            MessageCodec(catalogue.known(name), bus.integrity.get(name)),
-            tuple(_pages(catalogue.known(name), sinks[name])),
-            _every_ticks(catalogue.known(name), bus, half_cycle_ms),
-        )
-        for name in names
-    ]
+    status = [_status(catalogue.known(one), sinks[one], bus, half_cycle_ms) for one in names]
     return status, tuple(orders.build_orders(catalogue, bus.integrity, found))
 
 
-def _find_sinks(
-    catalogue: database.SignalCatalogue, configuration: Configuration
-) -> dict[str, list[tuple[Signal, SignalSink]]]:
+def _find_sinks(catalogue: database.SignalCatalogue, whole: Configuration) -> dict[str, Sinks]:
     """Signals and what goes into them, by message."""
-    sinks: dict[str, list[tuple[Signal, SignalSink]]] = {}
-    for quantity, given, _ in configuration.signals.entries():
+    sinks: dict[str, Sinks] = {}
+    for quantity, given, _ in whole.signals.entries():
         if quantity not in QUANTITIES:
             continue
         hit = catalogue.find(given.signal, f"signals.{quantity}")
@@ -146,16 +138,19 @@ def _find_sinks(
     return sinks
 
 
-def _pages(message: Message, sinks: list[tuple[Signal, SignalSink]]) -> Iterator[Page]:
-    """Every page, whether or not it carries something; what several carry is in each of them."""
-    for choice in orders.choices(message, message.signals):
-        yield choice, tuple(one for s, one in sinks if orders.is_carried(message, s, choice))
+def _status(message: Message, sinks: Sinks, bus: CanBus, half_cycle_ms: float) -> StatusMessage:
+    """Return a message with every page, whether or not it carries something.
 
-
-def _every_ticks(message: Message, bus: CanBus, half_cycle_ms: float) -> int:
-    if message.name == bus.clock_message:
-        return bus.clock_ticks
-    return max(1, round(1e3 * database.cycle_time_s(message) / half_cycle_ms))
+    What several pages carry is in each of them.
+    """
+    pages = tuple(
+        (choice, tuple(one for s, one in sinks if orders.is_carried(message, s, choice)))
+        for choice in orders.choices(message, message.signals)
+    )
+    every_ticks = bus.clock_ticks
+    if message.name != bus.clock_message:
+        every_ticks = max(1, round(1e3 * database.cycle_time_s(message) / half_cycle_ms))
+    return StatusMessage(MessageCodec(message, bus.integrity.get(message.name)), pages, every_ticks)
 
 
 def _sink(
@@ -268,12 +263,14 @@ class CanDrive(DriveNode):
             self._numbers[codec.name] = number
             data, fast = message.encode(number, quantities), self._config.bitrate_switch
             out = codec.frame(data, bitrate_switch=fast)
-            self.counts["sent" if self._put(out) else "dropped"] += 1
+            self.counts["sent" if send(self._bus, out) else "dropped"] += 1
 
-    def _put(self, frame: can.Message) -> bool:
-        try:
-            if self._bus is not None:
-                self._bus.send(frame)
-        except (can.CanError, OSError):
-            return False
-        return self._bus is not None
+
+def send(bus: can.BusABC | None, frame: can.Message) -> bool:
+    """Send a frame; return whether there is a bus that has taken it."""
+    try:
+        if bus is not None:
+            bus.send(frame)
+    except (can.CanError, OSError):
+        return False
+    return bus is not None

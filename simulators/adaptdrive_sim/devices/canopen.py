@@ -26,6 +26,7 @@ from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.util.errors import BusError, ConfigurationError
 from adaptdrive_sim.devices import canopen_objects
+from adaptdrive_sim.devices.can import send
 from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 # The state machine of CiA 402 as a drive runs it: controlwords in, statusword out.
@@ -43,42 +44,17 @@ class PowerState(IntEnum):
     FAULT = 0x0008
 
 
-class PowerStates:
-    """State of the drive.
-
-    Attributes:
-        state: The present state.
-    """
-
-    def __init__(self) -> None:
-        self.state = PowerState.SWITCH_ON_DISABLED
-        self._reset = False
-
-    def obey(self, controlword: int, *, healthy: bool) -> None:
-        """Make the transition that a controlword asks for, if there is one."""
-        edge = bool(controlword & _RESET) and not self._reset
-        self._reset = bool(controlword & _RESET)
-        if self.state is PowerState.FAULT:
-            if edge and healthy:
-                self.state = PowerState.SWITCH_ON_DISABLED
-            return
-        self.state = self._next(controlword)
-
-    def disable_voltage(self) -> None:
-        """Leave everything but a fault at once."""
-        if self.state is not PowerState.FAULT:
-            self.state = PowerState.SWITCH_ON_DISABLED
-
-    def _next(self, word: int) -> PowerState:
-        if not word & _ENABLE_VOLTAGE or not word & _NO_QUICK_STOP:
-            return PowerState.SWITCH_ON_DISABLED
-        if not word & _SWITCH_ON:
-            return PowerState.READY
-        if self.state is PowerState.SWITCH_ON_DISABLED:
-            return self.state
-        if self.state is PowerState.READY or not word & _ENABLE:
-            return PowerState.SWITCHED_ON
-        return PowerState.ENABLED
+def next_state(state: PowerState, word: int) -> PowerState:
+    """Return the state after a controlword, of a drive without a fault."""
+    if not word & _ENABLE_VOLTAGE or not word & _NO_QUICK_STOP:
+        return PowerState.SWITCH_ON_DISABLED
+    if not word & _SWITCH_ON:
+        return PowerState.READY
+    if state is PowerState.SWITCH_ON_DISABLED:
+        return state
+    if state is PowerState.READY or not word & _ENABLE:
+        return PowerState.SWITCHED_ON
+    return PowerState.ENABLED
 
 
 # The simulated drive as a CiA 402 node on CANopen.
@@ -125,7 +101,7 @@ class CanOpenDrive(DriveNode):
         self._wire = canopen_objects.NodeNetwork(self._put)
         eds, node_id = str(self._config.eds), self._config.node_id
         self._objects = canopen_objects.Objects(eds, node_id, self._wire)
-        self._power = PowerStates()
+        self._power, self._reset = PowerState.SWITCH_ON_DISABLED, False
         self._nmt = _Nmt.BOOT_UP
         self._beat_s = -math.inf
         self._host_s: float | None = None
@@ -181,7 +157,7 @@ class CanOpenDrive(DriveNode):
     def _boot(self) -> None:
         """Start as after power-on."""
         self._objects.reset()
-        self._power = PowerStates()
+        self._power, self._reset = PowerState.SWITCH_ON_DISABLED, False
         self._host_s = None
         self._drive.shut_down("restart")
         self._put(0x700 + self._config.node_id, bytes((_Nmt.BOOT_UP,)))
@@ -206,9 +182,13 @@ class CanOpenDrive(DriveNode):
 
     def _follow_controlword(self) -> None:
         """Follow the controlword, and pass to the power stage what the state lets through."""
-        before, healthy = self._power.state, not self._drive.fault
-        self._power.obey(int(self._objects.number(_CONTROLWORD)), healthy=healthy)
-        state = self._power.state
+        before, word = self._power, int(self._objects.number(_CONTROLWORD))
+        edge, self._reset = bool(word & _RESET) and not self._reset, bool(word & _RESET)
+        if before is not PowerState.FAULT:
+            self._power = next_state(before, word)
+        elif edge and not self._drive.fault:
+            self._power = PowerState.SWITCH_ON_DISABLED
+        state = self._power
         if before is not state:
             self._report("power state", state=state.name)
             if before is PowerState.FAULT:
@@ -240,7 +220,7 @@ class CanOpenDrive(DriveNode):
         """Send the PDOs that follow SYNC."""
         if self._nmt is not _Nmt.OPERATIONAL:
             return
-        self._objects.put(_STATUSWORD, self._power.state)
+        self._objects.put(_STATUSWORD, self._power)
         for can_id, data in self._objects.transmit_pdos():
             self._put(can_id, data)
 
@@ -255,19 +235,20 @@ class CanOpenDrive(DriveNode):
         self._host_s = None
         self._nmt = _Nmt.PRE_OPERATIONAL
         if self._objects.number(_ABORT) == _FAULT_ON_ABORT:
-            self._power.state = PowerState.FAULT
+            self._power = PowerState.FAULT
         self._switch_off("heartbeat lost", silent_s)
         self._emergency(_HEARTBEAT_LOST, _COMMUNICATION)
 
     def _watch_fault(self, fault: int) -> None:
-        if not fault or self._power.state is PowerState.FAULT:
+        if not fault or self._power is PowerState.FAULT:
             return
-        self._power.state = PowerState.FAULT
+        self._power = PowerState.FAULT
         self._drive.shut_down("fault")
         self._emergency(_CODES[fault & -fault], _GENERIC)
 
     def _switch_off(self, reason: str, after_s: float = 0.0) -> None:
-        self._power.disable_voltage()
+        if self._power is not PowerState.FAULT:
+            self._power = PowerState.SWITCH_ON_DISABLED
         self._drive.shut_down(reason, after_s)
 
     def _emergency(self, code: int, register: int) -> None:
@@ -282,13 +263,7 @@ class CanOpenDrive(DriveNode):
 
     def _put(self, can_id: int, data: bytes) -> None:
         frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
-        try:
-            if self._bus is not None:
-                self._bus.send(frame)
-        except (can.CanError, OSError):
-            self.counts["dropped"] += 1
-        else:
-            self.counts["sent"] += 1
+        self.counts["sent" if send(self._bus, frame) else "dropped"] += 1
 
 
 _Places = dict[str, tuple[canopen_objects.Address, SignalSource]]

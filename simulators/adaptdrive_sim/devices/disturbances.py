@@ -298,7 +298,7 @@ class Remote:
 
     async def _publish_truth(self, client: SteadyClient, truth: str) -> None:
         while True:
-            payload = msgspec.json.encode(self.state())
+            payload = msgspec.json.encode(self.truth())
             await client.publish(truth, payload, qos=0, retain=True)
             await asyncio.sleep(TRUTH_PERIOD_s)
 
@@ -318,15 +318,8 @@ class Remote:
             self._report("disturbed", **msgspec.json.decode(payload))
         return reply
 
-    def state(self) -> Mapping[str, Any]:
-        """Return the truth, and the disturbances that the device offers."""
-        return {**self.truth(), "features": features_of(self._drive.world.load)}
-
-    def truth(self) -> Mapping[str, float | str]:
-        """Return the true parameters for comparison with estimates, and the surroundings."""
-        world = self._drive.world
-        return {
-            "time": datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
-            **world.truth(),
-            "fault": self._drive.fault,
-        }
+    def truth(self) -> Mapping[str, Any]:
+        """Return the true state and parameters, and the disturbances that the device offers."""
+        world, now = self._drive.world, datetime.now(UTC).isoformat(timespec="milliseconds")
+        own = {"fault": self._drive.fault, "features": features_of(world.load)}
+        return {"time": now.replace("+00:00", "Z"), **world.truth(), **own}

@@ -85,16 +85,9 @@ class Frame(NamedTuple):
     def quantities(self) -> dict[str, float]:
         """Return `QUANTITIES`, and the load current."""
         sample = self.sample
-        return {
-            "boost_voltage_V": sample.boost_voltage_V,
-            "line_voltage_V": sample.line_voltage_V,
-            "load_power_W": sample.load_power_W,
-            "output": sample.output,
-            "counter": sample.tick,
-            "fault": self.fault,
-            "bridge": self.bridge,
-            "load_current_A": sample.load_current_A,
-        }
+        measured = {name: getattr(sample, name) for name in MEASURED}
+        words = {"counter": sample.tick, "fault": self.fault, "bridge": self.bridge}
+        return measured | words | {"load_current_A": sample.load_current_A}
 
 
 class SimulatedDrive:

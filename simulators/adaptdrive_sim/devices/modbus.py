@@ -162,8 +162,8 @@ def _sim_device(number: int, registers: Registers) -> SimDevice:
 
     none = [SimData(0, count=16, values=False, datatype=DataType.BITS)]
     tables = registers.read()
-    blocks = {name: _block(tables[name]) for name in ("holding", "input")}
-    return SimDevice(number, (none, none, blocks["holding"], blocks["input"]), action=access)
+    blocks = _block(tables["holding"]), _block(tables["input"])
+    return SimDevice(number, (none, none, *blocks), action=access)
 
 
 def _block(table: Table) -> list[SimData]:

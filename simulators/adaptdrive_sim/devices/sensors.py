@@ -6,7 +6,6 @@ settings: they can be written and read back. What is measured cannot be written.
 """
 
 import asyncio
-import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from pathlib import Path
@@ -21,6 +20,7 @@ from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive.devices.polled.registers import encode_count, encode_value
 from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive_sim.devices import modbus
+from adaptdrive_sim.devices.can import send
 from adaptdrive_sim.devices.drive import Frame, SimulatedDrive
 from adaptdrive_sim.plants import bath, motor
 from adaptdrive_sim.world import World
@@ -126,8 +126,7 @@ class CanSensors:
             }
             if fault == SensorFault.OPEN:
                 shown = dict.fromkeys(shown)
-            with contextlib.suppress(can.CanError, OSError):
-                bus.send(message.codec.frame(message.codec.encode(shown)))
+            send(bus, message.codec.frame(message.codec.encode(shown)))
 
 
 # Simulated sensor modules on a Modbus link.

@@ -288,13 +288,11 @@ def _cycle(experiment: Experiment, record: Run, errors: Array, start_s: float) -
     )
 
 
-def _half(
-    experiment: Experiment, record: Run, first_s: float, last_s: float
-) -> tuple[float, float]:
+def _half(experiment: Experiment, run: Run, first_s: float, last_s: float) -> tuple[float, float]:
     """Overshoot, and settling time or infinity, of one half cycle."""
     reference, target = experiment.reference, experiment.reference.value(first_s)
     before = reference.low + reference.high - target
-    outputs = record["output"][_between(record, first_s, last_s)]
+    outputs = run["output"][_between(run, first_s, last_s)]
     overshoot, periods = judge_step(outputs, before, target)
     return overshoot, periods * experiment.period_s
 

@@ -211,6 +211,8 @@ def _draw_bath(outcome: Outcome) -> Figure:
     figure = Figure(figsize=(style.WIDTH_in, 8.2), layout="constrained")
     rows = figure.subplots(4, 1, sharex=True, height_ratios=(1.7, 1.2, 1.0, 0.9))
     response, power, estimates, errors = rows
+    load = outcome.experiment.nominal()
+    powers = load.input_gain, load.input_exponent
     for variant, record in outcome.records.items():
         label, look = CONTROLLERS[variant]
         minutes = minutes_of(record)
@@ -218,7 +220,8 @@ def _draw_bath(outcome: Outcome) -> Figure:
             draw_output(response, record, label, look)
         else:
             response.plot(minutes, record["output"], label=label, **look)
-        power.step(minutes, _heater_W(outcome, record), where="post", label=label, **look)
+        heater_W = [to_input(one, *powers) for one in record["boost_reference_V"]]
+        power.step(minutes, heater_W, where="post", label=label, **look)
     mark_warm_up(power, outcome, outcome.records["adaptive"])
     response.set_ylabel(r"$T_b$ above the inflow (K)")
     power.set_ylabel("Heater power (W)")
@@ -235,12 +238,6 @@ def _draw_bath(outcome: Outcome) -> Figure:
 
 def _outputs(outcome: Outcome) -> list[Array]:
     return [one[name] for one in outcome.records.values() for name in ("output", "measured")]
-
-
-def _heater_W(outcome: Outcome, record: Run) -> list[float]:
-    load = outcome.experiment.nominal()
-    gain, exponent = load.input_gain, load.input_exponent
-    return [to_input(one, gain, exponent) for one in record["boost_reference_V"]]
 
 
 def _finished(

@@ -13,10 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import methods
-from adaptdrive.control.estimation import regression as reg
-from adaptdrive.control.estimation.filters import chain_decay, ramp_gains, step_gains
+from adaptdrive.control.estimation import estimator, filters, methods, regression
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import Learning
@@ -159,12 +156,14 @@ def _estimate_filtered(given: Recording, learning: Learning, noises: list[Array]
 def _follow_filtered(
     load: Load, learning: Learning, outputs: list[list[float]], inputs: list[list[float]]
 ) -> Array:
-    state = est.new_estimator(methods.METHODS[learning.method], learning, load, load.paper_taps)
+    method, taps = methods.METHODS[learning.method], load.paper_taps
+    state = estimator.new_estimator(method, learning, load, taps)
     found = []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
-        reg.fill_filtered_regressor(state.sample.regressor, learning, load, filtered, applied)
-        est.learn(state, learning, load, target, usable=True)
-        numerator, denominator = reg.filtered_model(state.estimate.theta, learning, load)
+        regressor = state.sample.regressor
+        regression.fill_filtered_regressor(regressor, learning, load, filtered, applied)
+        estimator.learn(state, learning, load, target, usable=True)
+        numerator, denominator = regression.filtered_model(state.estimate.theta, learning, load)
         found.append(_physical(load, numerator, denominator))
     return np.array(found)
 
@@ -179,14 +178,15 @@ def _estimate_directly(given: Recording, learning: Learning, noises: list[Array]
 
 def _follow_directly(given: Recording, learning: Learning, outputs: list[float]) -> Array:
     load, period_s = given.case.experiment.nominal(), given.case.experiment.period_s
-    state = est.new_estimator(methods.METHODS[learning.method], learning, load, load.paper_taps)
+    method, taps = methods.METHODS[learning.method], load.paper_taps
+    state = estimator.new_estimator(method, learning, load, taps)
     past_outputs = [outputs[0]] * load.order
     past_inputs = [float(given.load_input[0])] * load.paper_taps
     found = []
     for target, applied in zip(outputs, given.held_input, strict=True):
         regressor = state.sample.regressor
         methods.fill_direct_regressor(regressor, learning, load, past_outputs, past_inputs)
-        est.learn(state, learning, load, target, usable=True)
+        estimator.learn(state, learning, load, target, usable=True)
         a, b = methods.direct_model(state.estimate.theta, learning, load)
         found.append(_physical(load, *methods.continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)
@@ -202,9 +202,9 @@ def _physical(load: Load, numerator: Vector, denominator: Vector) -> Vector:
 
 def _chain(order: int, tick_s: float, tau_s: float, ticks: int) -> tuple[Array, Array]:
     """Weights of the values within a slow period, and the transition over it, of a λ chain."""
-    decay = chain_decay(order, tick_s, tau_s)
-    rise = np.array(ramp_gains(order, tick_s, tau_s))
-    fall = np.array(step_gains(order, tick_s, tau_s)) - rise
+    decay = filters.chain_decay(order, tick_s, tau_s)
+    rise = np.array(filters.ramp_gains(order, tick_s, tau_s))
+    fall = np.array(filters.step_gains(order, tick_s, tau_s)) - rise
     once = sum(decay[j] * np.eye(order, k=-j) for j in range(order))
     weights, over = np.zeros((order, ticks + 1)), np.eye(order)
     for tick in range(ticks - 1, -1, -1):

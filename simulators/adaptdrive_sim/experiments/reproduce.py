@@ -304,11 +304,8 @@ def _carry_out(request: case.ReproduceRequest, folder: Path) -> Outcome:
         sweep_case = request.sweep_case()
         given = outcomes.recording_of(sweep_case, runs["fixed"].result())
         over_forgetting, over_tau_lambda = (
-            pool.submit(outcomes.try_settings, given, settings)
-            for settings in (
-                outcomes.settings_over_forgetting(sweep_case),
-                outcomes.settings_over_tau_lambda(sweep_case),
-            )
+            pool.submit(outcomes.try_settings, given, settings(sweep_case))
+            for settings in (outcomes.settings_over_forgetting, outcomes.settings_over_tau_lambda)
         )
         records: dict[case.Variant, Run] = {}
         for variant, run in runs.items():

@@ -156,11 +156,8 @@ class Bath:
 
     def state(self) -> dict[str, float]:
         """Volume, temperature above the inflow and heater power."""
-        return {
-            "volume_gal": self.volume_gal,
-            "temperature_K": self.output,
-            "heater_W": self.heater_W,
-        }
+        volume_gal = self.volume_gal
+        return {"volume_gal": volume_gal, "temperature_K": self.output, "heater_W": self.heater_W}
 
     def _warm(self, duration_s: float) -> None:
         rest = self.heater_W * self.resistance_K_per_W + self.inflow_shift_K

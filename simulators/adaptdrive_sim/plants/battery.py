@@ -149,11 +149,8 @@ class Battery:
 
     def state(self) -> dict[str, float]:
         """State of charge, open-circuit and terminal voltage."""
-        return {
-            "charge": self.charge,
-            "open_circuit_V": self.open_circuit_V,
-            "terminal_voltage_V": self.terminal_voltage_V,
-        }
+        open_V, terminal_V = self.open_circuit_V, self.terminal_voltage_V
+        return {"charge": self.charge, "open_circuit_V": open_V, "terminal_voltage_V": terminal_V}
 
     def _relaxation_Ohm(self) -> tuple[float, float]:
         return self.parameters.relaxation_Ohm, self.parameters.relaxation_2_Ohm

@@ -182,8 +182,16 @@ class Motor:
         return self.parameters.friction_Nms + constant * constant / total_Ohm
 
     def _tune(self, step: _Step, damping: float, source_Ohm: float, duration_s: float) -> None:
-        rate = damping / self.inertia_kgm2
-        step.tune(rate, damping, self.parameters.filter_s, source_Ohm, duration_s)
+        """Work out the step of a shaft that is damped."""
+        filter_s, angle = self.parameters.filter_s, damping / self.inertia_kgm2 * duration_s
+        half_gap = 0.5 * (duration_s / filter_s - angle)
+        middle = math.exp(-0.5 * (duration_s / filter_s + angle))
+        step.duration_s, step.source_Ohm = duration_s, source_Ohm
+        step.compliance = 1.0 / damping if damping > 0.0 else 0.0
+        step.decay = math.exp(-angle)
+        step.mean = -math.expm1(-angle) / angle if angle else 1.0
+        step.filter_decay = math.exp(-duration_s / filter_s)
+        step.filter_share = duration_s / filter_s * middle * _sinhc(half_gap)
 
     def _advance(self, step: _Step, torque_Nm: float) -> float:
         """Advance under a constant torque; the mean speed over the step is returned."""
@@ -230,20 +238,6 @@ class _Step:
     mean: float = 0.0
     filter_decay: float = 0.0
     filter_share: float = 0.0
-
-    def tune(
-        self, rate: float, damping: float, filter_s: float, source_Ohm: float, duration_s: float
-    ) -> None:
-        """Work out the step of a shaft that decays at `rate` (1/s)."""
-        angle = rate * duration_s
-        half_gap = 0.5 * (duration_s / filter_s - angle)
-        middle = math.exp(-0.5 * (duration_s / filter_s + angle))
-        self.duration_s, self.source_Ohm = duration_s, source_Ohm
-        self.compliance = 1.0 / damping if damping > 0.0 else 0.0
-        self.decay = math.exp(-angle)
-        self.mean = -math.expm1(-angle) / angle if angle else 1.0
-        self.filter_decay = math.exp(-duration_s / filter_s)
-        self.filter_share = duration_s / filter_s * middle * _sinhc(half_gap)
 
 
 def _sinhc(z: float) -> float:
