@@ -58,7 +58,7 @@ class Course:
             torque in N m, or an inflow relative to that at the start. Empty for nothing.
         offset: What the sensor of the output shows in addition to the output.
         stops: Slow periods in which the drive is off; it precharges in the last of each.
-        preview: Whether the controller knows the references to come.
+        preview: Whether the controller receives the references to come.
         start: Output at which everything rests before; the first reference when left out.
     """
 
@@ -83,7 +83,7 @@ class Course:
         return Stage.PRECHARGE if k == stop[-1] else Stage.OFF
 
     def upcoming(self, k: int) -> tuple[float, ...]:
-        """Return the references that the controller knows in a slow period."""
+        """Return the references to come that the controller receives in a slow period."""
         if not self.preview:
             return ()
         last = len(self.references) - 1
@@ -231,7 +231,7 @@ def progress(total: int) -> Iterator[Callable[[int, str], None]]:
     """Show a bar on a terminal, nothing in a pipe.
 
     Yields:
-        Takes how many more of the total are done, and what is to be said about it.
+        Takes how many more of the total are done, and what to show about it.
     """
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
     console = Console(stderr=True)

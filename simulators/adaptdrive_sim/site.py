@@ -36,7 +36,7 @@ class Site:
         sample: What the drive measured at the end of the last half cycle.
         snapshot: The last snapshot, None before the first.
         decision: What the slow half made of it.
-        upcoming: Set-points to come that no order tells of.
+        upcoming: Set-points to come that no order has.
     """
 
     def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:

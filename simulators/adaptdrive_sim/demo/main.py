@@ -40,7 +40,7 @@ KEYS = ("q end", "space pause", "d disk", "f fixed", "a adaptive", "p panel", "s
 
 
 class DemoView:
-    """Shows a record and its story, and heeds the keys of the story.
+    """Shows a record and its story, and acts on the keys of the story.
 
     Attributes:
         help: Whether the help is shown.
@@ -50,7 +50,7 @@ class DemoView:
         """Prepare the view.
 
         Args:
-            record: What was heard.
+            record: What was received.
             player: The story.
             stage: Where it is played.
         """
@@ -59,7 +59,7 @@ class DemoView:
         self._opening: asyncio.Task[None] | None = None
 
     def takes(self, key: str) -> terminal.KeyCommand | bool:
-        """Heed a key of the story; return its disturbance, or whether it was such a key."""
+        """Act on a key of the story; return its disturbance, or whether it was such a key."""
         match key:
             case " ":
                 self._player.toggle()
@@ -88,9 +88,9 @@ class DemoView:
         return screen(self._record, size, around)
 
     def _lead(self, width: int) -> list[Text]:
-        said = wrap(self._player.say, max(20, width - 2))[:2]
+        lines = wrap(self._player.say, max(20, width - 2))[:2]
         position = Text(f" {self._player.position}", "bold cyan")
-        return [position, *(Text(f" {line}", "italic") for line in said)]
+        return [position, *(Text(f" {line}", "italic") for line in lines)]
 
     def _help(self, width: int) -> Text:
         """Return what else can be done, here and from another terminal."""
@@ -132,6 +132,8 @@ def story_table(record: DemoRecord) -> tuple[str, Table]:
 
 _PICTURE = (100, 18)
 
+Summary = dict[str, Any]
+
 
 def run_demo(name: str, settings: DemoSettings) -> int:
     """Play a story and print its summary.
@@ -161,9 +163,7 @@ def run_demo(name: str, settings: DemoSettings) -> int:
     return 0 if summary["ok"] else 1
 
 
-async def _play(
-    story: Story, settings: DemoSettings
-) -> tuple[dict[str, Any], AdaptdriveError | None]:
+async def _play(story: Story, settings: DemoSettings) -> tuple[Summary, AdaptdriveError | None]:
     """Play a story to its end, and return its figures and what has ended it early."""
     problem: AdaptdriveError | None = None
     virtual = story.speed is not None
@@ -187,11 +187,11 @@ async def _play(
     return summary, problem
 
 
-def summarise(record: DemoRecord, player: Player, failure: str) -> dict[str, Any]:
+def summarise(record: DemoRecord, player: Player, failure: str) -> Summary:
     """Return everything worth knowing at the end, as one flat object for JSON.
 
     Args:
-        record: What was heard.
+        record: What was received.
         player: The story.
         failure: What ended the demonstration early; empty when nothing did.
     """
@@ -249,7 +249,7 @@ def keep_marks(record: DemoRecord, session: Path) -> None:
     write_marks(session, [mark for mark in marks if mark.text != TRIPPED])
 
 
-def show_end(record: DemoRecord, summary: dict[str, Any], session: Path | None) -> None:
+def show_end(record: DemoRecord, summary: Summary, session: Path | None) -> None:
     """Print what was seen, the figures, and the line that shows it again."""
     points = list(record.points)
     console = Console(highlight=False)
@@ -264,7 +264,7 @@ def show_end(record: DemoRecord, summary: dict[str, Any], session: Path | None) 
     sys.stdout.write("\n".join(_lines(summary, session)) + "\n")
 
 
-def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
+def _lines(summary: Summary, session: Path | None) -> Iterator[str]:
     verdict = "control worked" if summary["ok"] else "control failed"
     yield f"{summary['demo']}: {verdict} for {summary['duration_s']:.0f} s"
     counted = (f"{summary[name]} {name}" for name in ("ticks", "missed", "held"))

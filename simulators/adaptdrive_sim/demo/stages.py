@@ -157,7 +157,7 @@ class RealStage:
         return await self._ask(command)
 
     def services(self, record: DemoRecord) -> list[Coroutine[Any, Any, None]]:
-        """Return what runs during the story: it hears the drive and sees processes that die."""
+        """Return what runs during the story: the drive's messages, and a watch of processes."""
         return [self._household.watch(), follow_drive(self._broker, record)]
 
     async def panel(self) -> str:

@@ -40,7 +40,7 @@ class Scene(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Overshoot(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """By which size of the load the overshoots are told apart.
+    """Sizes of the load by which the overshoots are shown.
 
     Attributes:
         of: The size in the truth of the simulator.

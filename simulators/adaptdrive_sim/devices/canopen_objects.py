@@ -1,6 +1,6 @@
 """The object dictionary of the simulated CiA 402 drive, and the PDOs that it describes.
 
-What a PDO carries stands in the dictionary, where the daemon has written it: nothing here knows the
+What a PDO carries stands in the dictionary, where the daemon has written it: nothing here reads the
 daemon's configuration. As in a real drive, a mapping can be changed only while its PDO is invalid
 and its count is 0, and only to objects that the EDS lets travel.
 """

@@ -265,7 +265,6 @@ class Remote:
         self._broker = broker
         self._name = name
         self._drive = drive
-        self._report = drive.report
         self._retry_s = RETRY_FIRST_s
 
     async def run(self) -> None:
@@ -275,7 +274,7 @@ class Remote:
                 await self._serve()
             except* aiomqtt.MqttError as problems:
                 reason = str(problems.exceptions[0])
-                self._report("broker away", reason=reason, retry_s=self._retry_s)
+                self._drive.report("broker away", reason=reason, retry_s=self._retry_s)
             await asyncio.sleep(self._retry_s)
             self._retry_s = min(2.0 * self._retry_s, RETRY_LAST_s)
 
@@ -285,7 +284,7 @@ class Remote:
         will = aiomqtt.Will(truth, payload=b"", qos=1, retain=True)
         address = self._broker
         async with SteadyClient(address.host, address.port, will=will) as client:
-            self._report("broker found", broker=f"{address.host}:{address.port}")
+            self._drive.report("broker found", broker=f"{address.host}:{address.port}")
             self._retry_s = RETRY_FIRST_s
             try:
                 async with asyncio.TaskGroup() as tasks:
@@ -315,7 +314,7 @@ class Remote:
             return refused(payload, "a retained request is old and is not carried out")
         reply = answer(payload, self._drive.world, self._drive)
         if reply.accepted:
-            self._report("disturbed", **msgspec.json.decode(payload))
+            self._drive.report("disturbed", **msgspec.json.decode(payload))
         return reply
 
     def truth(self) -> Mapping[str, Any]:

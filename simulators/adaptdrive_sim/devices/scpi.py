@@ -1,6 +1,6 @@
 """The simulated drive as a supply that speaks SCPI over TCP.
 
-It answers with what was measured in the last half cycle. What it does not know, or may not do, goes
+It answers with what was measured in the last half cycle. What is unknown, or not allowed, goes
 into its queue of errors, which `SYST:ERR?` or whatever the configuration names for it empties.
 """
 

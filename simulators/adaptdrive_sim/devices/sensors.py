@@ -214,5 +214,5 @@ class ModbusSensors:
     async def _until(self, *, unplugged: bool) -> None:
         """Wait until the modules are unplugged, or plugged in again."""
         world = self._drive.world
-        while (world.sensor_fault == SensorFault.UNPLUGGED) is not unplugged:  # noqa: ASYNC110 - the plant knows no events
+        while (world.sensor_fault == SensorFault.UNPLUGGED) is not unplugged:  # noqa: ASYNC110 - the plant has no events
             await asyncio.sleep(_LOOK_S)

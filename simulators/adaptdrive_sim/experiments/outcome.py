@@ -20,7 +20,6 @@ from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, shift_in
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments import case as cases
-from adaptdrive_sim.experiments.case import Case, ReproduceRequest, Variant
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.wire import samples
 
@@ -43,7 +42,7 @@ class Recording:
         held_input: The input that each slow period was given.
     """
 
-    case: Case
+    case: cases.Case
     output: Array
     load_input: Array
     held_input: list[float]
@@ -69,7 +68,7 @@ class SweepPoint:
     transient: float
 
 
-def recording_of(case: Case, record: Run) -> Recording:
+def recording_of(case: cases.Case, record: Run) -> Recording:
     """Take what the estimators need from a run that kept its ticks."""
     load = case.experiment.nominal()
     gain, exponent = load.input_gain, load.input_exponent
@@ -78,7 +77,7 @@ def recording_of(case: Case, record: Run) -> Recording:
     return Recording(case, np.array(record.fast_output), gain * voltage_V**exponent, held)
 
 
-def settings_over_forgetting(case: Case) -> list[Learning]:
+def settings_over_forgetting(case: cases.Case) -> list[Learning]:
     """Every ρ at the paper's τ_λ."""
     sweep, tau_lambda_s = case.experiment.sweep, case.experiment.paper.tau_lambda_s
     return [
@@ -88,14 +87,14 @@ def settings_over_forgetting(case: Case) -> list[Learning]:
     ]
 
 
-def settings_over_tau_lambda(case: Case) -> list[Learning]:
+def settings_over_tau_lambda(case: cases.Case) -> list[Learning]:
     """Every τ_λ at the paper's ρ."""
     forgetting = case.experiment.paper.forgetting
     taus_s = case.experiment.sweep.tau_lambda_s
     return [setting(case, "lm-rls", forgetting, tau_s) for tau_s in taus_s]
 
 
-def setting(case: Case, method: str, forgetting: float, tau_lambda_s: float) -> Learning:
+def setting(case: cases.Case, method: str, forgetting: float, tau_lambda_s: float) -> Learning:
     """Return the estimator's settings of a run with another method, ρ and τ_λ."""
     return dataclasses.replace(
         case.settings.learning, method=method, forgetting=forgetting, tau_lambda_s=tau_lambda_s
@@ -252,7 +251,7 @@ def _transient(experiment: Experiment, estimates: Array) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome(ReproduceRequest):
+class Outcome(cases.ReproduceRequest):
     """Everything that was found.
 
     Attributes:
@@ -263,13 +262,13 @@ class Outcome(ReproduceRequest):
         over_tau_lambda: What other values of τ_λ do.
     """
 
-    records: dict[Variant, Run]
-    cycles: dict[Variant, list[cases.Cycle]]
+    records: dict[cases.Variant, Run]
+    cycles: dict[cases.Variant, list[cases.Cycle]]
     converged: list[float | None]
     over_forgetting: list[SweepPoint] = dataclasses.field(default_factory=list)
     over_tau_lambda: list[SweepPoint] = dataclasses.field(default_factory=list)
 
-    def model_error(self, variant: Variant) -> float:
+    def model_error(self, variant: cases.Variant) -> float:
         """Root mean square of the model error, all but the first reference cycle.
 
         The cycles in which the speed drops with a disk are left out too: no controller can help.
@@ -280,7 +279,7 @@ class Outcome(ReproduceRequest):
         return math.sqrt(sum(squares) / len(squares))
 
 
-def judge(request: ReproduceRequest, records: dict[Variant, Run]) -> Outcome:
+def judge(request: cases.ReproduceRequest, records: dict[cases.Variant, Run]) -> Outcome:
     """Work out the metrics of all runs."""
     experiment, design = request.experiment, request.design
     judged = {one: cases.cycles(experiment, design, record) for one, record in records.items()}
