@@ -18,13 +18,13 @@ from adaptdrive.analysis import style
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import (
     Case,
-    Disturbance,
     Variant,
     case_settings,
     run_case,
 )
 from adaptdrive_sim.experiments.experiment import MOTOR
 from adaptdrive_sim.experiments.figure import save
+from adaptdrive_sim.wire import NoiseParameters
 
 FIRST_min, LAST_min = 8.0, 20.0
 
@@ -32,7 +32,7 @@ FIRST_min, LAST_min = 8.0, 20.0
 def run(variant: Variant) -> Run:
     """The standard experiment under one controller."""
     settings = case_settings(MOTOR, variant, "exact")
-    return run_case(Case(MOTOR, variant, settings, Disturbance(MOTOR.noise), seed=0))
+    return run_case(Case(MOTOR, variant, settings, NoiseParameters(MOTOR.noise), seed=0))
 
 
 def draw_speed(axes: Axes, record: Run, look: style.Look, title: str) -> None:

@@ -28,11 +28,8 @@ ANSWER_s = 5.0
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
     try:
-        sys.exit(
-            carry_out(
-                app.name[0], commands.understood(app), sys.argv[1:], unusable=standard_files.FAILED
-            )
-        )
+        words, failed = sys.argv[1:], standard_files.FAILED
+        sys.exit(carry_out(app.name[0], commands.understood(app), words, unusable=failed))
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise
@@ -88,9 +85,8 @@ def disturb(
         text = f"no answer from {drive} at {broker}" if late else silence.problem
         return standard_files.complain(app.name[0], text, NO_ANSWER)
     if not reply.accepted:
-        return standard_files.complain(
-            app.name[0], f"refused: {reply.reason}", standard_files.FAILED
-        )
+        text = f"refused: {reply.reason}"
+        return standard_files.complain(app.name[0], text, standard_files.FAILED)
     print(f"{drive}: {' '.join([action, *(f'{value:g}' for value in values)])}: done")
     return 0
 
@@ -124,14 +120,13 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
         keep_speed: The motor's disks turn with the shaft when they are added, so that its speed
             stays. Without it they land at rest and share its momentum, as in the paper.
     """
+    from adaptdrive_sim.experiments import reproduce as run  # noqa: PLC0415  # keeps --help fast
     from adaptdrive_sim.experiments.case import ReproduceRequest, disturbance_of  # noqa: PLC0415
-    from adaptdrive_sim.experiments.outcome import print_claims  # noqa: PLC0415  # keeps --help fast
-    from adaptdrive_sim.experiments.reproduce import find_experiment, run_request  # noqa: PLC0415
 
-    chosen = find_experiment(experiment, keep_speed=keep_speed)
+    chosen = run.find_experiment(experiment, keep_speed=keep_speed)
     disturbance = disturbance_of(chosen.noise if noise is None else noise, spikes)
-    claims = run_request(ReproduceRequest(chosen, design, disturbance, seed), output)
-    print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)
+    claims = run.run_request(ReproduceRequest(chosen, design, disturbance, seed), output)
+    run.print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)
 
 
 @app.command

@@ -1,4 +1,4 @@
-"""A course of references and loads, the table of a run over it, and runs in processes."""
+"""A course of references and loads, the designed loop and a run over it, and runs in processes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress
 
+from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.design.reference import AHEAD
+from adaptdrive.control.loads.discretise import held_model
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Decision, Mode, Stage
-
-# A course of references and loads, and the table of what a run over it has shown.
+from adaptdrive.control.vectors import Vector, total
 
 Array = NDArray[np.float64]
+Floats = Sequence[float]
 
 COLUMNS = (
     *("output", "measured", "boost_reference_V", "applied_V", "adaptive", "accepted"),
@@ -33,16 +36,10 @@ COLUMNS = (
 
 _FLAGS = ("adaptive", "accepted", "fallback")
 
+NO_TRIPS = (math.inf, math.inf)
+
 PERIODS = ("time_s", "reference", "output", "adaptive")
 """First columns of a run of the daemon, whose slow periods follow the line's frequency."""
-
-
-@dataclass(frozen=True, slots=True)
-class TripLevels:
-    """Trip levels that matter without a bus."""
-
-    boost_voltage_max_V: float = math.inf
-    output_max: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +53,12 @@ class Course:
         disturbances: Measurement noise of every tick, and of one more.
         mode: Controller asked for.
         pole: Closed-loop pole.
-        interlocks: What ends the run early.
+        trips: Boost voltage in V and output above which the run ends early.
         burdens: What the load is disturbed by in each slow period, as its `disturb` takes it:
             torque in N m, or an inflow relative to that at the start. Empty for nothing.
         offset: What the sensor of the output shows in addition to the output.
         stops: Slow periods in which the drive is off; it precharges in the last of each.
-        steady: Whether the reference counts as a constant set-point, which may be probed.
-        preview: Whether the controller knows the references to come.
+        preview: Whether the controller receives the references to come.
         start: Output at which everything rests before; the first reference when left out.
     """
 
@@ -72,11 +68,10 @@ class Course:
     disturbances: Array
     mode: Mode
     pole: float
-    interlocks: TripLevels = field(default_factory=TripLevels)
+    trips: tuple[float, float] = NO_TRIPS
     burdens: Array = field(default_factory=lambda: np.empty(0))
     offset: float = 0.0
     stops: tuple[range, ...] = ()
-    steady: bool = False
     preview: bool = False
     start: float | None = None
 
@@ -88,7 +83,7 @@ class Course:
         return Stage.PRECHARGE if k == stop[-1] else Stage.OFF
 
     def upcoming(self, k: int) -> tuple[float, ...]:
-        """Return the references that the controller knows in a slow period."""
+        """Return the references to come that the controller receives in a slow period."""
         if not self.preview:
             return ()
         last = len(self.references) - 1
@@ -96,10 +91,7 @@ class Course:
 
 
 def moving(
-    times_s: Array,
-    starts_s: Sequence[float],
-    levels: Sequence[float],
-    ramps_s: Sequence[float] | float = 0.0,
+    times_s: Array, starts_s: Floats, levels: Floats, ramps_s: Floats | float = 0.0
 ) -> Array:
     """Return a quantity that moves from level to level.
 
@@ -121,6 +113,46 @@ def moving(
         reached = min(1.0, (end_s - start_s) / ramp_s) if ramp_s else 1.0
         value += reached * (level - value)
     return found
+
+
+# The loop as it was designed: true load, no limits, delays or noise.
+
+
+def follow_ideal(references: Array, loads: Sequence[Load], pole: float, period_s: float) -> Array:
+    """Follow set-points with the loop as it was designed.
+
+    Args:
+        references: r[k].
+        loads: The true load in each slow period; all of one order.
+        pole: Closed-loop pole.
+        period_s: T_k.
+
+    Returns:
+        y[k], from rest on the first reference.
+    """
+    desired = desired_polynomial(pole, 2 * loads[0].order)
+    first = float(references[0])
+    moves = (references - first).tolist()
+    weights: Vector = []
+    outputs = [0.0] * len(moves)
+    for k, load in enumerate(loads):
+        if k == 0 or load != loads[k - 1]:
+            weights = _weights(load, desired, period_s)
+        for i in range(min(k + 1, len(weights))):
+            outputs[k] += weights[i] * moves[k - i]
+        for i in range(1, min(k + 1, len(desired))):
+            outputs[k] -= desired[i] * outputs[k - i]
+    return np.array(outputs) + first
+
+
+def _weights(load: Load, desired: Vector, period_s: float) -> Vector:
+    """A_m(1)/B(1) · B."""
+    _, b = held_model(list(load.numerator), list(load.denominator), period_s, 0.0, 0.0)
+    scale = total(desired) / total(b)
+    return [one * scale for one in b]
+
+
+# The table of what a run has shown.
 
 
 @dataclass(slots=True)
@@ -190,12 +222,8 @@ class Run:
 
 def processes(count: int) -> ProcessPoolExecutor:
     """Return processes that inherit nothing and end quietly on Ctrl-C."""
-    return ProcessPoolExecutor(
-        max_workers=count,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_DFL),
-    )
+    context, quietly = multiprocessing.get_context("spawn"), (signal.SIGINT, signal.SIG_DFL)
+    return ProcessPoolExecutor(count, context, initializer=signal.signal, initargs=quietly)
 
 
 @contextmanager
@@ -203,12 +231,11 @@ def progress(total: int) -> Iterator[Callable[[int, str], None]]:
     """Show a bar on a terminal, nothing in a pipe.
 
     Yields:
-        Takes how many more of the total are done, and what is to be said about it.
+        Takes how many more of the total are done, and what to show about it.
     """
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
     console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    hidden = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task("", total=total)
         yield lambda count, what: bar.update(task, advance=count, description=what)

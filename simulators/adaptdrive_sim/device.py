@@ -5,7 +5,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,24 +19,15 @@ from adaptdrive.config import file, root, services
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
 from adaptdrive.util.log import log
 from adaptdrive_sim import wire
-from adaptdrive_sim.devices import kinds, sensor_values
-from adaptdrive_sim.devices.drive import (
-    COMMAND_TIMEOUT_s,
-    Frame,
-    Overvoltage,
-    Report,
-    SimulatedDrive,
-    VoltageHolder,
-)
-from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.devices import can, canopen, disturbances, modbus, scpi
+from adaptdrive_sim.devices import drive as drives
+from adaptdrive_sim.devices.sensors import CanSensors, ModbusSensors, check_names
 from adaptdrive_sim.parameters import check_range
-from adaptdrive_sim.plants.boost import BoostParameters, HeldOutput
+from adaptdrive_sim.plants.boost import BoostParameters, HeldOutput, LineParameters
 from adaptdrive_sim.plants.load import coupling_of, load_of
 from adaptdrive_sim.world import World, WorldParameters
 
 # Command-line settings of a simulated drive.
-
-InterfaceChoice = Literal["socketcan", "udp_multicast"]
 
 
 @Parameter(name="*")
@@ -67,7 +58,7 @@ class DeviceSettings:
     command_timeout_s: Annotated[float | None, Parameter(name="--command-timeout")] = None
     boost_needs_bridge: bool = False
     line_drift_Hz: Annotated[float, Parameter(name="--line-drift")] = 0.1
-    interface: InterfaceChoice | None = None
+    interface: Literal["socketcan", "udp_multicast"] | None = None
     channel: str | None = None
     port: Integer | None = None
 
@@ -96,6 +87,35 @@ OVERVOLTAGE_SHARE = 2.0 / 3.0
 Job = Callable[[], Coroutine[Any, Any, None]]
 
 
+@dataclass(frozen=True, slots=True)
+class DeviceKind:
+    """The simulated devices of one kind of bus.
+
+    Attributes:
+        drive: Puts a drive on the bus of a configuration.
+        overrides: Key of `[bus]` that each option of the command line replaces.
+        sensors: Puts sensors on a bus, given its section and its place; None for no such kind.
+        times_commands: Whether the drive shuts down when commands stop; otherwise a heartbeat.
+    """
+
+    drive: Callable[[drives.SimulatedDrive, root.Configuration, Path], drives.DriveNode]
+    overrides: Mapping[str, str]
+    sensors: type[CanSensors | ModbusSensors] | None = None
+    times_commands: bool = True
+
+
+_CAN_KEYS = {"interface": "interface", "channel": "channel", "port": "udp_port"}
+_TCP_KEYS = {"channel": "host", "port": "port"}
+
+KINDS = {
+    "can": DeviceKind(can.CanDrive, _CAN_KEYS, CanSensors),
+    "canopen": DeviceKind(canopen.CanOpenDrive, _CAN_KEYS, times_commands=False),
+    "modbus-tcp": DeviceKind(modbus.ModbusDrive, _TCP_KEYS, ModbusSensors),
+    "modbus-rtu": DeviceKind(modbus.ModbusDrive, {"channel": "device"}, ModbusSensors),
+    "scpi": DeviceKind(scpi.ScpiDrive, _TCP_KEYS),
+}
+
+
 def run_device(path: Path, settings: DeviceSettings) -> None:
     """Run the simulated drive until SIGTERM or SIGINT.
 
@@ -104,14 +124,14 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     """
     configuration = _overridden(file.load_configuration(path), settings)
     drive = build_drive(configuration, settings, report)
-    node = build_node(configuration, drive, report, path)
-    sensors = build_sensors(configuration, drive, path)
+    node = build_node(configuration, drive, path)
+    modules = build_sensors(configuration, drive, path)
     jobs: list[Job] = [partial(node.run, partial(_say_bus, "drive", configuration.drive.name))]
-    for bus, modules in zip(configuration.sensor_bus, sensors, strict=True):
-        jobs.append(partial(modules.run, partial(_say_bus, "sensors", bus.name)))
+    for bus, one in zip(configuration.sensor_bus, modules, strict=True):
+        jobs.append(partial(one.run, partial(_say_bus, "sensors", bus.name)))
     if settings.broker is not None:
         address = parse_address(settings.broker)
-        jobs.append(kinds.Remote(address, configuration.drive.name, drive, report).run)
+        jobs.append(disturbances.Remote(address, configuration.drive.name, drive).run)
     try:
         asyncio.run(_until_signal(jobs))
     except ExceptionGroup as problems:
@@ -122,8 +142,8 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
 
 
 def build_drive(
-    configuration: root.Configuration, settings: DeviceSettings, report: Report
-) -> SimulatedDrive:
+    configuration: root.Configuration, settings: DeviceSettings, report: drives.Report
+) -> drives.SimulatedDrive:
     """Build the drive and its plant.
 
     Raises:
@@ -131,28 +151,24 @@ def build_drive(
         RefusedError: A setting cannot be read.
     """
     world, power = build_world(configuration, settings), configuration.drive
-    holder: VoltageHolder | HeldOutput | None = None
+    holder: drives.VoltageHolder | HeldOutput | None = None
     if isinstance(world.boost, HeldOutput):
         holder = world.boost
     elif configuration.voltage_loop.where == "drive":
         bidirectional = power.kind == "bidirectional"
-        holder = VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
-    return SimulatedDrive(
+        holder = drives.VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
+    over_V = configuration.interlocks.boost_voltage_max_V
+    normal_V = power.limits.boost_reference_max_V
+    return drives.SimulatedDrive(
         world,
         report,
         holder,
         _command_timeout_s(configuration, settings),
         boost_needs_bridge=settings.boost_needs_bridge,
-        overvoltage=_overvoltage(configuration),
+        trip_V=over_V + OVERVOLTAGE_SHARE * (over_V - normal_V),
+        over_V=over_V,
+        normal_V=normal_V,
     )
-
-
-def _overvoltage(configuration: root.Configuration) -> Overvoltage:
-    """Return the protection of the drive itself, which acts above the trip of the daemon."""
-    daemon_V = configuration.interlocks.boost_voltage_max_V
-    normal_V = configuration.drive.limits.boost_reference_max_V
-    trip_V = daemon_V + OVERVOLTAGE_SHARE * (daemon_V - normal_V)
-    return Overvoltage(trip_V, over_V=daemon_V, normal_V=normal_V)
 
 
 def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettings) -> float:
@@ -163,7 +179,7 @@ def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettin
         RefusedError: The drive watches a heartbeat instead.
     """
     wanted_s = settings.command_timeout_s
-    if not kinds.KINDS[configuration.bus.type].times_commands:
+    if not KINDS[configuration.bus.type].times_commands:
         if wanted_s is not None:
             kind = configuration.bus.type
             raise RefusedError(f"--command-timeout {wanted_s:g}: {kind} watches a heartbeat")
@@ -171,7 +187,7 @@ def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettin
     stated_s = configuration.bus.command_timeout_s
     if wanted_s is None and stated_s is not None:
         return stated_s
-    timeout_s = COMMAND_TIMEOUT_s if wanted_s is None else wanted_s
+    timeout_s = drives.COMMAND_TIMEOUT_s if wanted_s is None else wanted_s
     check_range("command time-out", timeout_s, 0.01, 60.0, "s")
     if configuration.voltage_loop.where == "daemon":
         return timeout_s
@@ -180,42 +196,33 @@ def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettin
 
 
 def build_node(
-    configuration: root.Configuration, drive: SimulatedDrive, report: Report, path: Path
-) -> kinds.DriveNode:
+    configuration: root.Configuration, drive: drives.SimulatedDrive, path: Path
+) -> drives.DriveNode:
     """Put the drive on the bus that its configuration names.
 
     Raises:
         ConfigurationError: Bus and signals do not fit together.
     """
-    return kinds.KINDS[configuration.bus.type].drive(drive, configuration, report, path)
+    return KINDS[configuration.bus.type].drive(drive, configuration, path)
 
 
 def build_sensors(
-    configuration: root.Configuration, drive: SimulatedDrive, path: Path
-) -> list[kinds.SensorNode]:
+    configuration: root.Configuration, drive: drives.SimulatedDrive, path: Path
+) -> list[CanSensors | ModbusSensors]:
     """Put sensors on the buses that its configuration names.
 
     Raises:
         ConfigurationError: They are to measure what the plant does not have.
     """
     buses = configuration.sensor_bus
-    known = sensor_values.values_of(drive.world, Frame(drive.world.at_rest(), 0, bridge=False))
-    names = [
-        (f"sensor_bus.{number}.signals.{name}", name)
-        for number, bus in enumerate(buses)
-        for name in bus.signals
-    ]
-    sensor_values.check_names(names, known, path)
+    check_names(buses, drive.world, path)
     drive.has_sensors = bool(buses)
-    return [_sensors(bus, f"sensor_bus.{number}", drive, path) for number, bus in enumerate(buses)]
-
-
-def _sensors(
-    bus: root.AnySensorBus, place: str, drive: SimulatedDrive, path: Path
-) -> kinds.SensorNode:
-    build = kinds.KINDS[bus.type].sensors
-    assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
-    return build(drive, bus, place, path)
+    found = []
+    for number, bus in enumerate(buses):
+        build = KINDS[bus.type].sensors
+        assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
+        found.append(build(drive, bus, f"sensor_bus.{number}", path))  # type: ignore[arg-type]  # its own section
+    return found
 
 
 def build_world(configuration: root.Configuration, settings: DeviceSettings) -> World:
@@ -231,15 +238,15 @@ def build_world(configuration: root.Configuration, settings: DeviceSettings) -> 
         drift_Hz=settings.line_drift_Hz,
         voltage_V=drive.line_voltage_V,
     )
-    boost = BoostParameters(
-        capacitance_F=drive.boost_capacitance_F, bidirectional=drive.kind == "bidirectional"
-    )
+    bidirectional = drive.kind == "bidirectional"
+    boost = BoostParameters(drive.boost_capacitance_F, bidirectional=bidirectional)
     noise = wire.NoiseParameters(sigma=settings.noise_V)
     stage = coupling_of(configuration)
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
     world = World(load_of(configuration, settings.disks), parameters)
     if _holds_output(configuration):
-        world.boost = HeldOutput(boost, _lag_s(configuration))
+        lag_s = controller_settings(configuration).rates.lag_ticks * tick_s(configuration)
+        world.boost = HeldOutput(boost, lag_s)
     if settings.initial_voltage_V is not None:
         world.settle(settings.initial_voltage_V)
     return world
@@ -253,10 +260,6 @@ def _holds_output(configuration: root.Configuration) -> bool:
     return configuration.voltage_loop.where == "drive" and lowest_V <= peak_V
 
 
-def _lag_s(configuration: root.Configuration) -> float:
-    return controller_settings(configuration).rates.lag_ticks * tick_s(configuration)
-
-
 def report(event: str, **data: object) -> None:
     """Write a line of the log."""
     log("info", event, **data, monotonic_s=round(time.monotonic(), 6))
@@ -266,7 +269,7 @@ def _overridden(configuration: root.Configuration, settings: DeviceSettings) -> 
     """Let the command line choose another bus."""
     if settings.port is not None:
         check_range("--port", settings.port, 1, 65535, "")
-    names = kinds.KINDS[configuration.bus.type].overrides
+    names = KINDS[configuration.bus.type].overrides
     device = None if settings.channel is None else Path(settings.channel)
     given = {
         "interface": settings.interface,

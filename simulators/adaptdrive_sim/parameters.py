@@ -1,4 +1,4 @@
-"""Parameters that describe themselves: what they mean, their unit and what they may be.
+"""Parameters that describe themselves: meaning, unit and range; and the example configurations.
 
 A plant's parameters are a frozen dataclass whose fields are made with `quantity`. Description,
 unit and range travel in the field's metadata; `check_quantities` holds values against them.
@@ -7,13 +7,18 @@ unit and range travel in the field's metadata; `check_quantities` holds values a
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import field, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adaptdrive.util.errors import AdaptdriveError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+
+EXAMPLES = Path(__file__).resolve().parent / "examples"
+"""Folder of the example configurations that come with the simulator."""
 
 SEED_MAX = 2**63 - 1
 """Largest seed that numpy and a column of a table both take."""
@@ -66,3 +71,8 @@ def check_range(place: str, value: float, low: float, high: float, unit: str) ->
     """
     if not (math.isfinite(value) and low <= value <= high):
         raise ParameterError(place, value, f"must lie in {low:g}…{high:g} {unit}".rstrip())
+
+
+def example_tables(name: str) -> dict[str, Any]:
+    """The tables of one example configuration."""
+    return tomllib.loads((EXAMPLES / name).read_text(encoding="utf-8"))

@@ -6,7 +6,6 @@ nothing waits: time passes as fast as the machine counts it.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from adaptdrive.runtime import reports, requests, state_machine
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.course import PERIODS, Course, Run
 from adaptdrive_sim.plants.boost import Sample
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.wire import CONTROL_FAULT, Wire, find_cause, received, rounded
 from adaptdrive_sim.world import World
 
@@ -36,7 +36,7 @@ class Site:
         sample: What the drive measured at the end of the last half cycle.
         snapshot: The last snapshot, None before the first.
         decision: What the slow half made of it.
-        upcoming: Set-points to come that no order tells of.
+        upcoming: Set-points to come that no order has.
     """
 
     def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
@@ -97,12 +97,9 @@ class Site:
         if needed_V < peak_V:
             output = world.true_output + course.offset
         boost_V, load_W = world.boost.voltage_V, world.boost.mean_load_W
-        at_rest = signals.Measurement(
-            -1, line.half_cycle_s, boost_V, line.voltage_V, load_W, output
-        )
-        self.controller.tick(
-            at_rest, signals.Order(signals.Stage.RUN, output, course.mode, course.pole)
-        )
+        rest = signals.Measurement(-1, line.half_cycle_s, boost_V, line.voltage_V, load_W, output)
+        order = signals.Order(signals.Stage.RUN, output, course.mode, course.pole)
+        self.controller.tick(rest, order)
 
     def run(self, course: Course, *, keep_ticks: bool = False) -> Run:
         """Run a course, from rest.
@@ -118,18 +115,16 @@ class Site:
 
     def _run(self, course: Course, run: Run, *, keep_ticks: bool) -> int:
         """Run a course that has begun at rest; return the interlock that has ended it."""
-        world, load, trips = self.world, self.world.load, course.interlocks
+        world, load = self.world, self.world.load
         ticks, noise = self._rates.ticks_per_period, course.disturbances.tolist()
         self.sample = world.step_disturbed(world.current_scale_S, world.bridge, noise[0])
         for k, reference in enumerate(course.references.tolist()):
             change_plant(load, course, k)
             self.upcoming = course.upcoming(k)
-            order = signals.Order(
-                course.stage(k), reference, course.mode, course.pole, steady=course.steady
-            )
+            order = signals.Order(course.stage(k), reference, course.mode, course.pole)
             for n in range(k * ticks, (k + 1) * ticks):
                 measurement = self.measure(n)
-                cause = find_cause(measurement, trips.boost_voltage_max_V, trips.output_max)
+                cause = find_cause(measurement, *course.trips)
                 if cause:
                     return cause
                 if keep_ticks:
@@ -151,11 +146,8 @@ class Site:
         run.trace[k] = (
             *(self.world.true_output, snapshot.output),
             *(decision.boost_reference_V, snapshot.applied_V),
-            *(
-                decision.controller is signals.Mode.ADAPTIVE,
-                decision.accepted,
-                slow.supervisor.verdict,
-            ),
+            decision.controller is signals.Mode.ADAPTIVE,
+            *(decision.accepted, slow.supervisor.verdict),
             *(decision.innovation, decision.handover_step_V, slow.watch.fallback),
             *(one.value for one in estimates),
             *(one.std for one in estimates),
@@ -163,7 +155,7 @@ class Site:
         return decision
 
 
-def change_plant(load: Any, course: Course, k: int) -> None:  # noqa: ANN401  loads that change
+def change_plant(load: SimulatedLoad, course: Course, k: int) -> None:
     """Change the size of a load and what disturbs it, where slow period k has other ones."""
     sizes, burdens = course.sizes, course.burdens
     if k > 0 and sizes[k] != sizes[k - 1]:

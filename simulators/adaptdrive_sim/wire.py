@@ -9,13 +9,13 @@ for each sample would cost more than the plant.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector, shift_in
-from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.parameters import check_quantities, quantity
 from adaptdrive_sim.plants.boost import Sample
 
@@ -54,14 +54,11 @@ class Wire:
 def received(wire: Wire, tick: int, sample: Sample) -> Measurement:
     """Return what arrives at a tick of what the drive measures now."""
     shift_in(wire.outputs, sample.output)
-    return Measurement(
-        tick,
-        sample.tick_period_s,
-        rounded(sample.boost_voltage_V, wire.voltage_quantum_V),
-        rounded(sample.line_voltage_V, wire.voltage_quantum_V),
-        rounded(sample.load_power_W, wire.power_quantum_W),
-        rounded(wire.outputs[-1], wire.output_quantum),
-    )
+    boost_V = rounded(sample.boost_voltage_V, wire.voltage_quantum_V)
+    line_V = rounded(sample.line_voltage_V, wire.voltage_quantum_V)
+    load_W = rounded(sample.load_power_W, wire.power_quantum_W)
+    output = rounded(wire.outputs[-1], wire.output_quantum)
+    return Measurement(tick, sample.tick_period_s, boost_V, line_V, load_W, output)
 
 
 def rounded(value: float, quantum: float) -> float:
@@ -103,21 +100,9 @@ class NoiseParameters:
         """True if no sample is ever disturbed."""
         return self.sigma == 0.0 and (self.spike_share == 0.0 or self.spike_sigma == 0.0)
 
-
-def read_spikes(text: str) -> tuple[float, float]:
-    """Read the share and the deviation of spikes from a command line.
-
-    Args:
-        text: RATE,SIGMA.
-
-    Raises:
-        RefusedError: They cannot be read.
-    """
-    try:
-        share, sigma = (float(part) for part in text.split(","))
-    except ValueError as problem:
-        raise RefusedError(f"spikes {text!r} is not RATE,SIGMA") from problem
-    return share, sigma
+    def scaled(self, step: float) -> Self:
+        """Return the noise in the unit of the output, of one that is relative to a step."""
+        return replace(self, sigma=self.sigma * step, spike_sigma=self.spike_sigma * step)
 
 
 def samples(parameters: NoiseParameters, generator: np.random.Generator) -> Iterator[float]:

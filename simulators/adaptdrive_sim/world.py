@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptdrive_sim import wire
-from adaptdrive_sim.line import Line, LineParameters
 from adaptdrive_sim.parameters import SEED_MAX, ParameterError, check_range
-from adaptdrive_sim.plants.boost import Boost, BoostParameters, Coupling, CouplingParameters, Sample
+from adaptdrive_sim.plants import boost as stage
+from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.load import SimulatedLoad
 
 
@@ -31,9 +31,9 @@ class WorldParameters:
         seed: Seed of the noise.
     """
 
-    line: LineParameters = field(default_factory=LineParameters)
-    boost: BoostParameters = field(default_factory=BoostParameters)
-    coupling: CouplingParameters = field(default_factory=CouplingParameters)
+    line: stage.LineParameters = field(default_factory=stage.LineParameters)
+    boost: stage.BoostParameters = field(default_factory=stage.BoostParameters)
+    coupling: stage.CouplingParameters = field(default_factory=stage.CouplingParameters)
     noise: wire.NoiseParameters = field(default_factory=wire.NoiseParameters)
     sampling_phase_rad: float = 0.0
     seed: int = 0
@@ -54,9 +54,9 @@ class World:
         """
         self.parameters = parameters or WorldParameters()
         self.load = load
-        self.line = Line(self.parameters.line)
-        self.coupling = Coupling(self.parameters.coupling)
-        self.boost = Boost(self.parameters.boost, self.parameters.line.voltage_V * 2.0**0.5)
+        self.line = stage.Line(self.parameters.line)
+        self.coupling = self.parameters.coupling
+        self.boost = stage.Boost(self.parameters.boost, self.parameters.line.voltage_V * 2.0**0.5)
         self.tick = 0
         self.load_current_A = 0.0
         self.current_scale_S = 0.0
@@ -131,15 +131,9 @@ class World:
 
     def at_rest(self) -> Sample:
         """Return the present measurements, without any time passing."""
-        return Sample(
-            self.tick,
-            self.line.half_cycle_s,
-            self.boost.voltage_V,
-            self.line.voltage_V,
-            0.0,
-            self.load.output,
-            self.load_current_A,
-        )
+        line, boost_V, output = self.line, self.boost.voltage_V, self.load.output
+        duration_s, current_A = line.half_cycle_s, self.load_current_A
+        return Sample(self.tick, duration_s, boost_V, line.voltage_V, 0.0, output, current_A)
 
     def step(self, current_scale_S: float, bridge: bool) -> Sample:
         """Run one half cycle under the latched command, then latch the given one.
@@ -165,15 +159,9 @@ class World:
         self.tick += 1
         self.current_scale_S = current_scale_S
         self.bridge = bridge
-        return Sample(
-            self.tick,
-            duration_s,
-            boost_V,
-            line.voltage_V,
-            boost.mean_load_W,
-            self.load.output + disturbance,
-            self.load_current_A,
-        )
+        load_W, output = boost.mean_load_W, self.load.output + disturbance
+        line_V, current_A = line.voltage_V, self.load_current_A
+        return Sample(self.tick, duration_s, boost_V, line_V, load_W, output, current_A)
 
     def _run(self, line_V: float, duration_s: float) -> float:
         """Advance boost stage and load under the latched command."""

@@ -15,7 +15,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -128,7 +128,7 @@ def started(
     """A drive of an example configuration that has just reached `running`."""
     tables = example_tables(f"{name}.toml")
     change(tables, changes or {})
-    drive = OperatedDrive(validate_configuration(tables, FOLDER / f"{name}.toml"), world)
+    drive = OperatedDrive(validate_configuration(tables, EXAMPLES / f"{name}.toml"), world)
     drive.begin(mode)
     return drive
 

@@ -11,7 +11,7 @@ import pytest
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
-from adaptdrive_sim.experiments.examples import example_tables
+from adaptdrive_sim.parameters import example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from tests.closed_loop.life import SMALL_BATH, load_world, periods, started, wait

@@ -18,7 +18,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive.recording.replay import replay
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
@@ -29,7 +29,7 @@ LOW, HIGH, CYCLE_S = 2.6, 4.3, 120.0
 
 
 def configuration() -> Configuration:
-    return validate_configuration(example_tables("motor.toml"), FOLDER / "motor.toml")
+    return validate_configuration(example_tables("motor.toml"), EXAMPLES / "motor.toml")
 
 
 @cache

@@ -30,7 +30,7 @@ from adaptdrive.runtime.requests import (
     SetSetpoint,
     SetWaveform,
 )
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.wire import NoiseParameters
@@ -213,7 +213,7 @@ class RecordedDrive(OperatedDrive):
 def test_a_probe_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     tables = example_tables("motor.toml")
     tables["load"] |= PROBED["load"] | {"probe_s": 30.0}
-    configuration = validate_configuration(tables, FOLDER / "motor.toml")
+    configuration = validate_configuration(tables, EXAMPLES / "motor.toml")
     world = World(Motor(MotorParameters()), WorldParameters(noise=NoiseParameters(sigma=2e-3)))
     world.settle(world.boost_voltage_for(LOW))
     drive = RecordedDrive(configuration, world)

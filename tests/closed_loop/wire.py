@@ -154,8 +154,8 @@ async def _begin(
     clock: Any,
 ) -> Coroutine[Any, Any, None]:
     """Put the drive on its bus; what keeps it alive."""
-    node = build_node(configuration, drive, lambda *_, **__: None, path)
-    node._clock = clock  # type: ignore[attr-defined] # every kind of node keeps its clock so
+    node = build_node(configuration, drive, path)
+    node._clock = clock
     if isinstance(node, ModbusDrive):
         await stack.enter_async_context(serving(node._config, {node._config.device_id: node}))
         return _live(drive, node.show)
@@ -168,7 +168,7 @@ async def _begin(
 
     async def both() -> None:
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(node._hear(bus))
+            tasks.create_task(node._receive(bus))
             tasks.create_task(_live(drive, node._send))
 
     return both()

@@ -18,7 +18,7 @@ from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.target import Target, build_target
 from adaptdrive.config.root import Configuration
 from adaptdrive.recording.replay import reconfigured
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
@@ -59,7 +59,7 @@ class Draw:
 
     @cached_property
     def configuration(self) -> Configuration:
-        return reconfigured(self.text, FOLDER / "drawn.toml", ())
+        return reconfigured(self.text, EXAMPLES / "drawn.toml", ())
 
     @property
     def target(self) -> Target:

@@ -20,11 +20,11 @@ from adaptdrive.control.design.pole_placement import (
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.replay import reconfigured
-from adaptdrive_sim.experiments.examples import FOLDER
+from adaptdrive_sim.parameters import EXAMPLES
 from tests.commissioning.draws import Draw
 
 _STEPS = 400
-_FILE = FOLDER / "drawn.toml"
+_FILE = EXAMPLES / "drawn.toml"
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.identify import identify
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
-from adaptdrive_sim.experiments.examples import FOLDER
+from adaptdrive_sim import parameters
 from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
@@ -46,7 +46,7 @@ def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Prediction, float]:
     assert found.outcome is not None
     load = build_load(draw.configuration)
     identified = evaluate(found, [load])
-    proposal = propose(identified, draw.text, FOLDER / "drawn.toml")
+    proposal = propose(identified, draw.text, parameters.EXAMPLES / "drawn.toml")
     rest_V = rest_voltage(found.outcome.low_V, found.outcome.high_V, load)
     prediction = predict(identified, proposal.configuration, rest_V, draw.target.move)
     return draw, proposal, prediction, rest_V

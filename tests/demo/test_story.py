@@ -13,8 +13,8 @@ from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.demo.main import KEYS, DemoView, summarise
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.demo.stages import VirtualStage
 from adaptdrive_sim.demo.story import DemoSettings, Story, read_story, story_names
-from adaptdrive_sim.demo.virtual import VirtualStage
 
 STORIES = [read_story(name) for name in story_names()]
 BY_NAME = pytest.mark.parametrize("story", STORIES, ids=lambda one: one.name)
@@ -93,7 +93,7 @@ def test_braking_returns_the_energy_that_the_motor_gives() -> None:
     taken_J, tick = [0.0], stage.drive.tick
 
     def count() -> bool:
-        taken_J[0] += max(0.0, -stage.world.boost.mean_load_W) / 120.0
+        taken_J[0] += max(0.0, -stage.drive.world.boost.mean_load_W) / 120.0
         return tick()
 
     stage.drive.tick = count  # type: ignore[method-assign]

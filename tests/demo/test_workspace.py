@@ -12,7 +12,7 @@ import pytest
 
 from adaptdrive.config.file import load_configuration
 from adaptdrive.processes.owned import Ports
-from adaptdrive_sim.demo.real import RealStage
+from adaptdrive_sim.demo.stages import RealStage
 from adaptdrive_sim.demo.story import DemoError, DemoSettings, read_story
 
 pytestmark = pytest.mark.usefixtures("outside")

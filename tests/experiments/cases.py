@@ -7,14 +7,14 @@ from dataclasses import replace
 from adaptdrive_sim.experiments.case import (
     Case,
     Design,
-    Disturbance,
     ReproduceRequest,
     Variant,
     case_settings,
     run_case,
 )
 from adaptdrive_sim.experiments.experiment import MOTOR, Experiment, LoadChange
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
+from adaptdrive_sim.experiments.outcome import Outcome, judge
+from adaptdrive_sim.wire import NoiseParameters
 
 SEEDS = range(20)
 SHORT_MOTOR = replace(
@@ -30,21 +30,21 @@ def make_case(
     experiment: Experiment,
     variant: Variant,
     design: Design = "paper",
-    disturbance: Disturbance | None = None,
+    disturbance: NoiseParameters | None = None,
     seed: int = 0,
 ) -> Case:
     """One run; under the published noise when none is given."""
-    noise = disturbance or Disturbance(experiment.noise)
+    noise = disturbance or NoiseParameters(experiment.noise)
     return Case(experiment, variant, case_settings(experiment, variant, design), noise, seed)
 
 
 def outcome(
     experiment: Experiment,
     variants: tuple[Variant, ...],
-    disturbance: Disturbance | None = None,
+    disturbance: NoiseParameters | None = None,
     seed: int = 0,
-) -> ExperimentOutcome:
+) -> Outcome:
     """The experiment in the paper's design."""
-    noise = disturbance or Disturbance(experiment.noise)
+    noise = disturbance or NoiseParameters(experiment.noise)
     records = {one: run_case(make_case(experiment, one, "paper", noise, seed)) for one in variants}
     return judge(ReproduceRequest(experiment, "paper", noise, seed), records)

@@ -2,8 +2,9 @@
 
 import pytest
 
-from adaptdrive_sim.experiments.case import Disturbance, convergence_cycles, cycles, run_case
+from adaptdrive_sim.experiments.case import convergence_cycles, cycles, run_case
 from adaptdrive_sim.experiments.experiment import BATH
+from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import SEEDS, make_case, outcome
 
 AFTER = slice(2, None)
@@ -26,7 +27,7 @@ def test_the_fixed_controller_overshoots_after_the_change_and_the_adaptive_one_d
 
 @pytest.mark.proof
 def test_without_noise_direct_least_squares_finds_the_bath() -> None:
-    record = run_case(make_case(BATH, "adaptive", disturbance=Disturbance(0.0)))
+    record = run_case(make_case(BATH, "adaptive", disturbance=NoiseParameters(0.0)))
     before = round(5400.0 / BATH.period_s) - 1
     found = [record[name][before] for name in BATH.nominal().names]
     assert found == pytest.approx(BATH.truth_at(5399.0), rel=5e-3)

@@ -7,8 +7,9 @@ import statistics
 import pytest
 
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.case import Disturbance, convergence_cycles, cycles, run_case
+from adaptdrive_sim.experiments.case import convergence_cycles, cycles, run_case
 from adaptdrive_sim.experiments.experiment import MOTOR
+from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import SHORT_LAST_CYCLES, SHORT_MOTOR, make_case
 
 ORACLE = 0.030
@@ -20,7 +21,7 @@ def error(record: Run) -> float:
     return cycles(MOTOR, "exact", record)[-1].model_error_rms
 
 
-def runs(disturbance: Disturbance) -> list[Run]:
+def runs(disturbance: NoiseParameters) -> list[Run]:
     return [
         run_case(make_case(MOTOR, "adaptive", "exact", disturbance=disturbance, seed=seed))
         for seed in range(20)
@@ -29,7 +30,7 @@ def runs(disturbance: Disturbance) -> list[Run]:
 
 @pytest.fixture(scope="module")
 def silent() -> Run:
-    return run_case(make_case(SHORT_MOTOR, "adaptive", "exact", disturbance=Disturbance(0.0)))
+    return run_case(make_case(SHORT_MOTOR, "adaptive", "exact", disturbance=NoiseParameters(0.0)))
 
 
 def test_without_noise_only_saturation_is_left_of_the_model_error(silent: Run) -> None:
@@ -46,7 +47,7 @@ def test_a_change_of_the_load_does_not_show(silent: Run) -> None:
 
 @pytest.mark.proof
 def test_spikes_stop_mattering() -> None:
-    records = runs(Disturbance(0.002, 0.02, 0.1))
+    records = runs(NoiseParameters(0.002, 0.02, 0.1))
     found = [error(record) for record in records]
     assert statistics.median(found) <= 1.10 * ORACLE
     assert max(found) <= 1.25 * ORACLE
@@ -60,5 +61,5 @@ def test_spikes_stop_mattering() -> None:
 @pytest.mark.proof
 @pytest.mark.parametrize(("noise", "factor"), [(0.02, 1.15), (0.05, 1.40)])
 def test_noise_stops_mattering(noise: float, factor: float) -> None:
-    found = [error(record) for record in runs(Disturbance(noise))]
+    found = [error(record) for record in runs(NoiseParameters(noise))]
     assert statistics.median(found) <= factor * ORACLE

@@ -11,10 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
-from adaptdrive_sim.experiments.case import Disturbance, ReproduceRequest, Variant, run_case
+from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
 from adaptdrive_sim.experiments.experiment import DROPPED, LoadChange
 from adaptdrive_sim.experiments.figure import experiment_figure
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
+from adaptdrive_sim.experiments.outcome import Outcome, judge
+from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import make_case
 
 SHORT = dataclasses.replace(
@@ -24,13 +25,13 @@ VARIANTS: tuple[Variant, ...] = ("fixed", "adaptive", "direct_rls")
 
 
 @pytest.fixture(scope="module")
-def outcome() -> ExperimentOutcome:
+def outcome() -> Outcome:
     records = {one: run_case(make_case(SHORT, one, seed=81_200)) for one in VARIANTS}
-    return judge(ReproduceRequest(SHORT, "paper", Disturbance(SHORT.noise), 81_200), records)
+    return judge(ReproduceRequest(SHORT, "paper", NoiseParameters(SHORT.noise), 81_200), records)
 
 
 @pytest.fixture(scope="module")
-def figure(outcome: ExperimentOutcome) -> Figure:
+def figure(outcome: Outcome) -> Figure:
     with style.journal():
         drawn = experiment_figure(outcome)
         FigureCanvasAgg(drawn).draw()  # type: ignore[no-untyped-call]
@@ -42,9 +43,7 @@ def line(axes: Axes, label: str) -> list[float]:
     return [float(value) for value in np.asarray(found.get_ydata())]
 
 
-def test_each_controller_has_its_speed_and_its_voltage(
-    outcome: ExperimentOutcome, figure: Figure
-) -> None:
+def test_each_controller_has_its_speed_and_its_voltage(outcome: Outcome, figure: Figure) -> None:
     for i, variant in enumerate(VARIANTS):
         speed, voltage = figure.axes[2 * i], figure.axes[2 * i + 1]
         record = outcome.records[variant]

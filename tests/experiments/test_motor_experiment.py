@@ -5,7 +5,6 @@ import statistics
 import pytest
 
 from adaptdrive_sim.experiments.case import (
-    Disturbance,
     Variant,
     cycles,
     model_errors,
@@ -13,25 +12,27 @@ from adaptdrive_sim.experiments.case import (
     run_case,
 )
 from adaptdrive_sim.experiments.experiment import MOTOR
-from adaptdrive_sim.experiments.outcome import NOISY, ExperimentOutcome
+from adaptdrive_sim.experiments.outcome import Outcome
+from adaptdrive_sim.experiments.reproduce import NOISY
+from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import SEEDS, SHORT_LAST_CYCLES, SHORT_MOTOR, make_case, outcome
 
 LAST_CYCLES = (4, 7, 10)
-SILENT = Disturbance(0.0)
+SILENT = NoiseParameters(0.0)
 
 
 @pytest.fixture(scope="module")
-def short() -> ExperimentOutcome:
+def short() -> Outcome:
     return outcome(SHORT_MOTOR, ("fixed", "adaptive"))
 
 
 def overshoots(
-    found: ExperimentOutcome, variant: Variant, last: tuple[int, ...] = SHORT_LAST_CYCLES
+    found: Outcome, variant: Variant, last: tuple[int, ...] = SHORT_LAST_CYCLES
 ) -> list[float]:
     return [found.cycles[variant][i].overshoot for i in last]
 
 
-def test_each_disk_makes_the_fixed_controller_overshoot_more(short: ExperimentOutcome) -> None:
+def test_each_disk_makes_the_fixed_controller_overshoot_more(short: Outcome) -> None:
     one, two, three = overshoots(short, "fixed")
     assert one < 0.01
     assert 0.04 < two < 0.10
@@ -39,17 +40,17 @@ def test_each_disk_makes_the_fixed_controller_overshoot_more(short: ExperimentOu
 
 
 def test_the_adaptive_controller_does_not_overshoot_whatever_the_load(
-    short: ExperimentOutcome,
+    short: Outcome,
 ) -> None:
     assert max(overshoots(short, "adaptive")) < 0.02
 
 
-def test_the_estimates_follow_each_disk_within_two_cycles(short: ExperimentOutcome) -> None:
+def test_the_estimates_follow_each_disk_within_two_cycles(short: Outcome) -> None:
     assert all(found is not None and found <= 2.0 for found in short.converged)
 
 
 def test_the_fixed_controller_is_in_force_until_the_warm_up_is_over(
-    short: ExperimentOutcome,
+    short: Outcome,
 ) -> None:
     record = short.records["adaptive"]
     assert record["adaptive"].tolist().index(True) == 90
@@ -57,14 +58,14 @@ def test_the_fixed_controller_is_in_force_until_the_warm_up_is_over(
     assert not any(short.records["fixed"]["adaptive"])
 
 
-def test_until_then_both_controllers_do_the_same(short: ExperimentOutcome) -> None:
+def test_until_then_both_controllers_do_the_same(short: Outcome) -> None:
     fixed, adaptive = short.records["fixed"], short.records["adaptive"]
     for name in ("boost_reference_V", "output"):
         assert fixed[name][:90].tolist() == adaptive[name][:90].tolist()
 
 
 def test_the_reference_starts_with_its_high_half_and_the_plant_at_rest(
-    short: ExperimentOutcome,
+    short: Outcome,
 ) -> None:
     record = short.records["fixed"]
     assert record["reference"][:61].tolist() == [3.2] * 60 + [3.0]
@@ -84,7 +85,7 @@ def test_without_noise_the_estimates_end_on_the_truth() -> None:
 
 @pytest.mark.proof
 def test_with_much_noise_the_papers_design_is_worse_adaptive_than_fixed() -> None:
-    found = outcome(MOTOR, ("fixed", "adaptive"), Disturbance(0.02))
+    found = outcome(MOTOR, ("fixed", "adaptive"), NoiseParameters(0.02))
     fixed, adaptive = (
         rms_between(one, model_errors(MOTOR, "paper", one), 1200.0, 1320.0)
         for one in (found.records["fixed"], found.records["adaptive"])

@@ -10,8 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.experiments.case import Disturbance, disturbance_of
+from adaptdrive_sim.experiments.case import disturbance_of
 from adaptdrive_sim.parameters import ParameterError
+from adaptdrive_sim.wire import NoiseParameters
 
 NAMES = ("direct_rls.parquet", "figure.png", "fixed.parquet", "sweep.png", "adaptive.parquet")
 
@@ -54,7 +55,7 @@ def test_noise_and_spikes_are_fractions_of_the_step() -> None:
     assert noise.sigma == pytest.approx(4e-4)
     assert noise.spike_share == 0.02
     assert noise.spike_sigma == pytest.approx(0.02)
-    assert disturbance_of(0.0, "0,0") == Disturbance(0.0)
+    assert disturbance_of(0.0, "0,0") == NoiseParameters(0.0)
 
 
 @pytest.mark.parametrize("spikes", ["", "1", "1,2,3", "a,b"])

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptdrive_sim.experiments.case import Disturbance, run_case
+from adaptdrive_sim.experiments.case import run_case
 from adaptdrive_sim.experiments.experiment import MOTOR, Experiment, LoadChange
+from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import make_case
 
 SHORT: Experiment = dataclasses.replace(
@@ -37,7 +38,7 @@ def test_every_slow_period_is_recorded_once_from_its_first_tick_on() -> None:
 @pytest.mark.parametrize("latency", [1, 2, 5])
 def test_a_decision_takes_effect_after_the_latency(latency: int) -> None:
     """The loop's sum leaves out the present sample, the drive latches, the half cycle runs: 3."""
-    case = make_case(SHORT, "fixed", disturbance=Disturbance(0.0))
+    case = make_case(SHORT, "fixed", disturbance=NoiseParameters(0.0))
     rates = dataclasses.replace(case.settings.rates, latency_ticks=latency)
     settings = dataclasses.replace(case.settings, rates=rates)
     record = run_case(dataclasses.replace(case, settings=settings), keep_ticks=True)

@@ -107,7 +107,7 @@ def _brake(course: Course) -> None:
 
 
 def _broken_heater(course: Course) -> None:
-    course.drive.world.load.resistance_Ohm = 1e6  # type: ignore[misc]
+    course.drive.world.load.resistance_Ohm = 1e6
 
 
 def _empty_bath(course: Course) -> None:

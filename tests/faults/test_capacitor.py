@@ -12,7 +12,6 @@ from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
-from adaptdrive_sim.devices.drive import Overvoltage
 from adaptdrive_sim.plants.boost import Sample
 from tests.faults.course import Course, example, example_path
 
@@ -159,7 +158,7 @@ def test_a_report_frozen_at_rest_never_overcharges(
     low, high = course.reach
     course.daemon.accepts(SetSetpoint(low + share * (high - low)))
     course.run(settle_s)
-    course.drive._limits = Overvoltage(trip_V=1e6)
+    course.drive._trip_V = 1e6
     freeze_voltage(course)
     assert highest_V(course, seconds) < LIMIT_V + 2.0
 

@@ -20,7 +20,7 @@ def test_a_full_capacitor_is_no_voltage_to_begin_charging_with(boost_V: float) -
     world = course.drive.world
     course.run(0.7)
     world.boost.settle(boost_V, 0.0)
-    world.load.relaxed_V = [0.0, 0.0]  # type: ignore[attr-defined]
+    world.load.relaxed_V = [0.0, 0.0]  # type: ignore[union-attr]
     assert course.daemon.accepts(Enable())
     assert course.daemon.accepts(SetSetpoint(0.1))
     course.run(1.0)
@@ -43,7 +43,7 @@ def test_terminals_whose_battery_is_disconnected_stay_near_their_limit() -> None
     assert world.true_output == pytest.approx(6.0, abs=1.0)
     course.highest_V = 0.0
     for _ in range(100):
-        world.load.relaxed_V = [60.0, 60.0]  # type: ignore[attr-defined]
+        world.load.relaxed_V = [60.0, 60.0]  # type: ignore[union-attr]
         course.run(0.2)
     assert world.true_output == 0.0
     assert ratio * course.highest_V < 1.08 * BATTERY_V_MAX
@@ -57,7 +57,7 @@ def test_a_current_that_reads_too_high_takes_the_terminals_no_further(
     """What the reading has too much would look like a voltage that the output stage drops."""
     course = Course("battery, CAN", 0)
     load = course.drive.world.load
-    load.charge = 0.85  # type: ignore[attr-defined]
+    load.charge = 0.85  # type: ignore[union-attr]
     course.sensor = lambda _, output: factor * output + offset_A
     course.fault_s = 0.0
     course.run(0.7)
@@ -66,7 +66,7 @@ def test_a_current_that_reads_too_high_takes_the_terminals_no_further(
     highest_V = 0.0
     for _ in range(600):
         course.run(1.0)
-        highest_V = max(highest_V, load.terminal_voltage_V)  # type: ignore[attr-defined]
+        highest_V = max(highest_V, load.terminal_voltage_V)  # type: ignore[union-attr]
     assert course.daemon.state is State.RUNNING, course.daemon.trip
     assert BATTERY_V_MAX < highest_V < 1.021 * BATTERY_V_MAX
 
@@ -77,7 +77,7 @@ def test_a_charge_whose_current_reads_too_high_ends_at_its_longest_time(offset_A
     tables = example("battery, CAN")
     tables["load"]["charge"]["longest_h"] = 0.25
     course = Course("battery, CAN", 3, tables)
-    course.drive.world.load.charge = 0.97  # type: ignore[attr-defined]
+    course.drive.world.load.charge = 0.97  # type: ignore[union-attr]
     course.sensor = lambda _, output: output + offset_A
     course.fault_s = 0.0
     course.run(0.7)

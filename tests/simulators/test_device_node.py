@@ -14,7 +14,7 @@ import pytest
 from adaptdrive.config.file import validate_configuration
 from adaptdrive_sim.device import DeviceSettings, build_drive, build_node
 from adaptdrive_sim.devices.can import CanDrive
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
 HALF_CYCLE_s = 1.0 / 120.0
@@ -25,11 +25,11 @@ class Host:
 
     def __init__(self) -> None:
         tables = example_tables(EXAMPLE.name)
-        configuration = validate_configuration(tables, FOLDER / EXAMPLE.name)
+        configuration = validate_configuration(tables, EXAMPLES / EXAMPLE.name)
         self.events: list[tuple[str, dict[str, Any]]] = []
         settings = DeviceSettings(initial_voltage_V=300.0)
         self._drive = build_drive(configuration, settings, self._report)
-        node = build_node(configuration, self._drive, self._report, EXAMPLE)
+        node = build_node(configuration, self._drive, EXAMPLE)
         assert isinstance(node, CanDrive)
         self._node, self._now_s, self.alive = node, 1000.0, 0
         node._clock = lambda: self._now_s

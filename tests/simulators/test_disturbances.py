@@ -12,9 +12,8 @@ from jsonschema import Draft202012Validator
 from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive_sim.device import build_sensors
-from adaptdrive_sim.devices.disturbances import from_words, parse_request
+from adaptdrive_sim.devices.disturbances import Remote, from_words, parse_request
 from adaptdrive_sim.devices.drive import SimulatedDrive
-from adaptdrive_sim.devices.kinds import Remote
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
@@ -43,9 +42,7 @@ def ask(remote: Remote, **request: Any) -> tuple[bool, str]:
 
 
 def of(load: SimulatedLoad) -> Remote:
-    return Remote(
-        Mqtt(host="localhost", port=1), "bench", SimulatedDrive(World(load), ignore), ignore
-    )
+    return Remote(Mqtt(host="localhost", port=1), "bench", SimulatedDrive(World(load), ignore))
 
 
 @pytest.mark.parametrize(
@@ -149,14 +146,14 @@ def test_words_become_requests(
 )
 def test_what_a_device_offers_is_carried_out(load: SimulatedLoad) -> None:
     remote = of(load)
-    features = json.loads(msgspec.json.encode(remote.state()))["features"]
+    features = json.loads(msgspec.json.encode(remote.truth()))["features"]
     assert len(features) >= 3
     for feature in features:
         assert ask(remote, **feature["request"]) == (True, ""), feature
 
 
 def test_the_state_of_a_device_fits_its_schema(remote: Remote) -> None:
-    state = json.loads(msgspec.json.encode(remote.state()))
+    state = json.loads(msgspec.json.encode(remote.truth()))
     topic = next(one for one in simulator_topics() if one.name == "simulator/truth")
     Draft202012Validator(schema(topic)).validate(state)
     assert {"text": "add a disk", "request": {"disks": 1}} in state["features"]

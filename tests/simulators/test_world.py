@@ -7,8 +7,7 @@ import statistics
 import pytest
 from scipy.integrate import solve_ivp
 
-from adaptdrive_sim.line import LineParameters
-from adaptdrive_sim.plants.boost import Sample
+from adaptdrive_sim.plants.boost import LineParameters, Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters

@@ -33,7 +33,7 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive_sim.course import Course, Run
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import Site
@@ -88,7 +88,7 @@ def draw(seed: int) -> Drawn:
     tables["load"] |= {"model": model, "reference_max": 220.0, "output_unit": "rad/s"}
     tables["estimator"]["tau_lambda_s"] = round(0.5 * lag_s, 1)
     tables["interlocks"]["output_max"] = 250.0
-    configuration = validate_configuration(tables, FOLDER / "motor.toml")
+    configuration = validate_configuration(tables, EXAMPLES / "motor.toml")
     return Drawn(
         seed,
         motor,

@@ -19,8 +19,7 @@ import numpy as np
 
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
-from adaptdrive_sim.line import LineParameters
-from adaptdrive_sim.plants.boost import BoostParameters
+from adaptdrive_sim.plants.boost import BoostParameters, LineParameters
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
@@ -178,7 +177,7 @@ def run(drawn: Drawn, changes: dict[str, dict[str, Any]] | None = None) -> tuple
 
 def _world(motor: ForeignMotor, seed: int) -> World:
     world = Sensed(
-        motor,
+        motor,  # type: ignore[arg-type]  # another plant than the simulator's own
         WorldParameters(
             line=LineParameters(frequency_Hz=59.94, voltage_V=119.3),
             boost=BoostParameters(capacitance_F=1.05e-3),

@@ -19,13 +19,13 @@ from pathlib import Path
 from adaptdrive_sim.experiments.case import (
     Cycle,
     Design,
-    Disturbance,
     Variant,
     convergence_cycles,
     cycles,
     run_case,
 )
 from adaptdrive_sim.experiments.experiment import DROPPED
+from adaptdrive_sim.wire import NoiseParameters
 from tests.experiments.cases import make_case
 
 ROOT = Path(__file__).parents[2]
@@ -34,13 +34,13 @@ FIRST_SEED = 81_000
 LAST_CYCLES = (4, 7, 10)
 
 NOISES = {
-    "none": Disturbance(0.0),
-    "0.2 %": Disturbance(0.002),
-    "0.2 %, spikes": Disturbance(0.002, 0.02, 0.1),
-    "0.5 %": Disturbance(0.005),
-    "1 %": Disturbance(0.01),
-    "2 %": Disturbance(0.02),
-    "5 %": Disturbance(0.05),
+    "none": NoiseParameters(0.0),
+    "0.2 %": NoiseParameters(0.002),
+    "0.2 %, spikes": NoiseParameters(0.002, 0.02, 0.1),
+    "0.5 %": NoiseParameters(0.005),
+    "1 %": NoiseParameters(0.01),
+    "2 %": NoiseParameters(0.02),
+    "5 %": NoiseParameters(0.05),
 }
 CONTROLLERS: dict[str, tuple[Design, Variant]] = {
     "paper's design, fixed": ("paper", "fixed"),

@@ -26,7 +26,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetSetpoint
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
@@ -153,7 +153,7 @@ def configured(name: str, draw: random.Random) -> Configuration:
     for key in wrong[name]:
         model[key] *= odds(draw, 3.0)
     tables["interlocks"]["output_max"] *= 1.5  # noise of 5 % is above the limit of the example
-    return validate_configuration(tables, FOLDER / f"{name}.toml")
+    return validate_configuration(tables, EXAMPLES / f"{name}.toml")
 
 
 def plant(name: str, draw: random.Random) -> SimulatedLoad:

@@ -17,10 +17,9 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim import course, site, wire
 from adaptdrive_sim.campaign.drawn import Row, Trial, columns_of, each, uniform
 from adaptdrive_sim.campaign.settings import CampaignFile, CampaignTable, LineRanges, Range, within
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.boost import CouplingParameters
+from adaptdrive_sim.plants.boost import CouplingParameters, LineParameters
 from adaptdrive_sim.world import World, WorldParameters
 
 _BEGINS_s = 60.0
@@ -169,14 +168,11 @@ class BatteryScenario:
     def world(self) -> WorldParameters:
         """The true drive, line and sensor."""
         nominal = CouplingParameters()
-        return WorldParameters(
-            line=LineParameters.steady(self.line_voltage, self.frequency_Hz),
-            coupling=CouplingParameters(
-                ratio=nominal.ratio * self.scale, droop_Ohm=nominal.droop_Ohm * self.scale**2
-            ),
-            noise=wire.NoiseParameters(sigma=self.noise * self.largest_A),
-            seed=self.seed,
-        )
+        line = LineParameters.steady(self.line_voltage, self.frequency_Hz)
+        droop_Ohm = nominal.droop_Ohm * self.scale**2
+        stage = CouplingParameters(nominal.ratio * self.scale, droop_Ohm)
+        noise = wire.NoiseParameters(sigma=self.noise * self.largest_A)
+        return WorldParameters(line, coupling=stage, noise=noise, seed=self.seed)
 
     def configuration(self) -> Configuration:
         """The daemon's: the example's for this voltage, with its model of the battery."""
@@ -189,24 +185,24 @@ class BatteryScenario:
         load["charge"]["voltage_max_V"] = CELL_FULL_V * self.cells
         load["charge"]["end_current_A"] /= self.scale
         tables["interlocks"]["output_max"] /= self.scale
-        return validate_configuration(tables, FOLDER / "battery.toml")
+        return validate_configuration(tables, EXAMPLES / "battery.toml")
 
 
 def draw_battery(campaign: BatteryCampaign, seed: int) -> BatteryScenario:
     """Return the run of a campaign that a seed stands for."""
-    generator = np.random.default_rng([seed, 4])
+    rng = np.random.default_rng([seed, 4])
     own = campaign.battery
     log_low, log_high = np.log(own.full_V)
     resistances = ("series", "relaxation", "relaxation_s", "second", "second_s")
     return BatteryScenario(
         seed=seed,
         duration_s=campaign.duration_s,
-        cells=max(3, round(float(np.exp(uniform(generator, (log_low, log_high)))) / CELL_FULL_V)),
-        **each(generator, own, "rate_per_h", "charge", *resistances),
-        growth=uniform(generator, own.growth) if generator.random() < own.aged else 1.0,
-        **each(generator, campaign.current, "share", "lowered", "ripple", "noise"),
-        line_voltage=uniform(generator, campaign.line.voltage),
-        frequency_Hz=uniform(generator, campaign.line.frequency_Hz),
+        cells=max(3, round(float(np.exp(uniform(rng, (log_low, log_high)))) / CELL_FULL_V)),
+        **each(rng, own, "rate_per_h", "charge", *resistances),
+        growth=uniform(rng, own.growth) if rng.random() < own.aged else 1.0,
+        **each(rng, campaign.current, "share", "lowered", "ripple", "noise"),
+        line_voltage=uniform(rng, campaign.line.voltage),
+        frequency_Hz=uniform(rng, campaign.line.frequency_Hz),
     )
 
 

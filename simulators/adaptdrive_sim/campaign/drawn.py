@@ -16,10 +16,10 @@ from adaptdrive.control import controller, signals
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.supervision.supervisor import Verdict
-from adaptdrive_sim.campaign.ideal import follow_ideal
-from adaptdrive_sim.course import Array, Course, Run, TripLevels
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.campaign.settings import Range, WholeRange
+from adaptdrive_sim.course import Array, Course, Run, follow_ideal
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
+from adaptdrive_sim.plants.boost import LineParameters
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.wire import Wire
 from adaptdrive_sim.world import World
@@ -34,22 +34,18 @@ class Deployed:
 
     settings: ControllerSettings
     load: Load
-    interlocks: TripLevels
+    trips: tuple[float, float]
     pole: float
     period_s: float
 
 
 def deploy(name: str, tables: dict[str, Any] | None = None) -> Deployed:
     """Return what the daemon makes of an example configuration, or of its changed tables."""
-    configuration = validate_configuration(tables or example_tables(name), FOLDER / name)
-    limits = configuration.interlocks
-    return Deployed(
-        settings=controller_settings(configuration),
-        load=build_load(configuration),
-        interlocks=TripLevels(limits.boost_voltage_max_V, limits.output_max),
-        pole=configuration.load.pole,
-        period_s=configuration.load.period_s,
-    )
+    configuration = validate_configuration(tables or example_tables(name), EXAMPLES / name)
+    settings, load = controller_settings(configuration), build_load(configuration)
+    limits, section = configuration.interlocks, configuration.load
+    trips = limits.boost_voltage_max_V, limits.output_max
+    return Deployed(settings, load, trips, section.pole, section.period_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +87,17 @@ class Drawn:
         """Height of the reference's step."""
         return self.reference.high - self.reference.low
 
+    def references_at(self, times_s: Array) -> Array:
+        """Return the set-point at each time."""
+        return np.array([self.reference.value(time_s) for time_s in times_s.tolist()])
+
     def disturbances(self, count: int, offset: float = 0.0) -> Array:
         """Measurement noise of every tick, and the offset of the sensor."""
-        generator = np.random.default_rng([self.seed, 1])
-        noise = offset + self.sigma * generator.standard_normal(count)
+        rng = np.random.default_rng([self.seed, 1])
+        noise = offset + self.sigma * rng.standard_normal(count)
         if self.spike_share > 0.0:
-            struck = np.flatnonzero(generator.random(count) < self.spike_share)
-            noise[struck] += self.spike_sigma * generator.standard_normal(struck.size)
+            struck = np.flatnonzero(rng.random(count) < self.spike_share)
+            noise[struck] += self.spike_sigma * rng.standard_normal(struck.size)
         return noise
 
     def line(self) -> LineParameters:
@@ -106,13 +106,8 @@ class Drawn:
 
     def wire(self, output: float) -> Wire:
         """Return the connection between drive and controller, at rest at an output."""
-        return Wire(
-            output_quantum=self.output_quantum,
-            voltage_quantum_V=self.voltage_V,
-            power_quantum_W=self.power_W,
-            scale_quantum_S=self.scale_S,
-            outputs=[output] * (self.output_delay_ticks + 1),
-        )
+        outputs = [output] * (self.output_delay_ticks + 1)
+        return Wire(self.output_quantum, self.voltage_V, self.power_W, self.scale_S, outputs)
 
 
 def columns_of(drawn: Any) -> Row:  # noqa: ANN401 - any dataclass
@@ -131,63 +126,57 @@ def columns_of(drawn: Any) -> Row:  # noqa: ANN401 - any dataclass
     return row
 
 
-def uniform(generator: np.random.Generator, ends: tuple[float, float]) -> float:
+def uniform(rng: np.random.Generator, ends: Range) -> float:
     """Draw a number."""
-    return float(generator.uniform(*ends))
+    return float(rng.uniform(*ends))
 
 
-def each(generator: np.random.Generator, ranges: object, *names: str) -> dict[str, Any]:
+def each(rng: np.random.Generator, ranges: object, *names: str) -> dict[str, Any]:
     """Draw a number from each of some ranges, in the order of their names."""
-    return {name: uniform(generator, getattr(ranges, name)) for name in names}
+    return {name: uniform(rng, getattr(ranges, name)) for name in names}
 
 
-def whole(generator: np.random.Generator, ends: tuple[int, int]) -> int:
+def whole(rng: np.random.Generator, ends: WholeRange) -> int:
     """Draw a whole number; both ends are possible."""
-    return int(generator.integers(ends[0], ends[1] + 1))
+    return int(rng.integers(ends[0], ends[1] + 1))
 
 
-def times(generator: np.random.Generator, count: int, begin_s: float, end_s: float) -> Numbers:
+def times(rng: np.random.Generator, count: int, begin_s: float, end_s: float) -> Numbers:
     """Draw whole seconds in their order."""
-    return tuple(np.sort(np.round(generator.uniform(begin_s, end_s, count))).tolist())
+    return tuple(np.sort(np.round(rng.uniform(begin_s, end_s, count))).tolist())
 
 
 def several_sizes(
-    generator: np.random.Generator,
-    ends: tuple[float, float],
-    unchanged: float,
-    changes: tuple[int, int],
-    least: float,
+    rng: np.random.Generator, ends: Range, unchanged: float, changes: WholeRange, least: float
 ) -> Numbers:
     """Draw the size of a load, and those that it changes to in the same run.
 
     Args:
-        generator: Of random numbers.
+        rng: Of random numbers.
         ends: Smallest and largest size.
         unchanged: Share of runs in which it never changes.
         changes: How often it changes in the others.
         least: By this factor at least, up or down.
     """
-    sizes = [uniform(generator, ends)]
-    count = 0 if generator.random() < unchanged else whole(generator, changes)
+    sizes = [uniform(rng, ends)]
+    count = 0 if rng.random() < unchanged else whole(rng, changes)
     for _ in range(count):
-        sizes.append(_another(generator, ends, least, sizes[-1]))
+        sizes.append(_another(rng, ends, least, sizes[-1]))
     return tuple(sizes)
 
 
-def _another(
-    generator: np.random.Generator, ends: tuple[float, float], least: float, present: float
-) -> float:
+def _another(rng: np.random.Generator, ends: Range, least: float, present: float) -> float:
     """Draw a size that differs by the least factor, in either direction."""
     low, high = ends
     below, above = present / least, present * least
     room_below, room_above = max(0.0, below - low), max(0.0, high - above)
     if room_below + room_above == 0.0:
         return low if present > 0.5 * (low + high) else high
-    place = uniform(generator, (0.0, room_below + room_above))
+    place = uniform(rng, (0.0, room_below + room_above))
     return low + place if place < room_below else above + place - room_below
 
 
-def within_reach(low: float, step: float, reach: tuple[float, float]) -> tuple[float, float]:
+def within_reach(low: float, step: float, reach: Range) -> Range:
     """Return the ends of a step of the set-point, moved into what V_c holds.
 
     Args:
@@ -299,7 +288,7 @@ class DrawnRun(Trial):
             self.disturbances,
             mode,
             self.own.pole,
-            self.own.interlocks,
+            self.own.trips,
             self.burdens,
             self.offset,
             self.stops,
@@ -319,9 +308,8 @@ class DrawnRun(Trial):
 
     def site(self) -> Site:
         """Return the controller and the plant."""
-        return Site(
-            controller.Controller(self.own.settings, self.own.load), self.world(), self._wire()
-        )
+        control = controller.Controller(self.own.settings, self.own.load)
+        return Site(control, self.world(), self._wire())
 
     def run(self, mode: signals.Mode) -> Run:
         """Run the deployed controller."""
@@ -341,6 +329,8 @@ class DrawnRun(Trial):
     def seen(self, run: Run) -> Row:
         """Return what the supervisor has done, and the errors of the estimates at the end."""
         in_force, verdicts = run["adaptive"] > 0.0, run["verdict"]
+        wanted_V = run["boost_reference_V"]
+        saturated = (wanted_V <= 200.0 + 1e-9) | (wanted_V >= 400.0 - 1e-9)
         truth = self.truth_at(self.times_s.size - 1)
         estimates = np.array([run[name][-1] for name in self.own.load.names])
         row: Row = {
@@ -348,7 +338,7 @@ class DrawnRun(Trial):
             "accepted_share": float(np.mean(run["accepted"] > 0.0)),
             "switches": int(np.count_nonzero(np.diff(in_force.astype(int)))),
             "estimate_error": float(np.max(np.abs(estimates / truth - 1.0))),
-            "saturated_share": float(np.mean(_at_limit(run["boost_reference_V"]))),
+            "saturated_share": float(np.mean(saturated)),
         }
         for verdict in Verdict:
             row[f"verdict_{verdict.name.lower()}"] = int(np.count_nonzero(verdicts == verdict))
@@ -374,7 +364,3 @@ class DrawnRun(Trial):
         """Return the true physical parameters in a slow period."""
         load = self.true_load(k)
         return np.array(load.physical(list(load.numerator), list(load.denominator)))
-
-
-def _at_limit(voltage_V: Array) -> NDArray[np.bool_]:
-    return (voltage_V <= 200.0 + 1e-9) | (voltage_V >= 400.0 - 1e-9)

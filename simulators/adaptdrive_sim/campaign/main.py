@@ -36,9 +36,7 @@ def read_any_campaign(path: Path) -> AnyCampaign:
     Raises:
         ConfigurationError: It cannot be read, or a value is not allowed.
     """
-    return settings.read_campaign_of(
-        path, {name: contents for name, (contents, *_) in _TYPES.items()}
-    )
+    return settings.read_campaign_of(path, {name: one[0] for name, one in _TYPES.items()})
 
 
 def trial_of(campaign: AnyCampaign, seed: int) -> drawn.Trial:
@@ -51,10 +49,6 @@ def run_seed(campaign: AnyCampaign, seed: int) -> drawn.Row:
     """Run one seed with both controllers and judge them: one row of the results."""
     trial = trial_of(campaign, seed)
     return report.judge(trial, trial.run(Mode.FIXED), trial.run(Mode.ADAPTIVE))
-
-
-class ClusterError(AdaptdriveError):
-    """A Dask cluster cannot be used."""
 
 
 def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[drawn.Row]:
@@ -72,7 +66,7 @@ def workers(count: int | None, scheduler: str | None) -> Iterator[Executor]:
         scheduler: Address of a Dask scheduler to use instead.
 
     Raises:
-        ClusterError: There is no such cluster, or no way to talk to one.
+        AdaptdriveError: There is no such cluster, or no way to talk to one.
     """
     if scheduler is None:
         with processes(count or len(os.sched_getaffinity(0))) as executor:
@@ -84,9 +78,9 @@ def workers(count: int | None, scheduler: str | None) -> Iterator[Executor]:
         client = Client(scheduler, timeout=10)
     except ImportError as problem:
         reason = "needs the optional extra: pip install 'adaptdrive[cluster]'"
-        raise ClusterError(f"scheduler {scheduler}: {reason}") from problem
+        raise AdaptdriveError(f"scheduler {scheduler}: {reason}") from problem
     except (OSError, ValueError) as problem:
-        raise ClusterError(f"scheduler {scheduler}: {problem}") from problem
+        raise AdaptdriveError(f"scheduler {scheduler}: {problem}") from problem
     with client:
         yield client.get_executor()
 
@@ -116,14 +110,12 @@ def run_campaign(
         check_range("--runs", runs, 1, settings.MOST_RUNS, "")
         campaign = campaign.model_copy(update={"runs": runs})
     output.mkdir(parents=True, exist_ok=True)
-    console = Console()
-    with workers(processes, scheduler) as executor:
+    console, rows = Console(), list[drawn.Row]()
+    with workers(processes, scheduler) as executor, progress(campaign.runs) as done:
         started_s = time.monotonic()
-        rows: list[drawn.Row] = []
-        with progress(campaign.runs) as done:
-            for row in run_all(campaign, executor):
-                rows.append(row)
-                done(1, "")
+        for row in run_all(campaign, executor):
+            rows.append(row)
+            done(1, "")
         seconds = time.monotonic() - started_s
     report.write_results(rows, output)
     report.print_results(rows, seconds, path, console)

@@ -14,7 +14,6 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive_sim.campaign import drawn, settings
-from adaptdrive_sim.campaign import drawn as draws
 from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.experiments.case import from_rest
 from adaptdrive_sim.plants.boost import CouplingParameters
@@ -97,39 +96,35 @@ def draw_life(ranges: settings.LifeRanges, seed: int, duration_s: float, changes
         duration_s: Its length.
         changes: How often its inertia changes.
     """
-    generator = np.random.default_rng([seed, _STREAM])
-    torques, phases = (
-        drawn.whole(generator, ranges.torque_changes),
-        drawn.whole(generator, ranges.idle),
-    )
-    restarts = int(generator.random() < ranges.restarted)
-    constant = generator.random() < ranges.constant
+    rng = np.random.default_rng([seed, _STREAM])
+    torques = drawn.whole(rng, ranges.torque_changes)
+    phases = drawn.whole(rng, ranges.idle)
+    restarts = int(rng.random() < ranges.restarted)
+    constant = rng.random() < ranges.constant
     return Life(
-        torque_times_s=drawn.times(generator, torques, 0.0, duration_s),
-        torques_V=_several(generator, torques, ranges.torque_V),
-        torque_ramps_s=_ramps_s(generator, torques, ranges.torque_ramp_s, ranges.sudden),
-        inertia_ramps_s=_ramps_s(generator, changes, ranges.inertia_ramp_s, ranges.sudden),
-        idle_times_s=(0.0,) if constant else drawn.times(generator, phases, 0.0, duration_s),
-        idle_s=(np.inf,) if constant else _several(generator, phases, ranges.idle_s),
-        stop_times_s=_several(generator, restarts, (0.2 * duration_s, 0.8 * duration_s)),
-        off_s=_several(generator, restarts, ranges.off_s),
-        coulomb_V=drawn.uniform(generator, ranges.coulomb_V),
-        drag_V=drawn.uniform(generator, ranges.drag_V),
-        offset=drawn.uniform(generator, ranges.offset),
+        torque_times_s=drawn.times(rng, torques, 0.0, duration_s),
+        torques_V=_several(rng, torques, ranges.torque_V),
+        torque_ramps_s=_ramps_s(rng, torques, ranges.torque_ramp_s, ranges.sudden),
+        inertia_ramps_s=_ramps_s(rng, changes, ranges.inertia_ramp_s, ranges.sudden),
+        idle_times_s=(0.0,) if constant else drawn.times(rng, phases, 0.0, duration_s),
+        idle_s=(np.inf,) if constant else _several(rng, phases, ranges.idle_s),
+        stop_times_s=_several(rng, restarts, (0.2 * duration_s, 0.8 * duration_s)),
+        off_s=_several(rng, restarts, ranges.off_s),
+        coulomb_V=drawn.uniform(rng, ranges.coulomb_V),
+        drag_V=drawn.uniform(rng, ranges.drag_V),
+        offset=drawn.uniform(rng, ranges.offset),
     )
 
 
 def _ramps_s(
-    generator: np.random.Generator, count: int, ends: tuple[float, float], sudden: float
+    rng: np.random.Generator, count: int, ends: settings.Range, sudden: float
 ) -> drawn.Numbers:
-    ramps_s, jumps = generator.uniform(*ends, count), generator.random(count) < sudden
+    ramps_s, jumps = rng.uniform(*ends, count), rng.random(count) < sudden
     return tuple(np.where(jumps, 0.0, ramps_s).tolist())
 
 
-def _several(
-    generator: np.random.Generator, count: int, ends: tuple[float, float]
-) -> drawn.Numbers:
-    return tuple(generator.uniform(*ends, count).tolist())
+def _several(rng: np.random.Generator, count: int, ends: settings.Range) -> drawn.Numbers:
+    return tuple(rng.uniform(*ends, count).tolist())
 
 
 # Runs of motors: what a seed draws, and plant, controller and course made of it.
@@ -153,15 +148,6 @@ class Scenario(drawn.Drawn):
     filter: float
     life: Life
 
-    def inertias_at(self, times_s: Array) -> Array:
-        """Inertia in disks at each time."""
-        return moving(times_s, self.change_times_s, self.inertias, self.life.inertia_ramps_s)
-
-    def references_at(self, times_s: Array) -> Array:
-        """Return the set-point at each time."""
-        read_s = self.life.held_at(times_s).tolist()
-        return np.array([self.reference.value(time_s) for time_s in read_s])
-
     def motor(self) -> MotorParameters:
         """The true motor, with one disk."""
         nominal = MotorParameters()
@@ -175,48 +161,40 @@ class Scenario(drawn.Drawn):
 
 def draw(campaign: settings.Campaign, seed: int) -> Scenario:
     """The run of a campaign that a seed stands for."""
-    generator = np.random.default_rng([seed, 0])
+    rng = np.random.default_rng([seed, 0])
     load, reference, noise = campaign.load, campaign.reference, campaign.noise
-    inertias = draws.several_sizes(
-        generator,
-        load.inertia,
-        load.unchanged if campaign.duration_s > 2.0 * load.quiet_s else 1.0,
-        load.changes,
-        load.change_min,
-    )
+    unchanged = load.unchanged if campaign.duration_s > 2.0 * load.quiet_s else 1.0
+    inertias = drawn.several_sizes(rng, load.inertia, unchanged, load.changes, load.change_min)
     end_s = max(load.quiet_s, campaign.duration_s - load.quiet_s)
-    times_s = draws.times(generator, len(inertias) - 1, load.quiet_s, end_s)
-    step = draws.uniform(generator, reference.step)
-    shape = reference.shapes[int(generator.integers(len(reference.shapes)))]
-    period_s = round(draws.uniform(generator, reference.period_s))
+    times_s = drawn.times(rng, len(inertias) - 1, load.quiet_s, end_s)
+    step = drawn.uniform(rng, reference.step)
+    shape = reference.shapes[int(rng.integers(len(reference.shapes)))]
+    period_s = round(drawn.uniform(rng, reference.period_s))
     line, wire = campaign.line, campaign.wire
-    gain, above = draws.uniform(generator, load.gain), _low_above(reference, seed)
+    gain = drawn.uniform(rng, load.gain)
+    # from a separate stream, so that a file without it draws the same as ever
+    above = drawn.uniform(np.random.default_rng([seed, 2]), reference.low_above)
     life = draw_life(campaign.life, seed, campaign.duration_s, len(times_s))
     held = settings.reach(gain, life.largest_torque_V + life.coulomb_V, life.drag_V)
-    low, high = draws.within_reach(reference.low + above, step, held)
+    low, high = drawn.within_reach(reference.low + above, step, held)
     return Scenario(
         seed=seed,
         duration_s=campaign.duration_s,
         inertias=inertias,
         change_times_s=times_s,
         gain=gain,
-        filter=draws.uniform(generator, load.filter),
+        filter=drawn.uniform(rng, load.filter),
         reference=Waveform(Shape(shape), low, high, float(period_s)),
-        sigma=(high - low) * draws.uniform(generator, noise.sigma),
-        spike_share=draws.uniform(generator, noise.spike_share),
+        sigma=(high - low) * drawn.uniform(rng, noise.sigma),
+        spike_share=drawn.uniform(rng, noise.spike_share),
         spike_sigma=(high - low) * noise.spike_sigma,
-        line_voltage=draws.uniform(generator, line.voltage),
-        frequency_Hz=draws.uniform(generator, line.frequency_Hz),
-        output_delay_ticks=draws.whole(generator, wire.output_delay_ticks),
-        output_quantum=draws.uniform(generator, wire.output_V),
-        **draws.each(generator, wire, "voltage_V", "power_W", "scale_S"),
+        line_voltage=drawn.uniform(rng, line.voltage),
+        frequency_Hz=drawn.uniform(rng, line.frequency_Hz),
+        output_delay_ticks=drawn.whole(rng, wire.output_delay_ticks),
+        output_quantum=drawn.uniform(rng, wire.output_V),
+        **drawn.each(rng, wire, "voltage_V", "power_W", "scale_S"),
         life=life,
     )
-
-
-def _low_above(reference: settings.ReferenceRanges, seed: int) -> float:
-    """Draw from a separate stream, so that a file without it draws the same as ever."""
-    return draws.uniform(np.random.default_rng([seed, 2]), reference.low_above)
 
 
 WARM_UP_s = 90.0
@@ -225,7 +203,7 @@ WARM_UP_s = 90.0
 @cache
 def deployed() -> drawn.Deployed:
     """The example configuration, for a run that starts at rest."""
-    return at_rest(draws.deploy("motor.toml"))
+    return at_rest(drawn.deploy("motor.toml"))
 
 
 def at_rest(own: drawn.Deployed) -> drawn.Deployed:
@@ -240,13 +218,13 @@ class Stand(drawn.DrawnRun):
         life = scenario.life
         super().__init__(deployed(), scenario, life.offset, scenario.reference.value(0.0))
         self.scenario = scenario
-        self.sizes = self.targets = scenario.inertias_at(self.times_s)
+        starts_s, ramps_s = scenario.change_times_s, life.inertia_ramps_s
+        self.sizes = self.targets = moving(self.times_s, starts_s, scenario.inertias, ramps_s)
         self.burdens = life.torques_at(self.times_s)
-        self.references = scenario.references_at(self.times_s)
-        self.change_times_s = scenario.change_times_s
-        self.largest_movement = max(
-            self.step, settings.NOMINAL_GAIN * scenario.gain * life.largest_torque_V
-        )
+        self.references = scenario.references_at(life.held_at(self.times_s))
+        self.change_times_s = starts_s
+        moved = settings.NOMINAL_GAIN * scenario.gain * life.largest_torque_V
+        self.largest_movement = max(self.step, moved)
         self.stops = life.stops(self.own.period_s)
         self.disturbances = life.offset + scenario.disturbances(self.ticks + 1)
         self._true_load = cache(self._load_with)

@@ -21,7 +21,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun, Row, Trial
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.figure import CONTROLLERS, SYMBOLS, mark_in_force, minutes_of
-from adaptdrive_sim.experiments.outcome import Claim, print_claims
+from adaptdrive_sim.experiments.reproduce import Claim, print_claims
 
 # Judges a run by criteria that every load shares.
 
@@ -84,6 +84,8 @@ class Failure:
     reason: str = ""
 
 
+_NAMES = "fixed", "adaptive"
+
 _HELD = "interlock", "unstable"
 """Columns of each controller that say that it did not hold the load."""
 
@@ -118,8 +120,7 @@ def _reason(row: Row) -> str:
         "V_c at a limit": row.get("saturated_share", 0.0),
         "estimate outside of the bounds": row.get("verdict_out_of_bounds", 0) / max(1, verdicts),
     }
-    found = [f"{name} for {share:.0%} of the time" for name, share in shares.items()]
-    named = [text for text, share in zip(found, shares.values(), strict=True) if share > _MUCH]
+    named = [f"{one} for {share:.0%} of the time" for one, share in shares.items() if share > _MUCH]
     return "; ".join(named) or "none of those that are looked for"
 
 
@@ -210,10 +211,7 @@ def _cost_table(rows: list[Row]) -> Table:
         if not group:
             continue
         ratios = np.array([row["ratio"] for row in group])
-        rms = [
-            f"{float(np.median([row[f'rms_{one}'] for row in group])):.4f}"
-            for one in ("fixed", "adaptive")
-        ]
+        rms = [f"{np.median([row[f'rms_{one}'] for row in group]):.4f}" for one in _NAMES]
         marks = [f"{float(np.quantile(ratios, share)):.3f}" for share in (0.5, 0.95, 1.0)]
         table.add_row(name, str(len(group)), *rms, *marks)
     table.caption = "rms error against the designed loop, fraction of the step, median; cost ratio"
@@ -244,7 +242,7 @@ def costs(rows: list[Row]) -> Figure:
         ratios = np.sort([row["ratio"] for row in group])
         share = (np.arange(ratios.size) + 1.0) / max(1, ratios.size)
         right.semilogx(ratios, share, color=colour, label=f"load {label}")
-    ends = [row[f"cost_{one}"] for row in rows for one in ("fixed", "adaptive")]
+    ends = [row[f"cost_{one}"] for row in rows for one in _NAMES]
     ends = [value for value in ends if np.isfinite(value)]
     if ends:
         left.loglog([min(ends), max(ends)], [min(ends), max(ends)], color="0.35", lw=0.6)
@@ -262,15 +260,12 @@ def influences(rows: list[Row]) -> Figure:
     """Plot the cost ratio over the drawn values that matter most."""
     names = next(one for one in _INFLUENCES if set(one) <= set(rows[0]))
     figure = Figure(figsize=(style.WIDTH_in, 4.6), layout="constrained")
-    ratios = [row["ratio"] for row in rows]
     shapes = sorted({row["shape"] for row in rows})
     for axes, (name, label) in zip(figure.subplots(2, 3).flat, names.items(), strict=True):
         for shape, colour in zip(shapes, cycle((*style.PARAMETERS, "0.5")), strict=False):
-            chosen = [i for i, row in enumerate(rows) if row["shape"] == shape]
-            values = [rows[i][name] for i in chosen]
-            axes.semilogy(
-                values, [ratios[i] for i in chosen], ".", ms=2.5, color=colour, label=shape
-            )
+            chosen = [row for row in rows if row["shape"] == shape]
+            values, ratios = ([row[one] for row in chosen] for one in (name, "ratio"))
+            axes.semilogy(values, ratios, ".", ms=2.5, color=colour, label=shape)
         axes.axhline(WORSE, color="0.35", lw=0.6, ls=":")
         axes.set(xlabel=label, ylabel="cost ratio")
     named = figure.axes[0].get_legend_handles_labels()

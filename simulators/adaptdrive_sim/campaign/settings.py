@@ -29,7 +29,7 @@ class CampaignTable(BaseModel):
 def within(low: float, high: float) -> AfterValidator:
     """Make sure that a range is one, and lies within limits."""
 
-    def check(pair: tuple[float, float]) -> tuple[float, float]:
+    def check(pair: Range) -> Range:
         if not (low <= pair[0] and pair[1] <= high):
             raise ValueError(f"must lie within {low:g}…{high:g}")
         if pair[0] > pair[1]:
@@ -87,7 +87,7 @@ _EDGE = 0.05
 """Least distance from there to a set-point, as a share: torque and noise need some room."""
 
 
-def reach(gain: float, brake_V: float, drag_V: float) -> tuple[float, float]:
+def reach(gain: float, brake_V: float, drag_V: float) -> Range:
     """Return the least and the largest set-point, by the drawn load and by the model.
 
     The daemon refuses what the model does not reach, and its output limit lies above that.
@@ -248,12 +248,7 @@ NOMINAL_REACH_K = (5.5, 20.0)
 _BOOST_V = (200.0, 400.0)
 
 
-"""Least distance from what V_c holds to a set-point, as a share: noise needs some room."""
-
-
-def bath_reach(
-    inflows: Iterable[float], resistances: Iterable[float], shift_K: float
-) -> tuple[float, float]:
+def bath_reach(inflows: Iterable[float], resistances: Iterable[float], shift_K: float) -> Range:
     """Return the least and the largest set-point, by the drawn bath and by the model.
 
     Args:
@@ -267,7 +262,7 @@ def bath_reach(
     return max(least, NOMINAL_REACH_K[0]), min(most, NOMINAL_REACH_K[1])
 
 
-def held_K(inflow: float, resistance: float) -> tuple[float, float]:
+def held_K(inflow: float, resistance: float) -> Range:
     """Return the temperatures at which a bath rests at the lowest and at the highest V_c."""
     bath, stage = Bath(bath_parameters(1.0, inflow, resistance)), CouplingParameters()
     model = bath.model(stage.ratio, stage.droop_Ohm)

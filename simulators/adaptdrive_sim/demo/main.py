@@ -29,11 +29,10 @@ from adaptdrive.tui.view import DIM, Surroundings, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, first_error
-from adaptdrive_sim.demo import real
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import TRIPPED, DemoRecord
+from adaptdrive_sim.demo.stages import RealStage, VirtualStage, program
 from adaptdrive_sim.demo.story import DemoSettings, Story, read_story
-from adaptdrive_sim.demo.virtual import VirtualStage
 
 # The view of a demonstration: that of `adaptdrive watch`, with the story and its table.
 
@@ -41,19 +40,17 @@ KEYS = ("q end", "space pause", "d disk", "f fixed", "a adaptive", "p panel", "s
 
 
 class DemoView:
-    """Shows a record and its story, and heeds the keys of the story.
+    """Shows a record and its story, and acts on the keys of the story.
 
     Attributes:
         help: Whether the help is shown.
     """
 
-    def __init__(
-        self, record: DemoRecord, player: Player, stage: real.RealStage | VirtualStage
-    ) -> None:
+    def __init__(self, record: DemoRecord, player: Player, stage: RealStage | VirtualStage) -> None:
         """Prepare the view.
 
         Args:
-            record: What was heard.
+            record: What was received.
             player: The story.
             stage: Where it is played.
         """
@@ -62,7 +59,7 @@ class DemoView:
         self._opening: asyncio.Task[None] | None = None
 
     def takes(self, key: str) -> terminal.KeyCommand | bool:
-        """Heed a key of the story; return its disturbance, or whether it was such a key."""
+        """Act on a key of the story; return its disturbance, or whether it was such a key."""
         match key:
             case " ":
                 self._player.toggle()
@@ -91,11 +88,9 @@ class DemoView:
         return screen(self._record, size, around)
 
     def _lead(self, width: int) -> list[Text]:
-        said = wrap(self._player.say, max(20, width - 2))[:2]
-        return [
-            Text(f" {self._player.position}", "bold cyan"),
-            *(Text(f" {line}", "italic") for line in said),
-        ]
+        lines = wrap(self._player.say, max(20, width - 2))[:2]
+        position = Text(f" {self._player.position}", "bold cyan")
+        return [position, *(Text(f" {line}", "italic") for line in lines)]
 
     def _help(self, width: int) -> Text:
         """Return what else can be done, here and from another terminal."""
@@ -137,6 +132,8 @@ def story_table(record: DemoRecord) -> tuple[str, Table]:
 
 _PICTURE = (100, 18)
 
+Summary = dict[str, Any]
+
 
 def run_demo(name: str, settings: DemoSettings) -> int:
     """Play a story and print its summary.
@@ -166,13 +163,11 @@ def run_demo(name: str, settings: DemoSettings) -> int:
     return 0 if summary["ok"] else 1
 
 
-async def _play(
-    story: Story, settings: DemoSettings
-) -> tuple[dict[str, Any], AdaptdriveError | None]:
+async def _play(story: Story, settings: DemoSettings) -> tuple[Summary, AdaptdriveError | None]:
     """Play a story to its end, and return its figures and what has ended it early."""
     problem: AdaptdriveError | None = None
     virtual = story.speed is not None
-    stage = VirtualStage(story, settings) if virtual else real.RealStage(story, settings)
+    stage = VirtualStage(story, settings) if virtual else RealStage(story, settings)
     record = DemoRecord(stage.drive_name, time.monotonic, story=story)
     player = Player(story, stage, record, settings.duration_s)
     try:
@@ -192,11 +187,11 @@ async def _play(
     return summary, problem
 
 
-def summarise(record: DemoRecord, player: Player, failure: str) -> dict[str, Any]:
+def summarise(record: DemoRecord, player: Player, failure: str) -> Summary:
     """Return everything worth knowing at the end, as one flat object for JSON.
 
     Args:
-        record: What was heard.
+        record: What was received.
         player: The story.
         failure: What ended the demonstration early; empty when nothing did.
     """
@@ -254,7 +249,7 @@ def keep_marks(record: DemoRecord, session: Path) -> None:
     write_marks(session, [mark for mark in marks if mark.text != TRIPPED])
 
 
-def show_end(record: DemoRecord, summary: dict[str, Any], session: Path | None) -> None:
+def show_end(record: DemoRecord, summary: Summary, session: Path | None) -> None:
     """Print what was seen, the figures, and the line that shows it again."""
     points = list(record.points)
     console = Console(highlight=False)
@@ -269,16 +264,16 @@ def show_end(record: DemoRecord, summary: dict[str, Any], session: Path | None) 
     sys.stdout.write("\n".join(_lines(summary, session)) + "\n")
 
 
-def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
+def _lines(summary: Summary, session: Path | None) -> Iterator[str]:
     verdict = "control worked" if summary["ok"] else "control failed"
     yield f"{summary['demo']}: {verdict} for {summary['duration_s']:.0f} s"
     counted = (f"{summary[name]} {name}" for name in ("ticks", "missed", "held"))
     yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
     if session is not None and (drawn := _figure(session)) is not None:
         yield f"  figure     {_short(drawn[0])}"
-        yield f"  once more  {real.program()} plot {_short(session)} --from {drawn[1]}"
+        yield f"  once more  {program()} plot {_short(session)} --from {drawn[1]}"
     else:
-        yield f"  once more  {real.program('adaptdrive-sim')} demo {summary['demo']}"
+        yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
     yield f"  next       {next_step()}"
 
 
@@ -287,7 +282,7 @@ def next_step() -> str:
     activate = Path(sys.executable).with_name("activate")
     if shutil.which("adaptdrive") is None and activate.exists():
         return f". {_short(activate)}   # then adaptdrive is a command here: README.md goes on"
-    return f"{real.program()} init motor --device siemens-v20 --name pump   # README.md goes on"
+    return f"{program()} init motor --device siemens-v20 --name pump   # README.md goes on"
 
 
 def _figure(session: Path) -> tuple[Path, int] | None:

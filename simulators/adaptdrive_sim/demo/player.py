@@ -1,14 +1,15 @@
 """Plays a story: its clock, its scenes, and the way back after a trip or a pause."""
 
 from collections.abc import Callable
-from typing import Protocol
 
 import msgspec
 
-from adaptdrive.mqtt import client, commands, contract
+from adaptdrive.control.signals import Waveform
+from adaptdrive.mqtt import client, commands
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive_sim.demo.record import DemoRecord
-from adaptdrive_sim.demo.story import DemoError, Scene, Story, Wave
+from adaptdrive_sim.demo.stages import RealStage, VirtualStage
+from adaptdrive_sim.demo.story import DemoError, Scene, Story
 
 START_s = 60.0
 RUNNING_s = 30.0
@@ -23,20 +24,6 @@ _ATTEMPTS = 5
 """Attempts in a row to bring the drive to a scene."""
 
 _LOOK_s = 0.1
-
-
-class StoryStage(Protocol):
-    """Place in which a story is played."""
-
-    @property
-    def time_s(self) -> float:
-        """Monotonic time, as the drive lives it."""
-
-    async def wait(self, longest_s: float) -> None:
-        """Let some time pass, at most so much."""
-
-    async def ask(self, command: KeyCommand) -> contract.Reply | contract.DeviceReply:
-        """Send a command or a disturbance, and return the answer."""
 
 
 class Player:
@@ -54,7 +41,11 @@ class Player:
     """
 
     def __init__(
-        self, story: Story, stage: StoryStage, record: DemoRecord, duration_s: float | None
+        self,
+        story: Story,
+        stage: RealStage | VirtualStage,
+        record: DemoRecord,
+        duration_s: float | None,
     ) -> None:
         self.say = "The drive starts: its capacitor is charged."
         self.at_s = 0.0
@@ -65,8 +56,8 @@ class Player:
         self._stage = stage
         self._record = record
         self._ready = False
-        self._wave: Wave | None = None
-        self._wave_s = self._told_s = 0.0
+        self._wave: Waveform | None = None
+        self._wave_s = self._asked_s = 0.0
         self._drops = 0
         self._failures = 0
         self._repeated = -1
@@ -82,10 +73,8 @@ class Player:
         """Present scene and time of the story."""
         scenes = len(self._story.scenes)
         held = " · paused" if self.paused else ""
-        return (
-            f"{_clock(self.at_s)} of {_clock(self.duration_s)} · "
-            f"scene {self.number + 1} of {scenes}{held}"
-        )
+        time = f"{_clock(self.at_s)} of {_clock(self.duration_s)}"
+        return f"{time} · scene {self.number + 1} of {scenes}{held}"
 
     async def run(self) -> None:
         """Play until the story is over.
@@ -108,7 +97,7 @@ class Player:
         if self.paused:
             self.say = "The story is paused; the drive runs on. Space continues it."
         else:
-            self._ready = self._ready and self._intruder() == ""
+            self._ready = self._ready and self._other_operator() == ""
             self.say = self._scene.say
             self._align(0.0)
 
@@ -141,7 +130,7 @@ class Player:
         if self.paused or not self._ready:
             return
         self.at_s += self._stage.time_s - before_s
-        if why := self._intruder():
+        if why := self._other_operator():
             self.hold(why)
             return
         if self._next_s <= 0.0 and not self.over:
@@ -149,10 +138,10 @@ class Player:
             self.say = self._scene.say
             await self._perform(self._scene)
 
-    def _intruder(self) -> str:
+    def _other_operator(self) -> str:
         """Return what somebody else has done to the drive, empty for nothing."""
         state = self._record.state
-        if self._stage.time_s - self._told_s < SEEN_s or self._record.completed:
+        if self._stage.time_s - self._asked_s < SEEN_s or self._record.completed:
             return ""
         if state.get("state") in {"standby", "stopping"}:
             return "The drive was stopped."
@@ -215,7 +204,7 @@ class Player:
             await self._pause_a_moment(end_s, "the trip cannot be reset")
         await self._until(lambda: not self._record.trip, RUNNING_s, "the trip stays")
 
-    async def _come_near(self, wave: Wave) -> None:
+    async def _come_near(self, wave: Waveform) -> None:
         """Wait until the output is near the wave, or for so long that it never will be."""
         end_s = self._stage.time_s + NEAR_s
         room = _NEAR * (wave.high - wave.low)
@@ -251,7 +240,7 @@ class Player:
 
     async def _order(self, verb: str, value: object = None) -> None:
         await self._accepted(KeyCommand(verb, value))
-        self._told_s = self._stage.time_s
+        self._asked_s = self._stage.time_s
 
     async def _accepted(self, command: KeyCommand) -> None:
         reply = await self._stage.ask(command)

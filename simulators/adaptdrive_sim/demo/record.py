@@ -18,14 +18,6 @@ Case = tuple[str, int | None]
 """Controller and size of the load at the step that begins a half wave."""
 
 
-@dataclass(slots=True)
-class _Half:
-    before: float
-    reference: float
-    case: Case
-    outputs: list[float] = field(default_factory=list)
-
-
 class Halves:
     """Collects slow samples and finds the overshoot of each half wave.
 
@@ -33,7 +25,9 @@ class Halves:
     """
 
     def __init__(self) -> None:
-        self._half: _Half | None = None
+        self._case: Case | None = None
+        self._before = math.nan
+        self._outputs: list[float] = []
         self._reference: float | None = None
         self._found: dict[Case, float] = {}
 
@@ -46,18 +40,18 @@ class Halves:
             controller: The controller in force.
             size: Which size the load has, None for one in between.
         """
-        if self._half is not None and size != self._half.case[1]:
+        if self._case is not None and size != self._case[1]:
             self._close()
         if self._reference is not None and reference != self._reference:
             self._close()
-            self._half = _Half(self._reference, reference, (controller, size))
+            self._case, self._before, self._outputs = (controller, size), self._reference, []
         self._reference = reference
-        if self._half is not None:
-            self._half.outputs.append(output)
+        if self._case is not None:
+            self._outputs.append(output)
 
     def begin(self, reference: float) -> None:
         """Begin anew, near a reference: something else than a step has moved the output."""
-        self._half, self._reference = None, reference
+        self._case, self._reference = None, reference
 
     def overshoot(self, controller: str, size: int) -> float | None:
         """The largest overshoot of the half waves of a case, None before the first."""
@@ -65,10 +59,11 @@ class Halves:
 
     def _close(self) -> None:
         """End a half wave, at its end or when something is changed; a long one counts."""
-        half, self._half = self._half, None
-        if half is not None and len(half.outputs) >= _SETTLED_PERIODS:
-            beyond, _ = judge_step(np.array(half.outputs), half.before, half.reference)
-            self._found[half.case] = max(beyond, self._found.get(half.case, 0.0))
+        case, self._case = self._case, None
+        if case is None or self._reference is None or len(self._outputs) < _SETTLED_PERIODS:
+            return
+        beyond, _ = judge_step(np.array(self._outputs), self._before, self._reference)
+        self._found[case] = max(beyond, self._found.get(case, 0.0))
 
 
 TRIPPED = "trip"

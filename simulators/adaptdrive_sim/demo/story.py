@@ -10,28 +10,16 @@ import msgspec
 from cyclopts import Parameter
 
 from adaptdrive.cli.options import Integer
+from adaptdrive.control.signals import Waveform
 from adaptdrive.util.errors import AdaptdriveError, RefusedError
-from adaptdrive_sim.experiments.examples import example_tables
+from adaptdrive_sim.parameters import example_tables
 
 # Stories as data: one file each, which names what happens when, and the sentence about it.
 
 FOLDER = Path(__file__).parent / "stories"
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    pass
-
-
-class Wave(_Table, frozen=True):
-    """A waveform of the set-point, as the command `waveform` takes it."""
-
-    shape: str
-    low: float
-    high: float
-    period_s: float
-
-
-class Scene(_Table, frozen=True):
+class Scene(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One turn of a story.
 
     Attributes:
@@ -47,12 +35,12 @@ class Scene(_Table, frozen=True):
     say: str
     mode: str | None = None
     setpoint: float | None = None
-    waveform: Wave | None = None
+    waveform: Waveform | None = None
     disturb: dict[str, float] | None = None
 
 
-class Overshoot(_Table, frozen=True):
-    """By which size of the load the overshoots are told apart.
+class Overshoot(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Sizes of the load by which the overshoots are shown.
 
     Attributes:
         of: The size in the truth of the simulator.
@@ -74,7 +62,7 @@ class Overshoot(_Table, frozen=True):
         return next(near, None)
 
 
-class Value(_Table, frozen=True):
+class Value(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A value of the truth that is shown.
 
     Attributes:
@@ -102,7 +90,12 @@ class Value(_Table, frozen=True):
         return self.at_least <= value <= self.at_most
 
 
-class Story(_Table, frozen=True, rename={"scenes": "scene", "values": "value"}):
+class Story(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    rename={"scenes": "scene", "values": "value"},
+):
     """A load, and what happens to it.
 
     Attributes:

@@ -10,11 +10,9 @@ the host's heartbeat: when that stays away it switches off by itself.
 """
 
 import asyncio
-import collections
 import functools
 import math
 import struct
-import time
 from collections.abc import Callable, Iterable
 from enum import IntEnum
 from pathlib import Path
@@ -27,8 +25,9 @@ from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
 from adaptdrive.util.errors import BusError, ConfigurationError
-from adaptdrive_sim.devices import canopen_objects, frames
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
+from adaptdrive_sim.devices import canopen_objects
+from adaptdrive_sim.devices.can import send
+from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 # The state machine of CiA 402 as a drive runs it: controlwords in, statusword out.
 
@@ -45,58 +44,24 @@ class PowerState(IntEnum):
     FAULT = 0x0008
 
 
-class PowerStates:
-    """State of the drive.
-
-    Attributes:
-        state: The present state.
-    """
-
-    def __init__(self) -> None:
-        self.state = PowerState.SWITCH_ON_DISABLED
-        self._reset = False
-
-    @property
-    def charging(self) -> bool:
-        """True if line current may flow."""
-        return self.state in {PowerState.SWITCHED_ON, PowerState.ENABLED}
-
-    def obey(self, controlword: int, *, healthy: bool) -> None:
-        """Make the transition that a controlword asks for, if there is one."""
-        edge = bool(controlword & _RESET) and not self._reset
-        self._reset = bool(controlword & _RESET)
-        if self.state is PowerState.FAULT:
-            if edge and healthy:
-                self.state = PowerState.SWITCH_ON_DISABLED
-            return
-        self.state = self._next(controlword)
-
-    def disable_voltage(self) -> None:
-        """Leave everything but a fault at once."""
-        if self.state is not PowerState.FAULT:
-            self.state = PowerState.SWITCH_ON_DISABLED
-
-    def fail(self) -> None:
-        """Enter the fault; the power stage is off at once."""
-        self.state = PowerState.FAULT
-
-    def _next(self, word: int) -> PowerState:
-        if not word & _ENABLE_VOLTAGE or not word & _NO_QUICK_STOP:
-            return PowerState.SWITCH_ON_DISABLED
-        if not word & _SWITCH_ON:
-            return PowerState.READY
-        if self.state is PowerState.SWITCH_ON_DISABLED:
-            return self.state
-        if self.state is PowerState.READY or not word & _ENABLE:
-            return PowerState.SWITCHED_ON
-        return PowerState.ENABLED
+def next_state(state: PowerState, word: int) -> PowerState:
+    """Return the state after a controlword, of a drive without a fault."""
+    if not word & _ENABLE_VOLTAGE or not word & _NO_QUICK_STOP:
+        return PowerState.SWITCH_ON_DISABLED
+    if not word & _SWITCH_ON:
+        return PowerState.READY
+    if state is PowerState.SWITCH_ON_DISABLED:
+        return state
+    if state is PowerState.READY or not word & _ENABLE:
+        return PowerState.SWITCHED_ON
+    return PowerState.ENABLED
 
 
 # The simulated drive as a CiA 402 node on CANopen.
 
 _NMT, _SYNC = 0x000, 0x080
 _CONTROLWORD, _STATUSWORD = (0x6040, 0), (0x6041, 0)
-_SYNC_ID, _HEARD, _SENT = (0x1005, 0), (0x1016, 1), (0x1017, 0)
+_SYNC_ID, _CONSUMED, _PRODUCED = (0x1005, 0), (0x1016, 1), (0x1017, 0)
 _REGISTER, _ERROR, _ABORT = (0x1001, 0), (0x603F, 0), (0x6007, 0)
 _PRODUCES_SYNC = 1 << 30
 _FAULT_ON_ABORT = 1
@@ -120,39 +85,23 @@ _ORDERS = {0x01: _Nmt.OPERATIONAL, 0x02: _Nmt.STOPPED, 0x80: _Nmt.PRE_OPERATIONA
 _RESETS = frozenset({0x81, 0x82})
 
 
-class CanOpenDrive:
-    """One simulated drive on one bus.
+class CanOpenDrive(DriveNode):
+    """One simulated drive on one bus."""
 
-    Attributes:
-        counts: Frames sent, dropped, obeyed and refused, by name.
-    """
-
-    def __init__(
-        self,
-        drive: SimulatedDrive,
-        configuration: Configuration,
-        report: Report,
-        source: Path,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, drive: SimulatedDrive, configuration: Configuration, source: Path) -> None:
         """Build the node; nothing is opened yet.
 
         Raises:
             ConfigurationError: EDS and configuration do not fit together.
         """
-        assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - who builds it has looked
-        self.counts: collections.Counter[str] = collections.Counter()
+        super().__init__(drive)
+        assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - `KINDS` has looked
         self._config = configuration.bus
-        self._drive = drive
-        self._report = report
-        self._clock = clock
-        self._holds = configuration.voltage_loop.where == "drive"
         self._shown, self._obeyed = _addresses(configuration, self._config, source)
         self._wire = canopen_objects.NodeNetwork(self._put)
-        self._objects = canopen_objects.Objects(
-            str(self._config.eds), self._config.node_id, self._wire
-        )
-        self._power = PowerStates()
+        eds, node_id = str(self._config.eds), self._config.node_id
+        self._objects = canopen_objects.Objects(eds, node_id, self._wire)
+        self._power, self._reset = PowerState.SWITCH_ON_DISABLED, False
         self._nmt = _Nmt.BOOT_UP
         self._beat_s = -math.inf
         self._host_s: float | None = None
@@ -169,10 +118,8 @@ class CanOpenDrive:
             opened(describe_bus(self._config))
             self._boot()
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._hear(bus))
-                tasks.create_task(
-                    run_half_cycles(self._drive, self._clock, self._half_cycle, self._report)
-                )
+                tasks.create_task(self._receive(bus))
+                tasks.create_task(self._run_half_cycles(self._half_cycle))
         finally:
             self._bus = None
             bus.shutdown()
@@ -192,7 +139,7 @@ class CanOpenDrive:
             if self._nmt is not _Nmt.STOPPED:
                 self._wire.notify(can_id, bytearray(data), 0.0)
         elif self._nmt is _Nmt.OPERATIONAL and self._objects.take_pdo(can_id, data):
-            self._obey()
+            self._follow_controlword()
 
     def take_garbage(self) -> None:
         """Count what is no frame."""
@@ -201,16 +148,16 @@ class CanOpenDrive:
     @property
     def _watched(self) -> tuple[int, float]:
         """Monitored node, and the longest time between two of its heartbeats; 0 for none."""
-        entry = int(self._objects.number(_HEARD))
+        entry = int(self._objects.number(_CONSUMED))
         return entry >> 16 & 0x7F, (entry & 0xFFFF) * 1e-3
 
-    async def _hear(self, bus: can.BusABC) -> None:
+    async def _receive(self, bus: can.BusABC) -> None:
         raise BusError(describe_bus(self._config), await FrameReader(bus, self).run())
 
     def _boot(self) -> None:
         """Start as after power-on."""
         self._objects.reset()
-        self._power = PowerStates()
+        self._power, self._reset = PowerState.SWITCH_ON_DISABLED, False
         self._host_s = None
         self._drive.shut_down("restart")
         self._put(0x700 + self._config.node_id, bytes((_Nmt.BOOT_UP,)))
@@ -233,54 +180,47 @@ class CanOpenDrive:
             self._emergency(_NO_ERROR, 0)
         self._host_s = self._clock()
 
-    def _obey(self) -> None:
-        """Follow the controlword and the values that came with it."""
-        self.counts["obeyed"] += 1
-        before, healthy = self._power.state, not self._drive.fault
-        self._power.obey(int(self._objects.number(_CONTROLWORD)), healthy=healthy)
-        if before is not self._power.state:
-            self._report("power state", state=self._power.state.name)
+    def _follow_controlword(self) -> None:
+        """Follow the controlword, and pass to the power stage what the state lets through."""
+        before, word = self._power, int(self._objects.number(_CONTROLWORD))
+        edge, self._reset = bool(word & _RESET) and not self._reset, bool(word & _RESET)
+        if before is not PowerState.FAULT:
+            self._power = next_state(before, word)
+        elif edge and not self._drive.fault:
+            self._power = PowerState.SWITCH_ON_DISABLED
+        state = self._power
+        if before is not state:
+            self._report("power state", state=state.name)
             if before is PowerState.FAULT:
                 self._emergency(_NO_ERROR, 0)
-        self._apply()
-
-    def _apply(self) -> None:
-        """Pass to the power stage what the present state lets through."""
-        power, now_s = self._power, self._clock()
-        bridge = power.state is PowerState.ENABLED
         values = dict.fromkeys(COMMANDED, 0.0)
-        if power.charging:
+        if state in {PowerState.SWITCHED_ON, PowerState.ENABLED}:
             values |= {
                 name: self._objects.number(address) * source.scale + source.offset
                 for name, (address, source) in self._obeyed.items()
             }
-        if self._holds:
-            self._drive.hold(values["boost_reference_V"], bridge, now_s)
-        else:
-            self._drive.command(values["current_scale_S"], bridge, now_s)
+        self._obey(values | {"bridge": state is PowerState.ENABLED})
 
     def _half_cycle(self, frame: Frame) -> None:
         """Carry out one zero crossing of the line."""
-        for name, value in frames.quantities_of(frame).items():
+        for name, value in frame.quantities().items():
             if name in self._shown:
                 address, source = self._shown[name]
-                self._show(name, address, (value - source.offset) / source.scale)
+                shown = (value - source.offset) / source.scale
+                self._objects.put(address, shown % 65536 if name == "counter" else shown)
         self._watch_host()
         self._watch_fault(frame.fault)
-        if self._clock() - self._beat_s >= self._objects.number(_SENT) * 1e-3 > 0.0:
+        if self._clock() - self._beat_s >= self._objects.number(_PRODUCED) * 1e-3 > 0.0:
             self._send_heartbeat()
         if int(self._objects.number(_SYNC_ID)) & _PRODUCES_SYNC and self._nmt >= _Nmt.OPERATIONAL:
             self._put(_SYNC, b"")
             self._measure()
 
-    def _show(self, name: str, address: canopen_objects.Address, value: float) -> None:
-        self._objects.put(address, value % 65536 if name == "counter" else value)
-
     def _measure(self) -> None:
         """Send the PDOs that follow SYNC."""
         if self._nmt is not _Nmt.OPERATIONAL:
             return
-        self._objects.put(_STATUSWORD, self._power.state)
+        self._objects.put(_STATUSWORD, self._power)
         for can_id, data in self._objects.transmit_pdos():
             self._put(can_id, data)
 
@@ -295,19 +235,20 @@ class CanOpenDrive:
         self._host_s = None
         self._nmt = _Nmt.PRE_OPERATIONAL
         if self._objects.number(_ABORT) == _FAULT_ON_ABORT:
-            self._power.fail()
+            self._power = PowerState.FAULT
         self._switch_off("heartbeat lost", silent_s)
         self._emergency(_HEARTBEAT_LOST, _COMMUNICATION)
 
     def _watch_fault(self, fault: int) -> None:
-        if not fault or self._power.state is PowerState.FAULT:
+        if not fault or self._power is PowerState.FAULT:
             return
-        self._power.fail()
+        self._power = PowerState.FAULT
         self._drive.shut_down("fault")
         self._emergency(_CODES[fault & -fault], _GENERIC)
 
     def _switch_off(self, reason: str, after_s: float = 0.0) -> None:
-        self._power.disable_voltage()
+        if self._power is not PowerState.FAULT:
+            self._power = PowerState.SWITCH_ON_DISABLED
         self._drive.shut_down(reason, after_s)
 
     def _emergency(self, code: int, register: int) -> None:
@@ -322,27 +263,19 @@ class CanOpenDrive:
 
     def _put(self, can_id: int, data: bytes) -> None:
         frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
-        try:
-            if self._bus is not None:
-                self._bus.send(frame)
-        except (can.CanError, OSError):
-            self.counts["dropped"] += 1
-        else:
-            self.counts["sent"] += 1
+        self.counts["sent" if send(self._bus, frame) else "dropped"] += 1
 
 
 _Places = dict[str, tuple[canopen_objects.Address, SignalSource]]
 
 
-def _addresses(
-    configuration: Configuration, bus: CanOpenBus, source: Path
-) -> tuple[_Places, _Places]:
+def _addresses(whole: Configuration, bus: CanOpenBus, source: Path) -> tuple[_Places, _Places]:
     """Return the address of each quantity, and of each part of the command."""
     catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     find = functools.partial(_places, catalogue)
-    measured = ((name, one) for name, one, _ in configuration.signals.entries())
-    shown = find((one for one in measured if one[0] in frames.QUANTITIES), "signals")
-    command = configuration.signals.command
+    measured = ((name, one) for name, one, _ in whole.signals.entries())
+    shown = find((one for one in measured if one[0] in QUANTITIES), "signals")
+    command = whole.signals.command
     obeyed = find(((name, getattr(command, name)) for name in COMMANDED), "signals.command")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)

@@ -1,6 +1,6 @@
 """The object dictionary of the simulated CiA 402 drive, and the PDOs that it describes.
 
-What a PDO carries stands in the dictionary, where the daemon has written it: nothing here knows the
+What a PDO carries stands in the dictionary, where the daemon has written it: nothing here reads the
 daemon's configuration. As in a real drive, a mapping can be changed only while its PDO is invalid
 and its count is 0, and only to objects that the EDS lets travel.
 """
@@ -8,6 +8,7 @@ and its count is 0, and only to objects that the EDS lets travel.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import canopen
 from canopen.objectdictionary import ODVariable
@@ -42,19 +43,9 @@ class NodeNetwork(canopen.Network):
             raise BusError("simulated drive", "no remote requests")
         self._send(can_id, bytes(data))
 
-    def send_periodic(self, *_: object, **__: object) -> _Nothing:  # type: ignore[override]
+    def send_periodic(self, *_: object, **__: object) -> SimpleNamespace:  # type: ignore[override]
         """Heartbeats follow the half cycles: the library's own thread is not wanted."""
-        return _Nothing()
-
-
-class _Nothing:
-    """Stand-in for a periodic message that is not sent."""
-
-    def update(self, data: bytes) -> None:
-        """Take other data."""
-
-    def stop(self) -> None:
-        """Stop."""
+        return SimpleNamespace(update=lambda _: None, stop=lambda: None)
 
 
 class Objects:
@@ -75,10 +66,6 @@ class Objects:
     def reset(self) -> None:
         """Back to the values of the EDS."""
         self._node.data_store.clear()
-
-    def has(self, address: Address) -> bool:
-        """Return whether there is such an entry."""
-        return self._variable(address) is not None
 
     def number(self, address: Address) -> float:
         """The raw value of an entry, 0 for one that is not there."""
@@ -104,10 +91,10 @@ class Objects:
 
     def transmit_pdos(self) -> Iterator[tuple[int, bytes]]:
         """Frame id and content of each valid PDO that follows each SYNC."""
-        for number, cob_id in self._valid(_TRANSMIT):
-            if self.number((_TRANSMIT + number, 2)) == 1:
+        for index, cob_id in self._valid(_TRANSMIT):
+            if self.number((index, 2)) == 1:
                 word, length = 0, 0
-                for address, bits in self._mapped(_TRANSMIT + number):
+                for address, bits in self._mapped(index):
                     raw = int.from_bytes(self._node.get_data(*address), "little")
                     word |= raw << length
                     length += bits
@@ -115,13 +102,9 @@ class Objects:
 
     def take_pdo(self, can_id: int, data: bytes) -> bool:
         """Take the content of a PDO; False when it is none of ours, or too short."""
-        for number, cob_id in self._valid(_RECEIVE):
-            if cob_id == can_id:
-                return self._spread(self._mapped(_RECEIVE + number), data)
-        return False
-
-    def _spread(self, entries: list[tuple[Address, int]], data: bytes) -> bool:
-        if 8 * len(data) < sum(bits for _, bits in entries):
+        index = next((one for one, cob_id in self._valid(_RECEIVE) if cob_id == can_id), None)
+        entries = [] if index is None else self._mapped(index)
+        if index is None or 8 * len(data) < sum(bits for _, bits in entries):
             return False
         word = int.from_bytes(data, "little")
         for address, bits in entries:
@@ -130,13 +113,12 @@ class Objects:
             word >>= bits
         return True
 
-    def _valid(self, first: int) -> Iterator[tuple[int, int]]:
-        number = 0
-        while self.has((first + number, 1)):
-            cob_id = int(self.number((first + number, 1)))
+    def _valid(self, index: int) -> Iterator[tuple[int, int]]:
+        while self._variable((index, 1)) is not None:
+            cob_id = int(self.number((index, 1)))
             if not cob_id & _INVALID:
-                yield number, cob_id & 0x7FF
-            number += 1
+                yield index, cob_id & 0x7FF
+            index += 1
 
     def _mapped(self, communication: int) -> list[tuple[Address, int]]:
         index = communication + _MAPPING
@@ -156,18 +138,15 @@ class Objects:
             raise SdoAbortedError(_NOT_NOW)
         value = int.from_bytes(data, "little")
         if subindex == 0:
-            self._check_length(index, value)
+            bits = sum(int(self.number((index, one + 1))) & 0xFF for one in range(value))
+            if bits > _LONGEST_BITS:
+                raise SdoAbortedError(_TOO_LONG)
             return
         if self.number((index, 0)) != 0:
             raise SdoAbortedError(_NOT_NOW)
         variable = self._variable((value >> 16, value >> 8 & 0xFF))
         if variable is None or not variable.pdo_mappable or len(variable) != value & 0xFF:
             raise SdoAbortedError(_NOT_MAPPABLE)
-
-    def _check_length(self, index: int, count: int) -> None:
-        bits = sum(int(self.number((index, one + 1))) & 0xFF for one in range(count))
-        if bits > _LONGEST_BITS:
-            raise SdoAbortedError(_TOO_LONG)
 
     def _variable(self, address: Address) -> ODVariable | None:
         return self._node.object_dictionary.get_variable(*address)

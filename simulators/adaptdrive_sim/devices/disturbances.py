@@ -22,40 +22,36 @@ The simulator's own topics on an MQTT broker.
     adaptdrive-sim/DRIVE/truth     retained, once a second: what an estimator is to find, and
                                    the disturbances that the device offers
 
-The truth is removed when the simulated drive goes away, by its last will if need be.
+The truth is removed when the simulated drive goes away, by its last will if need be. The drive's
+node never waits for any of this: when the broker is away the node runs on, and a new client is
+tried at growing intervals.
 """
 
+import asyncio
+import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, TypeVar
 
+import aiomqtt
 import msgspec
 
-from adaptdrive.mqtt.contract import DeviceReply, Feature
+from adaptdrive.config.services import Mqtt
+from adaptdrive.mqtt.contract import DeviceReply, Feature, simulator_topic
+from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.util.errors import NOT_JSON, RefusedError
-from adaptdrive_sim.devices.sensor_values import SensorFault
+from adaptdrive_sim.devices.drive import SimulatedDrive
+from adaptdrive_sim.devices.sensors import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants import bath, battery, motor
 from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.world import World
 
 Plant = TypeVar("Plant")
-
-
-class Disturbed(Protocol):
-    """Parts that can be disturbed: a plant, its drive, and its sensor modules."""
-
-    @property
-    def world(self) -> World:
-        """The plant."""
-
-    @property
-    def has_sensors(self) -> bool:
-        """True where there are sensor modules."""
-
-    def inject(self, fault: int) -> None:
-        """Set the fault word of the drive."""
+Drive = SimulatedDrive | None
+Action = Callable[[World, Drive, Any, float], None]
 
 
 class DisturbanceRequest(
@@ -100,12 +96,18 @@ def parse_request(payload: bytes) -> DisturbanceRequest:
     return request
 
 
-def answer(payload: bytes, drive: Disturbed) -> DeviceReply:
-    """Carry out a request, and return the reply to it; a refused one has changed nothing."""
+def answer(payload: bytes, world: World, drive: Drive = None) -> DeviceReply:
+    """Carry out a request, and return the reply to it; a refused one has changed nothing.
+
+    Args:
+        payload: The request.
+        world: The plant.
+        drive: Its drive, None for a story in virtual time, which has none.
+    """
     try:
         request = parse_request(payload)
         (name,) = request.asked
-        _ACTIONS[name](drive, getattr(request, name), request.duration_s or 0.0)
+        _ACTIONS[name](world, drive, getattr(request, name), request.duration_s or 0.0)
     except (RefusedError, ParameterError) as problem:
         return refused(payload, str(problem))
     return DeviceReply(request.id, accepted=True, reason="")
@@ -121,35 +123,41 @@ def refused(payload: bytes, reason: str) -> DeviceReply:
     return DeviceReply(name if isinstance(name, str) else None, accepted=False, reason=reason)
 
 
-def _plant(drive: Disturbed, kind: type[Plant]) -> Plant:
-    if not isinstance(drive.world.load, kind):
+def _plant(world: World, kind: type[Plant]) -> Plant:
+    if not isinstance(world.load, kind):
         raise RefusedError(_LACKING[kind])
-    return drive.world.load
+    return world.load
 
 
-def _put(kind: type, name: str) -> Callable[[Disturbed, Any, float], None]:
+def _put(kind: type, name: str) -> Action:
     """Return the effect that sets an attribute of a plant of one kind."""
-    return lambda drive, value, _: setattr(_plant(drive, kind), name, value)
+    return lambda world, _drive, value, _: setattr(_plant(world, kind), name, value)
 
 
-def _change_disks(drive: Disturbed, disks: int, _: float) -> None:
-    _plant(drive, motor.Motor).disks += disks
+def _change_disks(world: World, _drive: Drive, disks: int, _: float) -> None:
+    _plant(world, motor.Motor).disks += disks
 
 
-def _set_noise(drive: Disturbed, noise_V: float, _: float) -> None:
-    drive.world.noise = dataclasses.replace(drive.world.noise, sigma=noise_V)
+def _set_noise(world: World, _drive: Drive, noise_V: float, _: float) -> None:
+    world.noise = dataclasses.replace(world.noise, sigma=noise_V)
 
 
-def _spoil_sensors(drive: Disturbed, sensor_fault: int, _: float) -> None:
-    if not drive.has_sensors:
+def _inject(_world: World, drive: Drive, fault: int, _: float) -> None:
+    if drive is None:
+        raise RefusedError(f"fault {fault}: this story has no drive process")
+    drive.inject(fault)
+
+
+def _disturb_sensors(world: World, drive: Drive, sensor_fault: int, _: float) -> None:
+    if drive is None or not drive.has_sensors:
         raise RefusedError("this drive has no sensor modules")
     check_range("sensor_fault", sensor_fault, 0, max(SensorFault), "")
-    drive.world.sensor_fault = sensor_fault
+    world.sensor_fault = sensor_fault
 
 
-def _set_charge(drive: Disturbed, charge: float, _: float) -> None:
+def _set_charge(world: World, _drive: Drive, charge: float, _: float) -> None:
     check_range("charge", charge, 0.0, 1.0, "")
-    _plant(drive, battery.Battery).charge = charge
+    _plant(world, battery.Battery).charge = charge
 
 
 _LACKING: dict[type, str] = {
@@ -160,14 +168,14 @@ _LACKING: dict[type, str] = {
 
 _LASTING = ("sag", "volume_gal")
 
-_ACTIONS: dict[str, Callable[[Disturbed, Any, float], None]] = {
+_ACTIONS: dict[str, Action] = {
     "disks": _change_disks,
     "torque_Nm": _put(motor.Motor, "torque_Nm"),
-    "sag": lambda drive, sag, duration_s: drive.world.line.sag(sag, duration_s),
+    "sag": lambda world, _, sag, duration_s: world.line.sag(sag, duration_s),
     "noise_V": _set_noise,
-    "fault": lambda drive, fault, _: drive.inject(fault),
-    "sensor_fault": _spoil_sensors,
-    "volume_gal": lambda drive, gal, duration_s: _plant(drive, bath.Bath).fill(gal, duration_s),
+    "fault": _inject,
+    "sensor_fault": _disturb_sensors,
+    "volume_gal": lambda world, _, gal, duration_s: _plant(world, bath.Bath).fill(gal, duration_s),
     "inflow_L_per_min": _put(bath.Bath, "inflow_L_per_min"),
     "series_Ohm": _put(battery.Battery, "series_Ohm"),
     "charge": _set_charge,
@@ -192,12 +200,8 @@ def from_words(action: str, values: Sequence[float]) -> dict[str, float]:
     for name, value in given.items():
         if not math.isfinite(value):
             raise RefusedError(f"{action}: {name} = {value:g} is not finite")
-    return fixed | {name: _whole(value) for name, value in given.items()}
-
-
-def _whole(value: float) -> float:
-    """Return an integer where the value is one: fault words are integers on the wire."""
-    return int(value) if value.is_integer() else value
+    # fault words are integers on the wire
+    return fixed | {name: int(v) if v.is_integer() else v for name, v in given.items()}
 
 
 _WORDS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
@@ -244,3 +248,77 @@ _OFFERS: dict[type, tuple[Feature, ...]] = {
         Feature("set the charge to 80 %", {"charge": 0.8}),
     ),
 }
+
+
+# Disturbances over MQTT, and the true parameters for comparison with estimates.
+
+TRUTH_PERIOD_s = 1.0
+RETRY_FIRST_s = 0.5
+RETRY_LAST_s = 10.0
+CLOSING_s = 1.0
+
+
+class Remote:
+    """Serves one simulated drive on one broker."""
+
+    def __init__(self, broker: Mqtt, name: str, drive: SimulatedDrive) -> None:
+        self._broker = broker
+        self._name = name
+        self._drive = drive
+        self._retry_s = RETRY_FIRST_s
+
+    async def run(self) -> None:
+        """Serve until cancelled; reconnect whenever the broker is lost."""
+        while True:
+            try:
+                await self._serve()
+            except* aiomqtt.MqttError as problems:
+                reason = str(problems.exceptions[0])
+                self._drive.report("broker away", reason=reason, retry_s=self._retry_s)
+            await asyncio.sleep(self._retry_s)
+            self._retry_s = min(2.0 * self._retry_s, RETRY_LAST_s)
+
+    async def _serve(self) -> None:
+        """Serve one connection until it is lost."""
+        truth = simulator_topic(self._name, "truth")
+        will = aiomqtt.Will(truth, payload=b"", qos=1, retain=True)
+        address = self._broker
+        async with SteadyClient(address.host, address.port, will=will) as client:
+            self._drive.report("broker found", broker=f"{address.host}:{address.port}")
+            self._retry_s = RETRY_FIRST_s
+            try:
+                async with asyncio.TaskGroup() as tasks:
+                    tasks.create_task(self._publish_truth(client, truth))
+                    tasks.create_task(self._answer(client))
+            finally:
+                with contextlib.suppress(aiomqtt.MqttError, TimeoutError):
+                    async with asyncio.timeout(CLOSING_s):
+                        await client.publish(truth, b"", qos=1, retain=True)
+
+    async def _publish_truth(self, client: SteadyClient, truth: str) -> None:
+        while True:
+            payload = msgspec.json.encode(self.truth())
+            await client.publish(truth, payload, qos=0, retain=True)
+            await asyncio.sleep(TRUTH_PERIOD_s)
+
+    async def _answer(self, client: SteadyClient) -> None:
+        await client.subscribe(simulator_topic(self._name, "disturb"), qos=1)
+        async for message in client.messages:
+            reply = self.carry_out(message.payload, retained=bool(message.retain))
+            encoded = msgspec.json.encode(reply)
+            await client.publish(simulator_topic(self._name, "reply"), encoded, qos=1)
+
+    def carry_out(self, payload: bytes, *, retained: bool) -> DeviceReply:
+        """Carry out one request, or return the reason of a refusal."""
+        if retained:
+            return refused(payload, "a retained request is old and is not carried out")
+        reply = answer(payload, self._drive.world, self._drive)
+        if reply.accepted:
+            self._drive.report("disturbed", **msgspec.json.decode(payload))
+        return reply
+
+    def truth(self) -> Mapping[str, Any]:
+        """Return the true state and parameters, and the disturbances that the device offers."""
+        world, now = self._drive.world, datetime.now(UTC).isoformat(timespec="milliseconds")
+        own = {"fault": self._drive.fault, "features": features_of(world.load)}
+        return {"time": now.replace("+00:00", "Z"), **world.truth(), **own}

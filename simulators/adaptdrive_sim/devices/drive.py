@@ -15,19 +15,17 @@ itself and does not trust its host:
 """
 
 import asyncio
-import contextlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from enum import IntFlag
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from adaptdrive.config.bus import MEASURED
 from adaptdrive.control import voltage_loop
 from adaptdrive.util.clock import TickTimer
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import HeldOutput, Sample
 from adaptdrive_sim.world import World
-
-# Behaviour of the simulated drive that does not depend on its bus.
 
 # The voltage loop inside a drive that holds its own boost voltage.
 
@@ -51,13 +49,10 @@ class VoltageHolder:
         voltage_V = sample.boost_voltage_V
         if self._sum is None:
             self._sum = voltage_loop.initial_sum(voltage_V)
+        load_W, line_V = sample.load_power_W, max(sample.line_voltage_V, LOWEST_LINE_V)
+        duration_s, capacitance_F = sample.tick_period_s, self._capacitance_F
         wanted_S = voltage_loop.current_scale(
-            self._sum,
-            voltage_V,
-            sample.load_power_W,
-            max(sample.line_voltage_V, LOWEST_LINE_V),
-            sample.tick_period_s,
-            self._capacitance_F,
+            self._sum, voltage_V, load_W, line_V, duration_s, capacitance_F
         )
         scale_S = min(max(wanted_S, self._lowest_S), SCALE_MAX_S)
         limit = (wanted_S > scale_S) - (wanted_S < scale_S)
@@ -71,33 +66,13 @@ COMMAND_TIMEOUT_s = 0.100
 LINE_LOST_SHARE = 0.5
 FAULT_MAX = 0x7F
 
+_OVERVOLTAGE, _LINE_LOST = 4, 8
+"""Fault bits that the drive raises by itself."""
+
+QUANTITIES = (*MEASURED, "counter", "fault", "bridge")
+"""What a drive may send, by the names of the configuration."""
+
 Report = Callable[..., Any]
-
-
-class Fault(IntFlag):
-    """Fault bits that the drive raises by itself."""
-
-    NONE = 0
-    BOOST_OVERVOLTAGE = 4
-    LINE_LOST = 8
-
-
-@dataclass(frozen=True, slots=True)
-class Overvoltage:
-    """Boost voltages of the drive's own protection.
-
-    Attributes:
-        trip_V: Above it the drive draws no line current.
-        over_V: Below it the fault can end.
-        normal_V: Down to it the capacitor is discharged while the bridge is off.
-    """
-
-    trip_V: float = 450.0
-    over_V: float = 430.0
-    normal_V: float = 400.0
-
-
-REFERENCE_OVERVOLTAGE = Overvoltage()
 
 
 class Frame(NamedTuple):
@@ -106,6 +81,13 @@ class Frame(NamedTuple):
     sample: Sample
     fault: int
     bridge: bool
+
+    def quantities(self) -> dict[str, float]:
+        """Return `QUANTITIES`, and the load current."""
+        sample = self.sample
+        measured = {name: getattr(sample, name) for name in MEASURED}
+        words = {"counter": sample.tick, "fault": self.fault, "bridge": self.bridge}
+        return measured | words | {"load_current_A": sample.load_current_A}
 
 
 class SimulatedDrive:
@@ -116,6 +98,7 @@ class SimulatedDrive:
         fault: Fault word of the last half cycle.
         frame: What was measured in the last half cycle, None before the first.
         has_sensors: Sensor modules on separate buses measure too.
+        report: Takes events, as an event's name and its data as keywords.
     """
 
     def __init__(  # noqa: PLR0913 - what makes one drive another
@@ -126,28 +109,32 @@ class SimulatedDrive:
         timeout_s: float = COMMAND_TIMEOUT_s,
         *,
         boost_needs_bridge: bool = False,
-        overvoltage: Overvoltage = REFERENCE_OVERVOLTAGE,
+        trip_V: float = 450.0,
+        over_V: float = 430.0,
+        normal_V: float = 400.0,
     ) -> None:
         """Start a drive that has had no command yet, and so is in its safe state.
 
         Args:
             world: The plant.
-            report: Takes events, as an event's name and its data as keywords.
+            report: Takes events.
             holder: The voltage loop of a drive that holds its own boost voltage.
             timeout_s: Age of the last valid command at which the drive shuts down.
             boost_needs_bridge: Whether the boost stage works only while the bridge is on.
-            overvoltage: Voltages of the drive's protection.
+            trip_V: Boost voltage above which the drive draws no line current.
+            over_V: Below it the fault can end.
+            normal_V: Down to it the capacitor is discharged while the bridge is off.
         """
         self._holder = holder
         self._timeout_s = timeout_s
         self._boost_needs_bridge = boost_needs_bridge
-        self._limits = overvoltage
+        self._trip_V, self._over_V, self._normal_V = trip_V, over_V, normal_V
         self._reference_V = 0.0
         self.world = world
         self.fault = 0
         self.frame: Frame | None = None
         self.has_sensors = False
-        self._report = report
+        self.report = report
         self._scale_S = 0.0
         self._bridge = False
         self._commanded_s: float | None = None
@@ -169,11 +156,11 @@ class SimulatedDrive:
             now_s: Monotonic time of its arrival.
         """
         if self._commanded_s is None:
-            self._report("commanded", current_scale_S=current_scale_S, bridge=bridge)
+            self.report("commanded", current_scale_S=current_scale_S, bridge=bridge)
         self._commanded_s = now_s
         self._scale_S = current_scale_S
         self._bridge = bridge
-        if not bridge and self.world.boost.voltage_V < self._limits.over_V:
+        if not bridge and self.world.boost.voltage_V < self._over_V:
             self._overvoltage = False
 
     def hold(self, boost_reference_V: float, bridge: bool, now_s: float) -> None:
@@ -195,7 +182,7 @@ class SimulatedDrive:
         """
         check_range("fault", fault, 0, FAULT_MAX, "")
         self._injected = fault
-        self._report("fault injected" if fault else "fault cleared", fault=fault)
+        self.report("fault injected" if fault else "fault cleared", fault=fault)
 
     def tick(self, now_s: float) -> Frame:
         """Run the half cycle that has just elapsed.
@@ -211,7 +198,7 @@ class SimulatedDrive:
         boosts = bridge or not (self._boost_needs_bridge or self._injected)
         scale_S = self._scale_S if boosts and not self._overvoltage else 0.0
         if not self.world.bridge:
-            self.world.boost.discharge(self._limits.normal_V, self.world.line.half_cycle_s)
+            self.world.boost.discharge(self._normal_V, self.world.line.half_cycle_s)
         sample = self.world.step(scale_S, bridge)
         self.fault = self._word(sample.line_voltage_V)
         if self._holder is not None:
@@ -221,9 +208,7 @@ class SimulatedDrive:
 
     def _watch_command(self, now_s: float) -> None:
         """Shut down when the last valid command is too old."""
-        if self._commanded_s is None:
-            return
-        age_s = now_s - self._commanded_s
+        age_s = 0.0 if self._commanded_s is None else now_s - self._commanded_s
         if age_s >= self._timeout_s:
             self.shut_down("command timeout", age_s)
 
@@ -236,10 +221,10 @@ class SimulatedDrive:
         """
         if self._commanded_s is None:
             return
-        self._commanded_s, self._scale_S, self._bridge = None, 0.0, False
-        self._reference_V = 0.0
+        self._commanded_s, self._bridge = None, False
+        self._scale_S = self._reference_V = 0.0
         self.world.shut()
-        self._report(
+        self.report(
             "safe",
             reason=reason,
             after_ms=round(1e3 * age_s, 1),
@@ -251,73 +236,87 @@ class SimulatedDrive:
     def _watch_voltage(self) -> None:
         """Stop drawing line current when the capacitor's voltage is too high."""
         voltage_V = self.world.boost.voltage_V
-        if not self._overvoltage and voltage_V > self._limits.trip_V:
+        if not self._overvoltage and voltage_V > self._trip_V:
             self._overvoltage = True
-            self._report("over-voltage", boost_voltage_V=round(voltage_V, 1))
+            self.report("over-voltage", boost_voltage_V=round(voltage_V, 1))
         if self._overvoltage:
             self.world.current_scale_S = 0.0
 
     def _word(self, line_V: float) -> int:
-        nominal_V = self.world.parameters.line.voltage_V
         word = self._injected
         if self._overvoltage:
-            word |= Fault.BOOST_OVERVOLTAGE
-        if line_V < LINE_LOST_SHARE * nominal_V:
-            word |= Fault.LINE_LOST
-        return int(word)
+            word |= _OVERVOLTAGE
+        if line_V < LINE_LOST_SHARE * self.world.parameters.line.voltage_V:
+            word |= _LINE_LOST
+        return word
 
 
-# The half cycles of a simulated drive in real time, on an absolute grid that follows the line.
+# A drive on a bus: half cycles in real time, on an absolute grid that follows the line.
 
 STALL_s = 1.0
 """A process that slept longer than this (a suspended machine) starts a new grid."""
 
 
-async def run_half_cycles(
-    drive: SimulatedDrive,
-    clock: Callable[[], float],
-    deliver: Callable[[Frame], None],
-    report: Report,
-) -> None:
-    """Run one half cycle after the other until cancelled.
+class DriveNode:
+    """One simulated drive on one bus.
 
-    Args:
-        drive: What lives through them.
-        clock: Monotonic clock in seconds.
-        deliver: Given the last frame of those that have passed.
-        report: Takes a report of a process that slept.
+    Attributes:
+        counts: Frames or requests answered, commands obeyed and refused, by name.
     """
-    expired = asyncio.Event()
-    deadline_s = clock() + drive.world.line.half_cycle_s
-    with _timer(expired) as timer:
-        while True:
-            timer.arm(deadline_s)
-            await expired.wait()
-            expired.clear()
-            now_s = clock()
-            if now_s - deadline_s > STALL_s:
-                report("stalled", seconds=round(now_s - deadline_s, 3))
-                deadline_s = now_s
-            deadline_s = _catch_up(drive, now_s, deadline_s, deliver)
 
+    def __init__(self, drive: SimulatedDrive) -> None:
+        self.counts: Counter[str] = Counter()
+        self._drive = drive
+        self._report = drive.report
+        self._clock = time.monotonic
 
-def _catch_up(
-    drive: SimulatedDrive, now_s: float, deadline_s: float, deliver: Callable[[Frame], None]
-) -> float:
-    """Run every half cycle that has passed and deliver the last one; the next deadline."""
-    frame: Frame | None = None
-    while deadline_s <= now_s:
-        frame = drive.tick(now_s)
-        deadline_s += frame.sample.tick_period_s
-    if frame is not None:
-        deliver(frame)
-    return deadline_s
+    async def run(self, opened: Callable[[str], None]) -> None:
+        """Open the bus, pass its description to `opened`, and serve it until cancelled.
 
+        Raises:
+            BusError: The bus cannot be opened.
+        """
+        raise NotImplementedError
 
-@contextlib.contextmanager
-def _timer(expired: asyncio.Event) -> Iterator[TickTimer]:
-    timer = TickTimer(asyncio.get_running_loop(), lambda _: expired.set())
-    try:
-        yield timer
-    finally:
-        timer.close()
+    def _obey(self, values: Mapping[str, float]) -> None:
+        """Obey a command, by the names of the configuration; what is not among them is 0."""
+        self.counts["obeyed"] += 1
+        bridge, now_s = bool(values.get("bridge", 0.0)), self._clock()
+        if self._drive.holds_voltage:
+            self._drive.hold(values.get("boost_reference_V", 0.0), bridge, now_s)
+        else:
+            self._drive.command(values.get("current_scale_S", 0.0), bridge, now_s)
+
+    def _refuse(self, reason: str) -> None:
+        """Count a refusal, and report the first of its kind: a flood must not fill the log."""
+        self.counts[reason] += 1
+        if self.counts[reason] == 1:
+            self._report("command refused", reason=reason)
+
+    async def _run_half_cycles(self, deliver: Callable[[Frame], None]) -> None:
+        """Run one half cycle after the other, and deliver the last frame of those that passed."""
+        expired = asyncio.Event()
+        deadline_s = self._clock() + self._drive.world.line.half_cycle_s
+        timer = TickTimer(asyncio.get_running_loop(), lambda _: expired.set())
+        try:
+            while True:
+                timer.arm(deadline_s)
+                await expired.wait()
+                expired.clear()
+                now_s = self._clock()
+                if now_s - deadline_s > STALL_s:
+                    self._report("stalled", seconds=round(now_s - deadline_s, 3))
+                    deadline_s = now_s
+                deadline_s = self._catch_up(now_s, deadline_s, deliver)
+        finally:
+            timer.close()
+
+    def _catch_up(self, now_s: float, deadline_s: float, deliver: Callable[[Frame], None]) -> float:
+        """Run every half cycle that has passed and deliver the last one; the next deadline."""
+        frame: Frame | None = None
+        while deadline_s <= now_s:
+            frame = self._drive.tick(now_s)
+            deadline_s += frame.sample.tick_period_s
+        if frame is not None:
+            deliver(frame)
+        return deadline_s

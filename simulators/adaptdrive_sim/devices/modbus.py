@@ -4,18 +4,17 @@ It shows its registers as they were at the end of the last half cycle. A write t
 obeyed when every value is in range and, where the map has one, the daemon's heartbeat has advanced;
 otherwise it is answered with an exception, or ignored and counted.
 
-Each device id of the map is a module. Registers that no signal is taken from are its settings: they
-can be written and read back. What is measured cannot be written.
+A table has every address from its first register to its last; what lies between and is not mapped
+reads as 0.
 """
 
 import asyncio
-import collections
 import contextlib
+import math
 import os
 import termios
-import time
 import tty
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -24,20 +23,13 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from adaptdrive.config import bus, polled, root
+from adaptdrive.config import polled
+from adaptdrive.config.bus import COMMANDED, MEASURED, SignalSource
+from adaptdrive.config.root import Configuration
 from adaptdrive.devices.modbus.link import describe_bus
-from adaptdrive.devices.polled.registers import encode_count, encode_value
+from adaptdrive.devices.polled import registers as codec
 from adaptdrive.util.errors import BusError
-from adaptdrive_sim.devices import sensor_values
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
-from adaptdrive_sim.devices.frames import (
-    RegisterImage,
-    Table,
-    addresses,
-    bounded,
-    not_available,
-    quantities_of,
-)
+from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 # A serial cable without wires: two pseudo-terminals, each end of which is a serial port.
 
@@ -90,6 +82,9 @@ def _pty() -> Iterator[tuple[int, Path]]:
 
 _TABLES = {3: "holding", 4: "input", 6: "holding", 16: "holding", 22: "holding", 23: "holding"}
 
+Table = dict[int, int]
+Link = polled.TcpLink | polled.RtuLink
+
 
 class Registers(Protocol):
     """Replies of a device to requests."""
@@ -102,9 +97,7 @@ class Registers(Protocol):
 
 
 @contextlib.asynccontextmanager
-async def serving(
-    link: polled.TcpLink | polled.RtuLink, devices: Mapping[int, Registers]
-) -> AsyncIterator[None]:
+async def serving(link: Link, devices: Mapping[int, Registers]) -> AsyncIterator[None]:
     """Serve devices while the block runs.
 
     Args:
@@ -128,7 +121,7 @@ async def serving(
 
 
 def _server(
-    link: polled.TcpLink | polled.RtuLink, devices: list[SimDevice], stack: contextlib.ExitStack
+    link: Link, devices: list[SimDevice], stack: contextlib.ExitStack
 ) -> ModbusTcpServer | ModbusSerialServer:
     if isinstance(link, polled.TcpLink):
         return ModbusTcpServer(devices, address=(link.host, link.port))
@@ -169,8 +162,8 @@ def _sim_device(number: int, registers: Registers) -> SimDevice:
 
     none = [SimData(0, count=16, values=False, datatype=DataType.BITS)]
     tables = registers.read()
-    blocks = {name: _block(tables[name]) for name in ("holding", "input")}
-    return SimDevice(number, (none, none, blocks["holding"], blocks["input"]), action=access)
+    blocks = _block(tables["holding"]), _block(tables["input"])
+    return SimDevice(number, (none, none, *blocks), action=access)
 
 
 def _block(table: Table) -> list[SimData]:
@@ -181,28 +174,16 @@ def _block(table: Table) -> list[SimData]:
 # The simulated drive as a device on Modbus: a TCP server, or an RTU device on a serial port.
 
 
-class ModbusDrive:
-    """One simulated drive on one link.
+class ModbusDrive(DriveNode):
+    """One simulated drive on one link."""
 
-    Attributes:
-        counts: Requests answered, commands obeyed and refused, by name.
-    """
-
-    def __init__(
-        self,
-        drive: SimulatedDrive,
-        config: polled.ModbusTcp | polled.ModbusRtu,
-        signals: bus.Signals,
-        report: Report,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.counts: collections.Counter[str] = collections.Counter()
-        self._drive = drive
-        self._config = config
-        self._report = report
-        self._clock = clock
-        self._image = RegisterImage(config, signals)
-        self._heartbeat: tuple[int, ...] | None = None
+    def __init__(self, drive: SimulatedDrive, configuration: Configuration, _source: Path) -> None:
+        super().__init__(drive)
+        assert isinstance(configuration.bus, polled.ModbusTcp | polled.ModbusRtu)  # noqa: S101 - `KINDS` has looked
+        self._config = configuration.bus
+        self._tables = tables_of(self._config.registers.values())
+        self._signals = configuration.signals
+        self._heartbeat: list[int] | None = None
 
     async def run(self, opened: Callable[[str], None]) -> None:
         """Open the link, pass its description to `opened`, and serve it until cancelled.
@@ -212,150 +193,116 @@ class ModbusDrive:
         """
         async with serving(self._config, {self._config.device_id: self}):
             opened(describe_bus(self._config))
-            await run_half_cycles(self._drive, self._clock, self.show, self._report)
+            await self._run_half_cycles(self.show)
 
     def show(self, frame: Frame) -> None:
-        """Put a half cycle into the registers."""
-        self._image.show(quantities_of(frame))
+        """Put a half cycle into the registers; bits that share a register are joined."""
+        quantities, words = frame.quantities(), dict[tuple[str, int], int]()
+        for name, source in self._shown():
+            register = self._config.registers[source.signal]
+            value = (quantities[name] - source.offset) / source.scale
+            if name in MEASURED:
+                content = codec.encode_value(register, bounded(register, value))
+            else:
+                content = codec.encode_count(register, _wrapped(register, int(value)))
+            for place, word in zip(_places(register), content, strict=True):
+                words[place] = word | (0 if register.bits is None else words.get(place, 0))
+        for (table, address), word in words.items():
+            self._tables[table][address] = word
+
+    def _shown(self) -> Iterator[tuple[str, SignalSource]]:
+        for name, source, _ in self._signals.entries():
+            if name in QUANTITIES:
+                yield name, source
+        if self._config.heartbeat.drive is not None:
+            yield "counter", SignalSource(signal=self._config.heartbeat.drive)
 
     def read(self) -> Mapping[str, Table]:
         """Both tables as they were at the end of the last half cycle."""
         self.counts["requests"] += 1
-        return self._image.tables
+        return self._tables
 
     def write(self, address: int, words: list[int]) -> ExcCodes | None:
         """Obey a write that is whole, in range and alive."""
-        image = self._image
-        holding = {**image.tables["holding"]}
-        holding |= {address + number: word for number, word in enumerate(words)}
-        command = image.command({**image.tables, "holding": holding})
+        holding = self._tables["holding"] | dict(enumerate(words, address))
+        command = self._command({**self._tables, "holding": holding})
         if command is None:
             self._refuse("out_of_range")
             return ExcCodes.ILLEGAL_VALUE
-        image.tables["holding"] = holding
-        heartbeat = image.heartbeat(image.tables)
+        self._tables["holding"] = holding
+        name = self._config.heartbeat.daemon
+        heartbeat = None if name is None else self._words(name, self._tables)
         if heartbeat is not None and heartbeat == self._heartbeat:
             self._refuse("counter_stuck")
             return None
         self._heartbeat = heartbeat
-        self.counts["obeyed"] += 1
-        self._drive.hold(command.boost_reference_V, command.bridge, self._clock())
+        self._obey(command)
         return None
 
-    def _refuse(self, reason: str) -> None:
-        """Count a refusal, and report the first of its kind: a flood must not fill the log."""
-        self.counts[reason] += 1
-        if self.counts[reason] == 1:
-            self._report("command refused", reason=reason)
+    def _command(self, tables: Mapping[str, Table]) -> dict[str, float] | None:
+        """Return the command of the daemon; None when a register has an invalid value."""
+        found: dict[str, float] = {}
+        for name in COMMANDED:
+            given = getattr(self._signals.command, name)
+            if given is None:
+                continue
+            register = self._config.registers[given.signal]
+            value = codec.decode_value(register, self._words(given.signal, tables), measured=False)
+            if value is None:
+                return None
+            if isinstance(given, SignalSource):
+                found[name] = value * given.scale + given.offset
+            else:
+                found[name] = value == _switching(given.on, register)
+        return found
+
+    def _words(self, name: str, tables: Mapping[str, Table]) -> list[int]:
+        return [tables[table][at] for table, at in _places(self._config.registers[name])]
 
 
-# Simulated sensor modules on a Modbus link: they show what they measure on the drive's plant.
-
-_LOOK_S = 0.05
-"""Interval at which modules check whether they are unplugged."""
-
-Config = root.ModbusTcpSensors | root.ModbusRtuSensors
-
-
-class SensorModule:
-    """One simulated module.
-
-    Attributes:
-        counts: Requests answered, and settings written and refused, by name.
-    """
-
-    def __init__(self, drive: SimulatedDrive, config: Config, device_id: int) -> None:
-        self.counts: collections.Counter[str] = collections.Counter()
-        self._drive = drive
-        self._registers = {
-            name: register
-            for name, register in config.registers.items()
-            if (register.device_id or config.device_id) == device_id
-        }
-        self._shown = {
-            name: source
-            for name, source in config.signals.items()
-            if source.signal in self._registers
-        }
-        measured = [self._registers[source.signal] for source in self._shown.values()]
-        self._fixed = {
-            address
-            for register in measured
-            if register.table == "holding"
-            for address in range(register.address, register.end)
-        }
-        registers = self._registers.values()
-        self._tables: dict[str, Table] = {
-            table: addresses(registers, table) for table in ("input", "holding")
-        }
-
-    def read(self) -> Mapping[str, Table]:
-        """Both tables, with what the plant has now."""
-        self.counts["requests"] += 1
-        frame, fault = self._drive.frame, self._drive.world.sensor_fault
-        if frame is None or fault == sensor_values.SensorFault.OPEN:
-            self._show_nothing()
-        elif fault != sensor_values.SensorFault.FROZEN:
-            self._show(sensor_values.values_of(self._drive.world, frame))
-        return self._tables
-
-    def write(self, address: int, words: list[int]) -> ExcCodes | None:
-        """Take settings; what is measured is not to be written."""
-        wanted = range(address, address + len(words))
-        if self._fixed.intersection(wanted):
-            self.counts["refused"] += 1
-            return ExcCodes.ILLEGAL_ADDRESS
-        self._tables["holding"].update(zip(wanted, words, strict=True))
-        self.counts["written"] += 1
-        return None
-
-    def _show(self, values: Mapping[str, float]) -> None:
-        for name, source in self._shown.items():
-            register = self._registers[source.signal]
-            value = (values[name] - source.offset) / source.scale
-            self._place(register, encode_value(register, bounded(register, value)))
-
-    def _show_nothing(self) -> None:
-        for source in self._shown.values():
-            register = self._registers[source.signal]
-            self._place(register, encode_count(register, not_available(register)))
-
-    def _place(self, register: root.SensorRegister, words: list[int]) -> None:
-        span = range(register.address, register.end)
-        self._tables[register.table].update(zip(span, words, strict=True))
+def tables_of(registers: Iterable[polled.Register]) -> dict[str, Table]:
+    """Return input and holding registers from the first to the last, filled with 0."""
+    tables: dict[str, Table] = {"input": {}, "holding": {}}
+    places = [place for one in registers for place in _places(one)]
+    for name in tables:
+        used = [address for table, address in places if table == name]
+        if used:
+            tables[name] = dict.fromkeys(range(min(used), max(used) + 1), 0)
+    return tables
 
 
-class ModbusSensors:
-    """The modules on one link."""
+def _places(register: polled.Register) -> list[tuple[str, int]]:
+    """Table and address of each word of a value."""
+    return [(register.table, address) for address in range(register.address, register.end)]
 
-    def __init__(self, drive: SimulatedDrive, config: Config) -> None:
-        ids = {register.device_id or config.device_id for register in config.registers.values()}
-        self.modules = {number: SensorModule(drive, config, number) for number in sorted(ids)}
-        self._drive = drive
-        self._config = config
 
-    @property
-    def counts(self) -> dict[str, int]:
-        """Requests and settings of all modules, by name."""
-        return dict(sum((one.counts for one in self.modules.values()), collections.Counter()))
+def not_available(register: polled.Register) -> float:
+    """The count that means `no value`."""
+    if register.not_available is not None:
+        return register.not_available
+    if register.real:
+        return math.nan
+    span = 1 << 16 * register.words
+    return -span // 2 if register.type.startswith("int") else span - 1
 
-    async def run(self, opened: Callable[[str], None]) -> None:
-        """Open the link, pass its description to `opened`, and serve it until cancelled.
 
-        Raises:
-            BusError: The link cannot be opened.
-        """
-        reported = False
-        while True:
-            async with serving(self._config, self.modules):
-                if not reported:
-                    opened(describe_bus(self._config))
-                    reported = True
-                await self._until(unplugged=True)
-            await self._until(unplugged=False)
+def _switching(given: int | str | None, register: polled.Register) -> int:
+    """Return the count of a switch, which a configuration may name."""
+    if given is None:
+        return register.on
+    return register.names[given] if isinstance(given, str) else given
 
-    async def _until(self, *, unplugged: bool) -> None:
-        """Wait until the modules are unplugged, or plugged in again."""
-        world = self._drive.world
-        while (world.sensor_fault == sensor_values.SensorFault.UNPLUGGED) is not unplugged:  # noqa: ASYNC110 - the plant knows no events
-            await asyncio.sleep(_LOOK_S)
+
+def bounded(register: polled.Register, value: float) -> float:
+    """Like a converter's, a value ends at the range of its register."""
+    field = codec.register_field("", register, "measured")
+    # without the count for no value
+    ends = field.low + (field.low in field.unknown), field.high - (field.high in field.unknown)
+    low, high = sorted(map(field.physical, ends))
+    if register.range is not None:
+        low, high = max(low, register.range.low), min(high, register.range.high)
+    return min(max(value, low), high)
+
+
+def _wrapped(register: polled.Register, count: int) -> int:
+    return count % (1 << (16 * register.words - register.type.startswith("int")))

@@ -1,48 +1,34 @@
 """The simulated drive as a supply that speaks SCPI over TCP.
 
-It answers with what was measured in the last half cycle. What it does not know, or may not do, goes
+It answers with what was measured in the last half cycle. What is unknown, or not allowed, goes
 into its queue of errors, which `SYST:ERR?` or whatever the configuration names for it empties.
 """
 
 import asyncio
 import collections
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
 
-from adaptdrive.config.bus import Signals
 from adaptdrive.config.polled import ScpiBus, ScpiValue
+from adaptdrive.config.root import Configuration
 from adaptdrive.devices.scpi.port import describe_supply
 from adaptdrive.util.errors import BusError
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
-from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of
+from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 NO_NUMBER = "9.91E37"
 _LISTED = 10
 UNDEFINED, OUT_OF_RANGE = '-113,"Undefined header"', '-222,"Data out of range"'
 
 
-class ScpiDrive:
-    """One simulated supply.
+class ScpiDrive(DriveNode):
+    """One simulated supply."""
 
-    Attributes:
-        counts: Questions answered, commands obeyed and refused, by name.
-    """
-
-    def __init__(
-        self,
-        drive: SimulatedDrive,
-        config: ScpiBus,
-        signals: Signals,
-        report: Report,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.counts: collections.Counter[str] = collections.Counter()
-        self._drive = drive
-        self._config = config
-        self._signals = signals
-        self._report = report
-        self._clock = clock
+    def __init__(self, drive: SimulatedDrive, configuration: Configuration, _source: Path) -> None:
+        super().__init__(drive)
+        assert isinstance(configuration.bus, ScpiBus)  # noqa: S101 - `KINDS` has looked
+        self._config = configuration.bus
+        self._signals = configuration.signals
         self._shown: Mapping[str, float] = {}
         self._held: dict[str, float] = {}
         self._errors: collections.deque[str] = collections.deque(maxlen=20)
@@ -55,7 +41,7 @@ class ScpiDrive:
         """
         async with self.serving():
             opened(describe_supply(self._config))
-            await run_half_cycles(self._drive, self._clock, self.show, self._report)
+            await self._run_half_cycles(self.show)
 
     @contextlib.asynccontextmanager
     async def serving(self) -> AsyncIterator[None]:
@@ -86,7 +72,7 @@ class ScpiDrive:
 
     def show(self, frame: Frame) -> None:
         """Keep a half cycle for the questions that follow."""
-        self._shown = quantities_of(frame)
+        self._shown = frame.quantities()
 
     def obey(self, line: str) -> list[str]:
         """Return the lines that answer a question; obey a command, which has none."""
@@ -95,21 +81,18 @@ class ScpiDrive:
             return ["1"]
         for name, value in self._config.values.items():
             if value.query == line:
-                return [_worded(value, self._answer(name))]
+                return [_reply(value, self._answer(name))]
             head = (value.write or "").partition("{")[0]
             if value.write is not None and line.startswith(head):
                 self._take(name, value, line.removeprefix(head))
                 return []
-        self._refuse(UNDEFINED)
+        self._queue_error(UNDEFINED)
         return []
 
     def _answer(self, name: str) -> str:
-        quantities = {
-            one: source
-            for one, source, _ in self._signals.entries()
-            if source.signal == name and one in QUANTITIES
-        }
-        for quantity, source in quantities.items():
+        for quantity, source, _ in self._signals.entries():
+            if source.signal != name or quantity not in QUANTITIES:
+                continue
             if quantity == "fault":
                 return self._next_error()
             if not self._shown:
@@ -130,27 +113,22 @@ class ScpiDrive:
         plain = value.model_copy(update={"reply": "(.*)"})
         number, limits = plain.number(argument), value.range
         if limits is not None and not limits.low <= number <= limits.high:
-            self._refuse(OUT_OF_RANGE)
+            self._queue_error(OUT_OF_RANGE)
             return
         self._held[name] = number
         command = self._signals.command
         reference, bridge = command.boost_reference_V, command.bridge
         if reference is None or bridge is None or name not in {reference.signal, bridge.signal}:
             return
-        self.counts["obeyed"] += 1
         wanted_V = self._held.get(reference.signal, 0.0) * reference.scale + reference.offset
-        on = bool(self._held.get(bridge.signal, 0.0))
-        self._drive.hold(wanted_V, on, self._clock())
+        self._obey({"boost_reference_V": wanted_V, "bridge": self._held.get(bridge.signal, 0.0)})
 
-    def _refuse(self, error: str) -> None:
-        """Queue an error, and report the first of its kind: a flood must not fill the log."""
+    def _queue_error(self, error: str) -> None:
         self._errors.append(error)
-        self.counts[error] += 1
-        if self.counts[error] == 1:
-            self._report("command refused", reason=error)
+        self._refuse(error)
 
 
-def _worded(value: ScpiValue, number: str) -> str:
+def _reply(value: ScpiValue, number: str) -> str:
     """Return a reply that the configuration finds a number in: with its words, or in a list."""
     if "(.*)" in value.reply:
         return value.reply.replace("(.*)", number)

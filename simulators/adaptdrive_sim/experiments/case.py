@@ -30,10 +30,11 @@ from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim import parameters, wire, world
 from adaptdrive_sim.course import Array, Course, Run
-from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
+from adaptdrive_sim.parameters import EXAMPLES
 from adaptdrive_sim.site import Site
 
 # One run of an experiment: which controller, which design, which noise; and the run itself.
@@ -42,42 +43,25 @@ Design = Literal["paper", "exact"]
 Variant = Literal["fixed", "adaptive", "direct_rls", "lm_rls"]
 
 
-@dataclass(frozen=True, slots=True)
-class Disturbance:
-    """Measurement noise of every fast sample; deviations are fractions of the reference step.
-
-    Attributes:
-        noise: Standard deviation of every sample.
-        spike_share: Share of samples that carry a spike.
-        spike_noise: Standard deviation of the spikes.
-    """
-
-    noise: float
-    spike_share: float = 0.0
-    spike_noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        parameters.check_range("noise", self.noise, 0.0, 10.0, "of the step")
-        parameters.check_range("share of spikes", self.spike_share, 0.0, 1.0, "")
-        parameters.check_range("noise of spikes", self.spike_noise, 0.0, 10.0, "of the step")
-
-    def scaled(self, step: float) -> wire.NoiseParameters:
-        """The same in the unit of the output."""
-        return wire.NoiseParameters(self.noise * step, self.spike_share, self.spike_noise * step)
-
-
-def disturbance_of(noise: float, spikes: str) -> Disturbance:
-    """Return the disturbance that a command line requests.
+def disturbance_of(noise: float, spikes: str) -> wire.NoiseParameters:
+    """Return the measurement noise that a command line requests, as fractions of the step.
 
     Args:
-        noise: Standard deviation of every sample, as a fraction of the step.
+        noise: Standard deviation of every sample.
         spikes: RATE,SIGMA.
 
     Raises:
         RefusedError: The spikes cannot be read.
         ParameterError: A value lies outside its range.
     """
-    return Disturbance(noise, *wire.read_spikes(spikes))
+    try:
+        share, sigma = (float(part) for part in spikes.split(","))
+    except ValueError as problem:
+        raise RefusedError(f"spikes {spikes!r} is not RATE,SIGMA") from problem
+    parameters.check_range("noise", noise, 0.0, 10.0, "of the step")
+    parameters.check_range("share of spikes", share, 0.0, 1.0, "")
+    parameters.check_range("noise of spikes", sigma, 0.0, 10.0, "of the step")
+    return wire.NoiseParameters(noise, share, sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +73,14 @@ class Case:
         variant: Which controller runs; `direct_rls` and `lm_rls` are adaptive ones with the
             estimator named, whatever the design's own is.
         settings: Settings of the controller.
-        disturbance: Measurement noise.
+        disturbance: Measurement noise, as fractions of the reference step.
         seed: Of the noise; runs with the same seed see the same noise.
     """
 
     experiment: Experiment
     variant: Variant
     settings: ControllerSettings
-    disturbance: Disturbance
+    disturbance: wire.NoiseParameters
     seed: int
 
 
@@ -105,7 +89,11 @@ _METHODS = {"direct_rls": "rls", "lm_rls": "lm-rls"}
 
 def case_settings(experiment: Experiment, variant: Variant, design: Design) -> ControllerSettings:
     """Settings of one controller of an experiment."""
-    settings = paper_settings(experiment) if design == "paper" else _exact_settings(experiment)
+    if design == "paper":
+        settings = paper_settings(experiment)
+    else:
+        settings = _from_tables(experiment, experiment.tables())
+        settings = from_rest(settings, experiment.paper.warm_up_s, experiment.period_s)
     method = _METHODS.get(variant, settings.learning.method)
     learning = dataclasses.replace(settings.learning, method=method)
     return dataclasses.replace(settings, learning=learning)
@@ -118,13 +106,13 @@ class ReproduceRequest:
     Attributes:
         experiment: The experiment.
         design: The paper's controller or the daemon's default one.
-        disturbance: Measurement noise.
+        disturbance: Measurement noise, as fractions of the reference step.
         seed: Of the noise.
     """
 
     experiment: Experiment
     design: Design
-    disturbance: Disturbance
+    disturbance: wire.NoiseParameters
     seed: int
 
     def __post_init__(self) -> None:
@@ -135,18 +123,12 @@ class ReproduceRequest:
         settings = case_settings(self.experiment, variant, self.design)
         return Case(self.experiment, variant, settings, self.disturbance, self.seed)
 
-    def listener(self) -> Case:
-        """The plain estimator that other settings are tried with; it always hears some noise."""
-        settings = case_settings(self.experiment, "fixed", "paper")
-        silent = self.disturbance.scaled(1.0).silent
-        disturbance = Disturbance(self.experiment.noise) if silent else self.disturbance
+    def sweep_case(self) -> Case:
+        """The run on which other settings of the estimator are tried; there always is noise."""
+        settings, disturbance = case_settings(self.experiment, "fixed", "paper"), self.disturbance
+        if disturbance.silent:
+            disturbance = wire.NoiseParameters(self.experiment.noise)
         return Case(self.experiment, "fixed", settings, disturbance, self.seed)
-
-
-def _exact_settings(experiment: Experiment) -> ControllerSettings:
-    """The daemon's default controller, for an experiment that starts at rest."""
-    settings = _from_tables(experiment, experiment.tables())
-    return from_rest(settings, experiment.paper.warm_up_s, experiment.period_s)
 
 
 def from_rest(
@@ -181,7 +163,7 @@ def paper_settings(experiment: Experiment) -> ControllerSettings:
 
 
 def _from_tables(experiment: Experiment, tables: dict[str, Any]) -> ControllerSettings:
-    source = FOLDER / f"{experiment.name}.toml"
+    source = EXAMPLES / f"{experiment.name}.toml"
     return controller_settings(validate_configuration(tables, source))
 
 
@@ -196,10 +178,8 @@ def run_case(case: Case, *, keep_ticks: bool = False) -> Run:
         The run, with the columns `time_s`, `reference` and `size`.
     """
     experiment, course = case.experiment, _course(case)
-    site = Site(
-        controller.Controller(case.settings, experiment.nominal()), world.World(experiment.plant())
-    )
-    run = site.run(course, keep_ticks=keep_ticks)
+    control = controller.Controller(case.settings, experiment.nominal())
+    run = Site(control, world.World(experiment.plant())).run(course, keep_ticks=keep_ticks)
     times_s = experiment.times_s()
     sizes = experiment.sizes_at(times_s)
     return run.beside(time_s=np.array(times_s), reference=course.references, size=sizes)
@@ -209,22 +189,19 @@ def _course(case: Case) -> Course:
     experiment = case.experiment
     times_s = experiment.times_s()
     ticks = len(times_s) * case.settings.rates.ticks_per_period
-    noise = case.disturbance.scaled(experiment.step)
+    noise, disturbances = case.disturbance.scaled(experiment.step), np.zeros(ticks + 1)
+    if not noise.silent:
+        drawn = wire.samples(noise, np.random.default_rng(case.seed))
+        disturbances = np.fromiter(drawn, np.float64, ticks + 1)
     return Course(
         references=np.array([experiment.reference.value(time_s) for time_s in times_s]),
         sizes=experiment.sizes_at(times_s, wanted=True),
         over_s=max((change.over_s for change in experiment.changes), default=0.0),
-        disturbances=_disturbances(noise, case.seed, ticks + 1),
+        disturbances=disturbances,
         mode=signals.Mode.FIXED if case.variant == "fixed" else signals.Mode.ADAPTIVE,
         pole=experiment.pole,
         start=experiment.reference.low,
     )
-
-
-def _disturbances(noise: wire.NoiseParameters, seed: int, count: int) -> Array:
-    if noise.silent:
-        return np.zeros(count)
-    return np.fromiter(wire.samples(noise, np.random.default_rng(seed)), np.float64, count)
 
 
 # Metrics of an experiment, always from the output without noise at the slow instants.
@@ -313,15 +290,12 @@ def _cycle(experiment: Experiment, record: Run, errors: Array, start_s: float) -
     )
 
 
-def _half(
-    experiment: Experiment, record: Run, first_s: float, last_s: float
-) -> tuple[float, float]:
+def _half(experiment: Experiment, run: Run, first_s: float, last_s: float) -> tuple[float, float]:
     """Overshoot, and settling time or infinity, of one half cycle."""
     reference, target = experiment.reference, experiment.reference.value(first_s)
     before = reference.low + reference.high - target
-    overshoot, periods = judge_step(
-        record["output"][_between(record, first_s, last_s)], before, target
-    )
+    outputs = run["output"][_between(run, first_s, last_s)]
+    overshoot, periods = judge_step(outputs, before, target)
     return overshoot, periods * experiment.period_s
 
 

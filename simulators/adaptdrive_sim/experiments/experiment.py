@@ -7,10 +7,10 @@ motor (Fig. 9).
 import math
 import tomllib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_type_hints
 
 import msgspec
 import numpy as np
@@ -20,9 +20,10 @@ from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Waveform
 from adaptdrive_sim.course import Array, moving
-from adaptdrive_sim.experiments.examples import example_tables
+from adaptdrive_sim.parameters import example_tables
 from adaptdrive_sim.plants import boost
 from adaptdrive_sim.plants.bath import Bath, BathParameters
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 
 # An experiment as data: a load that changes, a reference, and the paper's settings for it.
@@ -78,8 +79,8 @@ class SweepSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ExperimentFile:
-    """The file of an experiment.
+class Experiment:
+    """One experiment, in either design; its file has all that comes before the name.
 
     Attributes:
         duration_s: Length.
@@ -90,6 +91,12 @@ class ExperimentFile:
         noise: Standard deviation of each fast sample by default, as a fraction of the step.
         paper: The paper's settings.
         sweep: Further settings of the estimator to compare with them.
+        name: Its name on the command line.
+        tables: Configuration of the daemon for the exact design, as TOML would give it.
+        nominal: The load that the fixed controller is designed for.
+        plant: Makes the simulated load at its nominal size.
+        true_load: The load's model at a size, by formula.
+        dropped: Whether what is added to the load is at rest, so that its speed drops.
     """
 
     duration_s: float
@@ -100,25 +107,10 @@ class ExperimentFile:
     noise: float
     paper: PaperSettings
     sweep: SweepSettings
-
-
-@dataclass(frozen=True, slots=True)
-class Experiment(ExperimentFile):
-    """One experiment, in either design.
-
-    Attributes:
-        name: Its name on the command line.
-        tables: Configuration of the daemon for the exact design, as TOML would give it.
-        nominal: The load that the fixed controller is designed for.
-        plant: Makes the simulated load at its nominal size.
-        true_load: The load's model at a size, by formula.
-        dropped: Whether what is added to the load is at rest, so that its speed drops.
-    """
-
     name: str
     tables: Callable[[], dict[str, Any]] = field(repr=False)
     nominal: Callable[[], Load] = field(repr=False)
-    plant: Callable[[], Any] = field(repr=False)
+    plant: Callable[[], SimulatedLoad] = field(repr=False)
     true_load: Callable[[float], Load] = field(repr=False)
     dropped: bool = False
 
@@ -166,8 +158,9 @@ def read_experiment(name: str, **parts: Any) -> Experiment:  # noqa: ANN401 - fu
         parts: The functions that make its loads and its configuration.
     """
     text = Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8")
-    data = msgspec.convert(tomllib.loads(text), ExperimentFile)
-    parts |= {one.name: getattr(data, one.name) for one in fields(data)}
+    types = get_type_hints(Experiment)
+    for key, value in tomllib.loads(text).items():
+        parts[key] = msgspec.convert(value, types[key])
     return Experiment(name=name, **parts)
 
 
@@ -179,16 +172,10 @@ NOMINAL_gal = 0.6
 @cache
 def true_bath(size: float) -> Load:
     """The bath's model at a multiple of its nominal volume."""
-    coupling = boost.CouplingParameters()
-    bath = Bath(BathParameters(volume_gal=size * NOMINAL_gal))
-    model = bath.model(coupling.ratio, coupling.droop_Ohm)
-    return bath_load(
-        model["resistance_K_per_W"],
-        model["tau_s"],
-        coupling.ratio,
-        coupling.droop_Ohm,
-        bath.resistance_Ohm,
-    )
+    stage, bath = boost.CouplingParameters(), Bath(BathParameters(volume_gal=size * NOMINAL_gal))
+    model, ratio = bath.model(stage.ratio, stage.droop_Ohm), stage.ratio
+    heat_K_per_W, heater_Ohm = model["resistance_K_per_W"], bath.resistance_Ohm
+    return bath_load(heat_K_per_W, model["tau_s"], ratio, stage.droop_Ohm, heater_Ohm)
 
 
 def _bath_tables() -> dict[str, Any]:
@@ -200,13 +187,8 @@ def _bath_tables() -> dict[str, Any]:
         "period_s": 20.0,
         "pole": 0.80,
         "reference_max": 20.0,
-        "model": {
-            "resistance_K_per_W": model["resistance_K_per_W"],
-            "tau_s": model["tau_s"],
-            "turns_ratio": 0.25,
-            "droop_Ohm": 1.0,
-            "heater_Ohm": 7.87,
-        },
+        "model": {name: model[name] for name in ("resistance_K_per_W", "tau_s")}
+        | {"turns_ratio": 0.25, "droop_Ohm": 1.0, "heater_Ohm": 7.87},
     }
     found["estimator"] = {"method": "lm-rls", "forgetting": 0.99, "tau_lambda_s": 100.0}
     found["interlocks"]["output_max"] = 25.0
@@ -225,8 +207,8 @@ BATH = read_experiment(
 @cache
 def true_motor(size: float) -> Load:
     """The motor's model with that many disks."""
-    coupling = boost.CouplingParameters()
-    model = Motor(MotorParameters(), round(size)).model(coupling.ratio, coupling.droop_Ohm)
+    stage = boost.CouplingParameters()
+    model = Motor(MotorParameters(), round(size)).model(stage.ratio, stage.droop_Ohm)
     return motor.motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
 
 

@@ -14,9 +14,9 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from adaptdrive.analysis import style
 from adaptdrive.control.loads.load import to_input
 from adaptdrive_sim.course import Array, Run
-from adaptdrive_sim.experiments import case, sweep
+from adaptdrive_sim.experiments import case
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.outcome import Outcome, SweepPoint, settling_time_s
 
 # The figures of the experiments, laid out like the paper's Fig. 4 and Fig. 9, with more panels.
 
@@ -38,12 +38,12 @@ WARM_UP: style.Look = {"color": "#f2e8d5", "linewidth": 0.0, "zorder": 0}
 _MARGIN = 0.06
 
 
-def describe(outcome: ExperimentOutcome) -> str:
+def describe(outcome: Outcome) -> str:
     """Design, noise, seed and the kind of load change, for the head of a figure."""
     noise, experiment = outcome.disturbance, outcome.experiment
-    parts = [f"{outcome.design} design", f"noise {100.0 * noise.noise:.3g} % of the step"]
+    parts = [f"{outcome.design} design", f"noise {100.0 * noise.sigma:.3g} % of the step"]
     if noise.spike_share:
-        share, size = 100.0 * noise.spike_share, 100.0 * noise.spike_noise
+        share, size = 100.0 * noise.spike_share, 100.0 * noise.spike_sigma
         parts.append(f"spikes of {size:.3g} % in {share:.3g} % of the samples")
     parts.append(f"seed {outcome.seed}")
     if experiment.dropped:
@@ -68,7 +68,7 @@ def draw_voltage(axes: Axes, record: Run, look: style.Look) -> None:
     axes.step(minutes, commanded, where="post", label=r"$V_c$ commanded", **look)
 
 
-def draw_estimates(axes: Axes, outcome: ExperimentOutcome, limits: tuple[float, float]) -> None:
+def draw_estimates(axes: Axes, outcome: Outcome, limits: tuple[float, float]) -> None:
     """Draw estimates and truth, over the nominal values; transients beyond the limits are cut."""
     experiment, record = outcome.experiment, outcome.records["adaptive"]
     load = experiment.nominal()
@@ -86,7 +86,7 @@ def draw_estimates(axes: Axes, outcome: ExperimentOutcome, limits: tuple[float, 
     style.legend_above(axes, len(load.names) + 1)
 
 
-def draw_model_errors(axes: Axes, outcome: ExperimentOutcome) -> None:
+def draw_model_errors(axes: Axes, outcome: Outcome) -> None:
     """Draw one step for each reference cycle and controller, on an axis that holds all of them."""
     found = []
     for variant, cycles in outcome.cycles.items():
@@ -110,7 +110,7 @@ def show_whole(axes: Sequence[Axes], values: Iterable[Iterable[float]]) -> None:
         one.set_ylim(low - margin, high + margin)
 
 
-def mark_warm_up(axes: Axes, outcome: ExperimentOutcome, record: Run) -> None:
+def mark_warm_up(axes: Axes, outcome: Outcome, record: Run) -> None:
     """Shade the warm-up, and draw a bar while the adaptive gains were in force."""
     warm_up_min = outcome.experiment.paper.warm_up_s / 60.0
     axes.axvspan(0.0, warm_up_min, label="warm-up", **WARM_UP)
@@ -120,17 +120,9 @@ def mark_warm_up(axes: Axes, outcome: ExperimentOutcome, record: Run) -> None:
 def mark_in_force(axes: Axes, record: Run) -> None:
     """Draw a bar while the adaptive gains were in force."""
     minutes, in_force = minutes_of(record), record["adaptive"] > 0.0
-    axes.fill_between(
-        minutes,
-        0.0,
-        0.03,
-        where=in_force.tolist(),
-        step="post",
-        transform=axes.get_xaxis_transform(),
-        color=style.ADAPTIVE["color"],
-        linewidth=0.0,
-        label="adaptive in force",
-    )
+    look: style.Look = {"transform": axes.get_xaxis_transform(), "color": style.ADAPTIVE["color"]}
+    look |= {"linewidth": 0.0, "label": "adaptive in force"}
+    axes.fill_between(minutes, 0.0, 0.03, where=in_force.tolist(), step="post", **look)
 
 
 def mark_changes(axes: Iterable[Axes], experiment: Experiment) -> None:
@@ -148,14 +140,7 @@ def name_segments(axes: Axes, experiment: Experiment, names: tuple[str, ...]) ->
     """Name the load in each segment of the experiment, at the bottom of a panel."""
     ends = experiment.ends_s
     for start, end, name in zip([0.0, *ends[:-1]], ends, names, strict=True):
-        axes.annotate(
-            name,
-            (0.5 * (start + end) / 60.0, 0.03),
-            xycoords=("data", "axes fraction"),
-            ha="center",
-            va="bottom",
-            fontsize=8.0,
-        )
+        _annotate(axes, name, (0.5 * (start + end) / 60.0, 0.03), ha="center", va="bottom")
 
 
 def time_axis(axes: Axes, experiment: Experiment, step_min: float) -> None:
@@ -178,14 +163,12 @@ _TITLES: dict[case.Variant, str] = {
 }
 
 
-def experiment_figure(outcome: ExperimentOutcome) -> Figure:
+def experiment_figure(outcome: Outcome) -> Figure:
     """Return the figure of an experiment."""
     return _DRAW[outcome.experiment.name](outcome)
 
 
-def draw(
-    figure_of: Callable[[ExperimentOutcome], Figure], outcome: ExperimentOutcome, path: Path
-) -> None:
+def draw(figure_of: Callable[[Outcome], Figure], outcome: Outcome, path: Path) -> None:
     """Draw a figure of an experiment as a PNG."""
     with style.journal():
         save(figure_of(outcome), path)
@@ -197,13 +180,11 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=style.DPI, metadata={"Software": None})
 
 
-def _draw_motor(outcome: ExperimentOutcome) -> Figure:
+def _draw_motor(outcome: Outcome) -> Figure:
     """Tachometer and drive voltage of each controller, as in Fig. 9; estimates; model errors."""
     figure = Figure(figsize=(style.WIDTH_in, 11.4), layout="constrained")
-    rows = figure.subplots(
-        8, 1, sharex=True, height_ratios=(1.5, 0.8, 1.5, 0.8, 1.5, 0.8, 1.1, 0.9)
-    )
-    axes = list(rows)
+    heights = (1.5, 0.8, 1.5, 0.8, 1.5, 0.8, 1.1, 0.9)
+    axes = list(figure.subplots(8, 1, sharex=True, height_ratios=heights))
     speeds, voltages = axes[0:6:2], axes[1:6:2]
     for i, (variant, title) in enumerate(_TITLES.items()):
         record, look = outcome.records[variant], CONTROLLERS[variant][1]
@@ -219,21 +200,19 @@ def _draw_motor(outcome: ExperimentOutcome) -> Figure:
         voltages[i].set_ylabel("Voltage (V)")
     show_whole(speeds, _outputs(outcome))
     show_whole(voltages, [one["applied_V"] for one in outcome.records.values()] + [[200, 400]])
-    draw_estimates(axes[6], outcome, (-0.5, 4.5))
     style.letter(axes[6], "g", "Estimates (transients beyond the axis are cut)")
-    draw_model_errors(axes[7], outcome)
     style.letter(axes[7], "h", "Deviation from the ideal closed loop")
-    mark_changes(axes, outcome.experiment)
     name_segments(speeds[0], outcome.experiment, ("1 disk", "2 disks", "3 disks"))
-    time_axis(axes[-1], outcome.experiment, 2.0)
-    return _finished(figure, outcome)
+    return _finished(figure, outcome, (-0.5, 4.5), 2.0)
 
 
-def _draw_bath(outcome: ExperimentOutcome) -> Figure:
+def _draw_bath(outcome: Outcome) -> Figure:
     """Temperature and power of both controllers, as in Fig. 4; estimates; model errors."""
     figure = Figure(figsize=(style.WIDTH_in, 8.2), layout="constrained")
-    axes = list(figure.subplots(4, 1, sharex=True, height_ratios=(1.7, 1.2, 1.0, 0.9)))
-    response, power, estimates, errors = axes
+    rows = figure.subplots(4, 1, sharex=True, height_ratios=(1.7, 1.2, 1.0, 0.9))
+    response, power, estimates, errors = rows
+    load = outcome.experiment.nominal()
+    powers = load.input_gain, load.input_exponent
     for variant, record in outcome.records.items():
         label, look = CONTROLLERS[variant]
         minutes = minutes_of(record)
@@ -241,7 +220,8 @@ def _draw_bath(outcome: ExperimentOutcome) -> Figure:
             draw_output(response, record, label, look)
         else:
             response.plot(minutes, record["output"], label=label, **look)
-        power.step(minutes, _heater_W(outcome, record), where="post", label=label, **look)
+        heater_W = [to_input(one, *powers) for one in record["boost_reference_V"]]
+        power.step(minutes, heater_W, where="post", label=label, **look)
     mark_warm_up(power, outcome, outcome.records["adaptive"])
     response.set_ylabel(r"$T_b$ above the inflow (K)")
     power.set_ylabel("Heater power (W)")
@@ -250,30 +230,27 @@ def _draw_bath(outcome: ExperimentOutcome) -> Figure:
     style.legend_above(response, 4)
     style.legend_above(power, 4)
     show_whole([response], _outputs(outcome))
-    draw_estimates(estimates, outcome, (0.0, 3.4))
     style.letter(estimates, "c", "Estimates of the adaptive controller")
-    draw_model_errors(errors, outcome)
     style.letter(errors, "d", "Deviation from the ideal closed loop")
-    mark_changes(axes, outcome.experiment)
     name_segments(response, outcome.experiment, ("0.6 gal", "1.5 gal"))
-    time_axis(errors, outcome.experiment, 20.0)
-    return _finished(figure, outcome)
+    return _finished(figure, outcome, (0.0, 3.4), 20.0)
 
 
-def _outputs(outcome: ExperimentOutcome) -> list[Array]:
+def _outputs(outcome: Outcome) -> list[Array]:
     return [one[name] for one in outcome.records.values() for name in ("output", "measured")]
 
 
-def _heater_W(outcome: ExperimentOutcome, record: Run) -> list[float]:
-    load = outcome.experiment.nominal()
-    return [
-        to_input(one, load.input_gain, load.input_exponent) for one in record["boost_reference_V"]
-    ]
-
-
-def _finished(figure: Figure, outcome: ExperimentOutcome) -> Figure:
+def _finished(
+    figure: Figure, outcome: Outcome, limits: tuple[float, float], step_min: float
+) -> Figure:
+    """Draw estimates and model errors in the last panels, and what all panels share."""
+    *_, estimates, errors = axes = list(figure.axes)
+    draw_estimates(estimates, outcome, limits)
+    draw_model_errors(errors, outcome)
+    mark_changes(axes, outcome.experiment)
+    time_axis(errors, outcome.experiment, step_min)
     figure.suptitle(describe(outcome), fontsize=9.0)
-    figure.align_ylabels(list(figure.axes))
+    figure.align_ylabels(axes)
     return figure
 
 
@@ -294,9 +271,10 @@ _CROWDED = (0.96, 0.985)
 _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 
 Grid = Sequence[Sequence[Axes]]
+Position = Callable[[SweepPoint], float]
 
 
-def sweep_figure(outcome: ExperimentOutcome) -> Figure:
+def sweep_figure(outcome: Outcome) -> Figure:
     """Return the figure of other values of ρ and τ_λ."""
     figure = Figure(figsize=(style.WIDTH_in, 6.6), layout="constrained")
     axes = figure.subplots(3, 2, sharex="col", sharey="row")
@@ -314,11 +292,7 @@ def _memory(forgetting: float) -> float:
     return 1.0 / (1.0 - forgetting)
 
 
-def _column(
-    axes: Sequence[Axes],
-    points: list[sweep.SweepPoint],
-    position: Callable[[sweep.SweepPoint], float],
-) -> None:
+def _column(axes: Sequence[Axes], points: list[SweepPoint], position: Position) -> None:
     for method, (label, look) in _LOOKS.items():
         chosen = [one for one in points if one.setting.method == method]
         if chosen:
@@ -326,23 +300,15 @@ def _column(
 
 
 def _curves(
-    axes: Sequence[Axes],
-    points: list[sweep.SweepPoint],
-    position: Callable[[sweep.SweepPoint], float],
-    label: str,
-    look: style.Look,
+    axes: Sequence[Axes], points: list[SweepPoint], position: Position, label: str, look: style.Look
 ) -> None:
     """Speed and noise of one estimator; open marks where it never follows."""
     speed, noise, transient = axes
     followed = [(position(one), one.cycles) for one in points if one.cycles is not None]
     speed.plot([x for x, _ in followed], [y for _, y in followed], **look)
-    noise.plot(
-        [position(one) for one in points],
-        [100.0 * one.deviation for one in points],
-        label=label,
-        **look,
-    )
-    transient.plot([position(one) for one in points], [one.transient for one in points], **look)
+    places = [position(one) for one in points]
+    noise.plot(places, [100.0 * one.deviation for one in points], label=label, **look)
+    transient.plot(places, [one.transient for one in points], **look)
     never = [position(one) for one in points if one.cycles is None]
     if never:
         heights = [_NEVER] * len(never)
@@ -373,16 +339,15 @@ def _name(axes: Grid, experiment: Experiment) -> None:
     noise.legend(loc="best")
     speed.set_ylim(bottom=0.0, top=1.2 * speed.get_ylim()[1])
     forgettings = [one for one in experiment.sweep.forgetting if one not in _CROWDED]
-    transient.set_xticks(
-        [_memory(one) for one in forgettings], [f"{one:g}" for one in forgettings], minor=False
-    )
+    places, names = [_memory(one) for one in forgettings], [f"{one:g}" for one in forgettings]
+    transient.set_xticks(places, names, minor=False)
     transient.xaxis.set_minor_locator(NullLocator())
 
 
 def _mark(axes: Grid, experiment: Experiment) -> None:
     """The paper's choice, and what is slower than the load itself."""
     paper, load = experiment.paper, experiment.nominal()
-    settled_s = sweep.settling_time_s(load, 0.1 * experiment.period_s)
+    settled_s = settling_time_s(load, 0.1 * experiment.period_s)
     for row in axes:
         row[0].axvline(_memory(paper.forgetting), **_PAPER)
         row[1].axvline(paper.tau_lambda_s, **_PAPER)

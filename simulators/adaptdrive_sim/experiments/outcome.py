@@ -1,64 +1,263 @@
-"""Result of an experiment: runs, metrics, claims and the verdicts on them.
+"""Outcome of an experiment: its metrics, and the estimator with other ρ and τ_λ than the paper's.
 
-Each claim has what was measured, what is expected, and whether it holds.
+For the latter nothing is simulated again: the estimators run on one recorded run under the fixed
+controller, once without noise, for the speed, and several times with it, for what the noise does to
+them. The λ chains are linear, so that signal and noise pass them apart, and only their values at
+the slow instants are worked out.
 """
 
 import dataclasses
 import math
-import sys
-from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any
 
-from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.case import (
-    Cycle,
-    Disturbance,
-    ReproduceRequest,
-    Variant,
-    convergence_cycles,
-    cycles,
-    estimate_moves,
-)
-from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-# Claims about what was simulated, and the verdicts on them.
+from adaptdrive.control.estimation import estimator, filters, methods, regression
+from adaptdrive.control.loads.discretise import held_model
+from adaptdrive.control.loads.load import Load, to_input
+from adaptdrive.control.settings import EstimatorSettings
+from adaptdrive.control.vectors import Vector, shift_in
+from adaptdrive_sim.course import Array, Run
+from adaptdrive_sim.experiments import case as cases
+from adaptdrive_sim.experiments.experiment import Experiment
+from adaptdrive_sim.wire import samples
 
-_VERDICTS = {True: "holds", False: "FAILS", None: "not judged"}
+# Speed and noise of the estimator, for other ρ and τ_λ than the paper's.
+
+SETTLED = 0.02
+
+_HORIZON = 20.0
+_REALISATIONS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
-    """One claim.
+class Recording:
+    """Input of the estimators.
 
     Attributes:
-        claim: What is claimed.
-        measured: What was measured.
-        target: What is expected.
-        met: Whether it holds; None where this run's noise is not the one to judge it by.
+        case: The run; its settings are the estimator's but for ρ and τ_λ.
+        output: Output without noise at every tick.
+        load_input: The load's input at every tick.
+        held_input: The input that each slow period was given.
     """
 
-    claim: str
-    measured: str
-    target: str
-    met: bool | None
-
-
-def print_claims(title: str, claims: list[Claim]) -> None:
-    """Print the verdict on every claim."""
-    lines = [
-        f"{_VERDICTS[one.met]}: {one.claim}: {one.measured} (target: {one.target})"
-        for one in claims
-    ]
-    sys.stdout.write("\n".join((title, *lines)) + "\n")
-
-
-# Result of an experiment: its runs, its metrics, and the verdicts on the paper's claims.
+    case: cases.Case
+    output: Array
+    load_input: Array
+    held_input: list[float]
 
 
 @dataclass(frozen=True, slots=True)
-class ExperimentOutcome(ReproduceRequest):
+class SweepPoint:
+    """Result of one setting of the estimator.
+
+    Attributes:
+        setting: The setting: method, ρ and τ_λ.
+        cycles: Reference cycles until all estimates are within 5 % without noise; the slower one
+            of the load changes, None when one is never followed.
+        deviation: What noise adds to the estimates, as a fraction of them; root of the mean
+            square over all parameters and the last cycle before each change and the end.
+        transient: Largest distance of an estimate from the truth within one cycle after a change
+            of the load, without noise, as a multiple of the truth.
+    """
+
+    setting: EstimatorSettings
+    cycles: float | None
+    deviation: float
+    transient: float
+
+
+def recording_of(case: cases.Case, record: Run) -> Recording:
+    """Take what the estimators need from a run that kept its ticks."""
+    load = case.experiment.nominal()
+    gain, exponent = load.input_gain, load.input_exponent
+    voltage_V = np.array(record.fast_voltage_V)
+    held = [to_input(value, gain, exponent) for value in record["boost_reference_V"].tolist()]
+    return Recording(case, np.array(record.fast_output), gain * voltage_V**exponent, held)
+
+
+def settings_over_forgetting(case: cases.Case) -> list[EstimatorSettings]:
+    """Every ρ at the paper's τ_λ."""
+    sweep, tau_lambda_s = case.experiment.sweep, case.experiment.paper.tau_lambda_s
+    return [
+        setting(case, method, forgetting, tau_lambda_s)
+        for method in sweep.methods
+        for forgetting in sweep.forgetting
+    ]
+
+
+def settings_over_tau_lambda(case: cases.Case) -> list[EstimatorSettings]:
+    """Every τ_λ at the paper's ρ."""
+    forgetting = case.experiment.paper.forgetting
+    taus_s = case.experiment.sweep.tau_lambda_s
+    return [setting(case, "lm-rls", forgetting, tau_s) for tau_s in taus_s]
+
+
+def setting(
+    case: cases.Case, method: str, forgetting: float, tau_lambda_s: float
+) -> EstimatorSettings:
+    """Return the estimator's settings of a run with another method, ρ and τ_λ."""
+    return dataclasses.replace(
+        case.settings.learning, method=method, forgetting=forgetting, tau_lambda_s=tau_lambda_s
+    )
+
+
+def try_settings(given: Recording, settings: list[EstimatorSettings]) -> list[SweepPoint]:
+    """See how settings of the estimator do."""
+    noises = _noises(given)
+    return [_try_setting(given, noises, one) for one in settings]
+
+
+def settling_time_s(load: Load, tick_s: float) -> float:
+    """Return the time after which the step response of a load stays within 2 % of its end."""
+    a, b = held_model(list(load.numerator), list(load.denominator), tick_s, 0.0, 0.0)
+    lags_s = load.denominator[load.order - 1] / load.denominator[load.order]
+    outputs = [0.0] * (load.order + 1)
+    for k in range(math.ceil(_HORIZON * lags_s / tick_s)):
+        past = sum(a[i + 1] * outputs[-1 - i] for i in range(load.order))
+        outputs.append(sum(b[: k + 2]) - past)
+    error = np.array(outputs[load.order :]) * sum(a) / sum(b) - 1.0
+    return float(np.flatnonzero(np.abs(error) > SETTLED)[-1] + 1) * tick_s
+
+
+def _noises(given: Recording) -> list[Array]:
+    """Noise of every tick, several times."""
+    case, count = given.case, given.output.size
+    parameters = case.disturbance.scaled(case.experiment.step)
+    generators = [np.random.default_rng([case.seed, i]) for i in range(_REALISATIONS)]
+    return [np.fromiter(samples(parameters, one), np.float64, count) for one in generators]
+
+
+def _try_setting(given: Recording, noises: list[Array], learning: EstimatorSettings) -> SweepPoint:
+    physical = methods.METHODS[learning.method].physical
+    estimate = _estimate_filtered if physical else _estimate_directly
+    quiet, *noisy = estimate(given, learning, noises)
+    experiment = given.case.experiment
+    spread = _spread(given, quiet, noisy)
+    return SweepPoint(learning, _speed(experiment, quiet), spread, _transient(experiment, quiet))
+
+
+def _estimate_filtered(
+    given: Recording, learning: EstimatorSettings, noises: list[Array]
+) -> list[Array]:
+    """Physical parameters at every slow instant: without noise, and with each one."""
+    load, rates = given.case.experiment.nominal(), given.case.settings.rates
+    ticks = rates.ticks_per_period
+    tick_s = given.case.experiment.period_s / ticks
+    chain = _chain(load.order, tick_s, learning.tau_lambda_s, ticks)
+    clean = np.column_stack((given.output[::ticks], _sampled(chain, given.output)))
+    applied = given.load_input
+    inputs = np.column_stack((applied[::ticks], _sampled(chain, applied))).tolist()
+    found = [_follow_filtered(load, learning, clean.tolist(), inputs)]
+    for noise in noises:
+        added = np.column_stack((noise[::ticks], _sampled(chain, noise)))
+        found.append(_follow_filtered(load, learning, (clean + added).tolist(), inputs))
+    return found
+
+
+def _follow_filtered(
+    load: Load, learning: EstimatorSettings, outputs: list[list[float]], inputs: list[list[float]]
+) -> Array:
+    method, taps = methods.METHODS[learning.method], load.paper_taps
+    state = estimator.new_estimator(method, learning, load, taps)
+    found = []
+    for (target, *filtered), applied in zip(outputs, inputs, strict=True):
+        regressor = state.sample.regressor
+        regression.fill_filtered_regressor(regressor, learning, load, filtered, applied)
+        estimator.learn(state, learning, load, target, usable=True)
+        numerator, denominator = regression.filtered_model(state.estimate.theta, learning, load)
+        found.append(_physical(load, numerator, denominator))
+    return np.array(found)
+
+
+def _estimate_directly(
+    given: Recording, learning: EstimatorSettings, noises: list[Array]
+) -> list[Array]:
+    """The same by least squares on the samples themselves."""
+    ticks = given.case.settings.rates.ticks_per_period
+    clean = given.output[::ticks]
+    outputs = [clean, *(clean + noise[::ticks] for noise in noises)]
+    return [_follow_directly(given, learning, one.tolist()) for one in outputs]
+
+
+def _follow_directly(given: Recording, learning: EstimatorSettings, outputs: list[float]) -> Array:
+    load, period_s = given.case.experiment.nominal(), given.case.experiment.period_s
+    method, taps = methods.METHODS[learning.method], load.paper_taps
+    state = estimator.new_estimator(method, learning, load, taps)
+    past_outputs = [outputs[0]] * load.order
+    past_inputs = [float(given.load_input[0])] * load.paper_taps
+    found = []
+    for target, applied in zip(outputs, given.held_input, strict=True):
+        regressor = state.sample.regressor
+        methods.fill_direct_regressor(regressor, learning, load, past_outputs, past_inputs)
+        estimator.learn(state, learning, load, target, usable=True)
+        a, b = methods.direct_model(state.estimate.theta, learning, load)
+        found.append(_physical(load, *methods.continuous_model(a, b, period_s)))
+        shift_in(past_outputs, target)
+        shift_in(past_inputs, applied)
+    return np.array(found)
+
+
+def _physical(load: Load, numerator: Vector, denominator: Vector) -> Vector:
+    if not denominator[-1]:
+        return [math.nan] * len(load.names)
+    return load.physical(numerator, denominator)
+
+
+def _chain(order: int, tick_s: float, tau_s: float, ticks: int) -> tuple[Array, Array]:
+    """Weights of the values within a slow period, and the transition over it, of a λ chain."""
+    decay = filters.chain_decay(order, tick_s, tau_s)
+    rise = np.array(filters.ramp_gains(order, tick_s, tau_s))
+    fall = np.array(filters.step_gains(order, tick_s, tau_s)) - rise
+    once = sum(decay[j] * np.eye(order, k=-j) for j in range(order))
+    weights, over = np.zeros((order, ticks + 1)), np.eye(order)
+    for tick in range(ticks - 1, -1, -1):
+        weights[:, tick] += over @ fall
+        weights[:, tick + 1] += over @ rise
+        over = over @ once
+    return weights, over
+
+
+def _sampled(chain: tuple[Array, Array], signal: Array) -> Array:
+    """The chain at the ticks 0, Q, 2Q, ..., having seen the first value for ever."""
+    weights, over = chain
+    ticks = weights.shape[1] - 1
+    gained = sliding_window_view(signal, ticks + 1)[::ticks] @ weights.T
+    values = np.full((len(gained) + 1, len(weights)), signal[0])
+    for k in range(len(gained)):
+        values[k + 1] = over @ values[k] + gained[k]
+    return values
+
+
+def _speed(experiment: Experiment, estimates: Array) -> float | None:
+    found = [cases.cycles_until_right(experiment, estimates, one) for one in experiment.changes]
+    known = [one for one in found if one is not None]
+    return max(known, default=0.0) if len(known) == len(found) else None
+
+
+def _spread(given: Recording, quiet: Array, noisy: list[Array]) -> float:
+    experiment = given.case.experiment
+    periods = round(experiment.reference.period_s / experiment.period_s)
+    chosen = np.concatenate(
+        [np.arange(-periods, 0) + round(end / experiment.period_s) for end in experiment.ends_s]
+    )
+    relative = np.array([(one[chosen] - quiet[chosen]) / quiet[chosen] for one in noisy])
+    return float(np.sqrt(np.mean(relative * relative)))
+
+
+def _transient(experiment: Experiment, estimates: Array) -> float:
+    cycle = round(experiment.reference.period_s / experiment.period_s)
+    firsts = [round(change.time_s / experiment.period_s) for change in experiment.changes]
+    found = (cases.distances(experiment, estimates, first, first + cycle) for first in firsts)
+    return max((float(np.nanmax(one)) for one in found), default=0.0)
+
+
+# The outcome of an experiment.
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome(cases.ReproduceRequest):
     """Everything that was found.
 
     Attributes:
@@ -69,13 +268,13 @@ class ExperimentOutcome(ReproduceRequest):
         over_tau_lambda: What other values of τ_λ do.
     """
 
-    records: dict[Variant, Run]
-    cycles: dict[Variant, list[Cycle]]
+    records: dict[cases.Variant, Run]
+    cycles: dict[cases.Variant, list[cases.Cycle]]
     converged: list[float | None]
     over_forgetting: list[SweepPoint] = dataclasses.field(default_factory=list)
     over_tau_lambda: list[SweepPoint] = dataclasses.field(default_factory=list)
 
-    def model_error(self, variant: Variant) -> float:
+    def model_error(self, variant: cases.Variant) -> float:
         """Root mean square of the model error, all but the first reference cycle.
 
         The cycles in which the speed drops with a disk are left out too: no controller can help.
@@ -86,187 +285,11 @@ class ExperimentOutcome(ReproduceRequest):
         return math.sqrt(sum(squares) / len(squares))
 
 
-def judge(request: ReproduceRequest, records: dict[Variant, Run]) -> ExperimentOutcome:
+def judge(request: cases.ReproduceRequest, records: dict[cases.Variant, Run]) -> Outcome:
     """Work out the metrics of all runs."""
     experiment, design = request.experiment, request.design
-    judged = {variant: cycles(experiment, design, record) for variant, record in records.items()}
+    judged = {one: cases.cycles(experiment, design, record) for one, record in records.items()}
     adaptive = records["adaptive"]
-    converged = [convergence_cycles(experiment, adaptive, one) for one in experiment.changes]
+    converged = [cases.convergence_cycles(experiment, adaptive, one) for one in experiment.changes]
     noise, seed = request.disturbance, request.seed
-    return ExperimentOutcome(experiment, design, noise, seed, records, judged, converged)
-
-
-def summary(
-    outcome: ExperimentOutcome, claims: list[dict[str, Any]], wall_s: float
-) -> dict[str, Any]:
-    """The content of summary.json."""
-    return {
-        "experiment": outcome.experiment.name,
-        "seed": outcome.seed,
-        "wall_s": wall_s,
-        "controllers": {
-            variant: {"cycles": [dataclasses.asdict(cycle) for cycle in judged]}
-            for variant, judged in outcome.cycles.items()
-        },
-        "estimates": [
-            {"load_change_s": change.time_s, "cycles_to_5_percent": cycles_needed}
-            for change, cycles_needed in zip(
-                outcome.experiment.changes, outcome.converged, strict=True
-            )
-        ],
-        "claims": claims,
-    }
-
-
-NOISY = Disturbance(noise=0.002, spike_share=0.02, spike_noise=0.10)
-"""Under this noise direct least squares is held against the λ-method."""
-
-
-_CYCLES_DROPPED = 3.0
-"""Cycles until the estimates are right again where the speed drops with each disk."""
-
-_MOVED = 0.05
-"""An estimate that moves by this share has been disturbed."""
-
-
-def claims(outcome: ExperimentOutcome) -> list[Claim]:
-    """Judge every claim that the paper makes of an experiment."""
-    return [make(outcome) for make in _CLAIMS[outcome.experiment.name]]
-
-
-def _fixed_motor(outcome: ExperimentOutcome) -> Claim:
-    overshoots = _last_of_segments(outcome, "fixed")
-    rising = all(a < b for a, b in pairwise(overshoots))
-    return Claim(
-        "the fixed controller overshoots more with each disk",
-        _percents(overshoots),
-        "rising, the last above 15 %",
-        rising and overshoots[-1] > 0.15,
-    )
-
-
-def _adaptive_motor(outcome: ExperimentOutcome) -> Claim:
-    overshoots = _last_of_segments(outcome, "adaptive")
-    return Claim(
-        "the adaptive one does not, in the last cycle with each load",
-        _percents(overshoots),
-        "each below 2 %",
-        max(overshoots) < 0.02,
-    )
-
-
-def _converged(outcome: ExperimentOutcome) -> Claim:
-    found, most = outcome.converged, _CYCLES_DROPPED if outcome.experiment.dropped else 2.0
-    return Claim(
-        "its estimates are within 5 % of the truth about two cycles after each load change",
-        ", ".join("never" if one is None else f"{one:.2f}" for one in found) + " cycles",
-        f"at most {most:g} cycles",
-        all(one is not None and one <= most for one in found),
-    )
-
-
-def _disturbed(outcome: ExperimentOutcome) -> Claim:
-    least = estimate_moves(outcome.experiment, outcome.records["adaptive"])
-    judged = outcome.experiment.dropped and outcome.design == "paper"
-    return Claim(
-        "each load change disturbs all three estimates, the gain too, which is not changed",
-        ", ".join(f"{name} {100.0 * move:.2g} %" for name, move in least.items()),
-        f"each by {100.0 * _MOVED:g} % at least in the paper's design, where disks land at rest",
-        min(least.values()) >= _MOVED if judged else None,
-    )
-
-
-def _direct_motor(outcome: ExperimentOutcome) -> Claim:
-    ratio = outcome.model_error("direct_rls") / outcome.model_error("adaptive")
-    judged = outcome.disturbance == NOISY and outcome.design == "paper"
-    return Claim(
-        "where there are spikes, direct RLS is erratic: its model error over that of LM-RLS",
-        f"{ratio:.2f}",
-        f"at least 1.8 with --spikes {NOISY.spike_share},{NOISY.spike_noise}",
-        ratio >= 1.8 if judged else None,
-    )
-
-
-def _fixed_bath(outcome: ExperimentOutcome) -> Claim:
-    last = outcome.experiment.changes[-1].size
-    overshoots = [one.overshoot for one in outcome.cycles["fixed"] if one.load == last]
-    return Claim(
-        "the fixed controller overshoots in each cycle after the change of volume",
-        _percents(overshoots),
-        "each above 7 %",
-        min(overshoots) > 0.07,
-    )
-
-
-def _adaptive_bath(outcome: ExperimentOutcome) -> Claim:
-    overshoots = [one.overshoot for one in outcome.cycles["adaptive"]]
-    return Claim(
-        "the adaptive one hardly does, in any cycle",
-        _percents(overshoots),
-        "each below 3.5 %",
-        max(overshoots) < 0.035,
-    )
-
-
-def _forgetting(outcome: ExperimentOutcome) -> Claim:
-    method = outcome.experiment.sweep.methods[0]
-    points = [one for one in outcome.over_forgetting if one.setting.method == method]
-    first, last = points[0], points[-1]
-    return Claim(
-        "forgetting faster brings speed and costs noise",
-        f"ρ = {first.setting.forgetting:g}: {_speed_and_noise(first)}; "
-        f"ρ = {last.setting.forgetting:g}: {_speed_and_noise(last)}",
-        "faster and noisier at the smaller ρ",
-        _cycles(first) < _cycles(last) and first.deviation > last.deviation,
-    )
-
-
-def _tau_lambda(outcome: ExperimentOutcome) -> Claim:
-    experiment = outcome.experiment
-    limit_s = settling_time_s(experiment.nominal(), 0.1 * experiment.period_s)
-    below, beyond = (
-        min(
-            one.deviation
-            for one in outcome.over_tau_lambda
-            if (one.setting.tau_lambda_s > limit_s) is slower
-        )
-        for slower in (False, True)
-    )
-    return Claim(
-        f"λ filters slower than the load's settling time of {limit_s:.0f} s gain nothing",
-        f"noise in the estimates at best {100.0 * beyond:.2g} %",
-        f"no more than a tenth below the {100.0 * below:.2g} % of faster ones",
-        beyond >= 0.9 * below,
-    )
-
-
-def _last_of_segments(outcome: ExperimentOutcome, variant: Variant) -> list[float]:
-    """Overshoot in the last cycle with each load."""
-    experiment = outcome.experiment
-    found = {
-        one.start_s + experiment.reference.period_s: one.overshoot
-        for one in outcome.cycles[variant]
-    }
-    return [found[end] for end in experiment.ends_s]
-
-
-def _percents(values: list[float]) -> str:
-    return ", ".join(f"{100.0 * value:.1f}" for value in values) + " %"
-
-
-def _cycles(point: SweepPoint) -> float:
-    return float("inf") if point.cycles is None else point.cycles
-
-
-def _speed_and_noise(point: SweepPoint) -> str:
-    speed = "never" if point.cycles is None else f"{point.cycles:.2f} cycles"
-    return f"{speed}, {100.0 * point.deviation:.2g} %"
-
-
-_CLAIMS: dict[str, tuple[Callable[[ExperimentOutcome], Claim], ...]] = {
-    "motor": (
-        *(_fixed_motor, _adaptive_motor, _converged, _disturbed, _direct_motor),
-        *(_forgetting, _tau_lambda),
-    ),
-    "bath": (_fixed_bath, _adaptive_bath, _forgetting, _tau_lambda),
-}
+    return Outcome(experiment, design, noise, seed, records, judged, converged)

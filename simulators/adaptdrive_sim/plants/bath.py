@@ -31,19 +31,11 @@ class BathParameters:
 
     heater_Ohm: float = quantity(7.87, "Ω", "immersion heater, R_h", 0.1, 1e3)
     inflow_L_per_min: float = quantity(0.681, "L/min", "cold water flowing in", 0.01, 100.0)
-    volume_gal: float = quantity(
-        0.6, "US gal", "volume at the start", VOLUME_MIN_gal, VOLUME_MAX_gal
-    )
-    drift_K_per_h: float = quantity(
-        0.0, "K/h", "drift of the inflow's temperature at the start", -100.0, 100.0
-    )
+    volume_gal: float = quantity(0.6, "US gal", "initial volume", VOLUME_MIN_gal, VOLUME_MAX_gal)
+    drift_K_per_h: float = quantity(0.0, "K/h", "initial drift of the inflow", -100.0, 100.0)
     turn_s: float = quantity(3600.0, "s", "time after which this drift turns", 1.0, 1e7)
-    sensor_s: float = quantity(
-        0.0, "s", "time constant of the sensor; 0 for one without a lag", 0.0, 1e4
-    )
-    ageing_per_h: float = quantity(
-        0.0, "1/h", "rise of the heater's resistance by ageing, as a share", 0.0, 10.0
-    )
+    sensor_s: float = quantity(0.0, "s", "time constant of the sensor; 0 for no lag", 0.0, 1e4)
+    ageing_per_h: float = quantity(0.0, "1/h", "relative rise of the heater resistance", 0.0, 10.0)
 
     def __post_init__(self) -> None:
         check_quantities(self)
@@ -164,11 +156,8 @@ class Bath:
 
     def state(self) -> dict[str, float]:
         """Volume, temperature above the inflow and heater power."""
-        return {
-            "volume_gal": self.volume_gal,
-            "temperature_K": self.output,
-            "heater_W": self.heater_W,
-        }
+        volume_gal = self.volume_gal
+        return {"volume_gal": volume_gal, "temperature_K": self.output, "heater_W": self.heater_W}
 
     def _warm(self, duration_s: float) -> None:
         rest = self.heater_W * self.resistance_K_per_W + self.inflow_shift_K

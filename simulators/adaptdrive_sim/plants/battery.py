@@ -149,11 +149,8 @@ class Battery:
 
     def state(self) -> dict[str, float]:
         """State of charge, open-circuit and terminal voltage."""
-        return {
-            "charge": self.charge,
-            "open_circuit_V": self.open_circuit_V,
-            "terminal_voltage_V": self.terminal_voltage_V,
-        }
+        open_V, terminal_V = self.open_circuit_V, self.terminal_voltage_V
+        return {"charge": self.charge, "open_circuit_V": open_V, "terminal_voltage_V": terminal_V}
 
     def _relaxation_Ohm(self) -> tuple[float, float]:
         return self.parameters.relaxation_Ohm, self.parameters.relaxation_2_Ohm
@@ -163,10 +160,8 @@ class Battery:
         own = self.parameters
         if self._decays_s != duration_s:
             self._decays_s = duration_s
-            self._decays = [
-                math.exp(-duration_s / own.relaxation_s),
-                math.exp(-duration_s / own.relaxation_2_s),
-            ]
+            taus_s = own.relaxation_s, own.relaxation_2_s
+            self._decays = [math.exp(-duration_s / tau_s) for tau_s in taus_s]
         one, two = self._decays[0], self._decays[1]
         rest_V, rest_2_V = current_A * own.relaxation_Ohm, current_A * own.relaxation_2_Ohm
         relaxed = self.relaxed_V

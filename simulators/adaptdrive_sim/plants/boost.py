@@ -1,4 +1,8 @@
-"""The power stage: boost pre-regulator, a drive that holds its output, the coupled dc/dc stage.
+"""The power stage: line, boost pre-regulator, drive that holds its output, coupled dc/dc stage.
+
+The line's frequency drifts, its voltage wanders and sags. Drift and wander are slow sines with
+periods of their own, so that a run is the same each time. A sag takes a fraction off the voltage
+for a while and ends by itself.
 
 State x = v_bst², for which the stage is linear in its command:
 
@@ -27,9 +31,9 @@ that is i_boost(v) = G·v − H with G = N2²/(R_d + R) and H = N2·E/(R_d + R).
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
-from adaptdrive_sim.parameters import check_quantities, quantity
+from adaptdrive_sim.parameters import check_quantities, check_range, quantity
 
 
 class Sample(NamedTuple):
@@ -52,6 +56,86 @@ class Sample(NamedTuple):
     load_power_W: float
     output: float
     load_current_A: float
+
+
+# The ac line.
+
+SAG_MAX_s = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class LineParameters:
+    """The ac line."""
+
+    frequency_Hz: float = quantity(60.0, "Hz", "mean frequency", 40.0, 70.0)
+    drift_Hz: float = quantity(0.0, "Hz", "amplitude of the frequency drift", 0.0, 1.0)
+    drift_period_s: float = quantity(97.0, "s", "period of the frequency drift", 1.0, 1e6)
+    voltage_V: float = quantity(120.0, "V", "mean voltage, rms", 1.0, 1e3)
+    wander: float = quantity(0.0, "", "amplitude of the voltage's wander, fraction", 0.0, 0.3)
+    wander_period_s: float = quantity(41.0, "s", "period of the voltage's wander", 1.0, 1e6)
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+
+    @classmethod
+    def steady(cls, share: float, frequency_Hz: float) -> Self:
+        """Return a line that does not change.
+
+        Args:
+            share: Its voltage as a share of the nominal one.
+            frequency_Hz: Its frequency.
+        """
+        return cls(voltage_V=cls().voltage_V * share, frequency_Hz=frequency_Hz)
+
+
+class Line:
+    """The line during one half cycle after the other.
+
+    Attributes:
+        time_s: Start of the coming half cycle, since the line was made.
+        voltage_V: Voltage of the last half cycle, rms.
+        half_cycle_s: Length of the last half cycle.
+    """
+
+    def __init__(self, parameters: LineParameters) -> None:
+        self.parameters = parameters
+        self.time_s = 0.0
+        self.voltage_V = parameters.voltage_V
+        self.half_cycle_s = 0.5 / parameters.frequency_Hz
+        self._steady = parameters.drift_Hz == 0.0 and parameters.wander == 0.0
+        self._drift_rad_s = 2.0 * math.pi / parameters.drift_period_s
+        self._wander_rad_s = 2.0 * math.pi / parameters.wander_period_s
+        self._sag = 0.0
+        self._sag_end_s = 0.0
+        self._sagging = False
+
+    def sag(self, fraction: float, duration_s: float) -> None:
+        """Take a fraction off the voltage from the next half cycle on.
+
+        Args:
+            fraction: 0 for none, 1 for a line that is gone.
+            duration_s: How long it lasts, rounded to half cycles; a new sag replaces one that
+                is under way.
+        """
+        check_range("sag", fraction, 0.0, 1.0, "")
+        check_range("duration_s", duration_s, 0.0, SAG_MAX_s, "s")
+        self._sag = fraction
+        self._sag_end_s = self.time_s + duration_s
+        self._sagging = True
+
+    def advance(self) -> None:
+        """Enter the next half cycle."""
+        if self._steady and not self._sagging:
+            self.time_s += self.half_cycle_s
+            return
+        own, time_s = self.parameters, self.time_s
+        frequency_Hz = own.frequency_Hz + own.drift_Hz * math.sin(self._drift_rad_s * time_s)
+        wander = own.wander * math.sin(self._wander_rad_s * time_s)
+        if self._sagging and time_s + 0.5 * self.half_cycle_s >= self._sag_end_s:
+            self._sag, self._sagging = 0.0, False
+        self.voltage_V = own.voltage_V * (1.0 + wander) * (1.0 - self._sag)
+        self.half_cycle_s = 0.5 / frequency_Hz
+        self.time_s = time_s + self.half_cycle_s
 
 
 # The boost pre-regulator: a capacitor between the line's rectifier and the dc/dc stage.
@@ -297,15 +381,6 @@ class CouplingParameters:
 
     def __post_init__(self) -> None:
         check_quantities(self)
-
-
-class Coupling:
-    """The stage as the boost capacitor and the load see it."""
-
-    def __init__(self, parameters: CouplingParameters) -> None:
-        self.parameters = parameters
-        self.ratio = parameters.ratio
-        self.droop_Ohm = parameters.droop_Ohm
 
     def draw(self, emf_V: float, resistance_Ohm: float) -> tuple[float, float]:
         """Return the load as seen from the boost capacitor.

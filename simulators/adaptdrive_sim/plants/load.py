@@ -11,60 +11,21 @@ motor's armature, is that of the reference load, or is named in `[simulation.par
 import dataclasses
 from collections.abc import Mapping
 from difflib import get_close_matches
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathModel, BathSection, BatterySection, MotorModel, MotorSection
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.plants import bath, battery, boost, motor
 
-# The shape that every simulated load shares.
+SimulatedLoad = motor.Motor | bath.Bath | battery.Battery
+"""One simulated load, stepped by whole half line cycles.
 
-
-class SimulatedLoad(Protocol):
-    """One simulated load, stepped by whole half line cycles."""
-
-    @property
-    def emf_V(self) -> float:
-        """Terminal voltage without current, at this instant."""
-
-    @property
-    def resistance_Ohm(self) -> float:
-        """Series resistance between the terminals and the electromotive force."""
-
-    @property
-    def output(self) -> float:
-        """The regulated quantity without measurement noise, in its own unit."""
-
-    def drive(self, source_V: float, source_Ohm: float, duration_s: float) -> float:
-        """Advance while a constant voltage behind a resistance feeds the load.
-
-        Returns:
-            Mean current from the source, in ampere.
-        """
-
-    def coast(self, duration_s: float) -> None:
-        """Advance without any current."""
-
-    def settle(self, source_V: float, source_Ohm: float) -> None:
-        """Put the load at rest under a constant source, filters included."""
-
-    def source_for(self, output: float, source_Ohm: float) -> float:
-        """Find the source voltage at which the load rests with the given output."""
-
-    def model(self, ratio: float, source_Ohm: float) -> dict[str, float]:
-        """Parameters of the linear model from boost voltage to output, by name.
-
-        Args:
-            ratio: Load-side volts per volt of boost voltage.
-            source_Ohm: Resistance of the source that feeds the load.
-        """
-
-    def state(self) -> dict[str, float]:
-        """Return the internal state, by name with unit."""
-
-
-# The simulated load that a configuration describes.
+Each has `emf_V` (terminal voltage without current) and `resistance_Ohm`, the regulated `output`
+without noise, `drive` and `coast` (advance with a source, and without current), `settle` and
+`source_for` (rest under a source, and the source for an output), `model` (the linear model from
+boost voltage to output), `state`, and `resize` and `disturb`, which change it.
+"""
 
 Parameters = TypeVar("Parameters", bound=Any)
 

@@ -52,6 +52,7 @@ class Motor:
 
     Attributes:
         speed_rad_s: Shaft speed.
+        inertia_kgm2: Inertia of the shaft with its disks, J.
         output: Filtered tachometer voltage.
     """
 
@@ -62,7 +63,7 @@ class Motor:
         self.output = 0.0
         self._torque_Nm = 0.0
         self._disks = 1
-        self._inertia_kgm2 = parameters.disk_kgm2
+        self.inertia_kgm2 = parameters.disk_kgm2
         self._driven = _Step()
         self._coasting = _Step()
         self.disks = disks
@@ -83,16 +84,10 @@ class Motor:
         self._disks = disks
         self.resize(float(disks), 0.0)
 
-    @property
-    def inertia_kgm2(self) -> float:
-        """Inertia of the shaft with its disks, J."""
-        return self._inertia_kgm2
-
     def set_inertia(self, inertia_kgm2: float) -> None:
         """Turn any inertia in place of the disks; the speed stays."""
-        self._inertia_kgm2 = inertia_kgm2
-        self._driven.forget()
-        self._coasting.forget()
+        self.inertia_kgm2 = inertia_kgm2
+        self._driven.duration_s = self._coasting.duration_s = math.nan
 
     def resize(self, size: float, _over_s: float) -> None:
         """Turn a multiple of one disk's inertia from now on.
@@ -100,8 +95,8 @@ class Motor:
         What is added at rest shares the angular momentum of the shaft.
         """
         inertia_kgm2 = self.parameters.disk_kgm2 * size
-        if self.parameters.dropped_at_rest and inertia_kgm2 > self._inertia_kgm2:
-            self.speed_rad_s *= self._inertia_kgm2 / inertia_kgm2
+        if self.parameters.dropped_at_rest and inertia_kgm2 > self.inertia_kgm2:
+            self.speed_rad_s *= self.inertia_kgm2 / inertia_kgm2
         self.set_inertia(inertia_kgm2)
 
     @property
@@ -167,11 +162,7 @@ class Motor:
 
     def state(self) -> dict[str, float]:
         """Disks, speed and load torque."""
-        return {
-            "disks": self._disks,
-            "speed_rad_s": self.speed_rad_s,
-            "torque_Nm": self._torque_Nm,
-        }
+        return {"disks": self._disks, "speed_rad_s": self.speed_rad_s, "torque_Nm": self._torque_Nm}
 
     def _brake_Nm(self, speed_rad_s: float) -> float:
         """Return the torque against the rotation besides viscous friction: T + T_c + d·ω²."""
@@ -187,14 +178,20 @@ class Motor:
 
     def _damping(self, source_Ohm: float) -> float:
         """Torque per speed, electrical part included: f + K²/(R_d + R_f)."""
-        constant = self.parameters.constant_Vs
-        return self.parameters.friction_Nms + constant * constant / (
-            source_Ohm + self.resistance_Ohm
-        )
+        constant, total_Ohm = self.parameters.constant_Vs, source_Ohm + self.resistance_Ohm
+        return self.parameters.friction_Nms + constant * constant / total_Ohm
 
     def _tune(self, step: _Step, damping: float, source_Ohm: float, duration_s: float) -> None:
-        rate = damping / self.inertia_kgm2
-        step.tune(rate, damping, self.parameters.filter_s, source_Ohm, duration_s)
+        """Work out the step of a shaft that is damped."""
+        filter_s, angle = self.parameters.filter_s, damping / self.inertia_kgm2 * duration_s
+        half_gap = 0.5 * (duration_s / filter_s - angle)
+        middle = math.exp(-0.5 * (duration_s / filter_s + angle))
+        step.duration_s, step.source_Ohm = duration_s, source_Ohm
+        step.compliance = 1.0 / damping if damping > 0.0 else 0.0
+        step.decay = math.exp(-angle)
+        step.mean = -math.expm1(-angle) / angle if angle else 1.0
+        step.filter_decay = math.exp(-duration_s / filter_s)
+        step.filter_share = duration_s / filter_s * middle * _sinhc(half_gap)
 
     def _advance(self, step: _Step, torque_Nm: float) -> float:
         """Advance under a constant torque; the mean speed over the step is returned."""
@@ -241,24 +238,6 @@ class _Step:
     mean: float = 0.0
     filter_decay: float = 0.0
     filter_share: float = 0.0
-
-    def forget(self) -> None:
-        """Have it worked out again before it is used."""
-        self.duration_s = math.nan
-
-    def tune(
-        self, rate: float, damping: float, filter_s: float, source_Ohm: float, duration_s: float
-    ) -> None:
-        """Work out the step of a shaft that decays at `rate` (1/s)."""
-        angle = rate * duration_s
-        half_gap = 0.5 * (duration_s / filter_s - angle)
-        middle = math.exp(-0.5 * (duration_s / filter_s + angle))
-        self.duration_s, self.source_Ohm = duration_s, source_Ohm
-        self.compliance = 1.0 / damping if damping > 0.0 else 0.0
-        self.decay = math.exp(-angle)
-        self.mean = -math.expm1(-angle) / angle if angle else 1.0
-        self.filter_decay = math.exp(-duration_s / filter_s)
-        self.filter_share = duration_s / filter_s * middle * _sinhc(half_gap)
 
 
 def _sinhc(z: float) -> float:

@@ -19,7 +19,7 @@ from adaptdrive_sim.campaign.batteries import ideal_current
 from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Row, deploy
 from adaptdrive_sim.campaign.motors import Life, Scenario, Stand, at_rest
 from adaptdrive_sim.course import Course
-from adaptdrive_sim.experiments.examples import example_tables
+from adaptdrive_sim.parameters import example_tables
 from adaptdrive_sim.plants.bath import BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.boost import CouplingParameters

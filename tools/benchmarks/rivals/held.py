@@ -9,7 +9,7 @@ from dataclasses import replace
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
-from adaptdrive_sim.course import Course, Run, TripLevels
+from adaptdrive_sim.course import NO_TRIPS, Course, Run
 from adaptdrive_sim.site import Site
 
 Decide = Callable[[int, float, float], float]
@@ -28,7 +28,7 @@ def run_held(site: Site, course: Course, decide: Decide) -> Run:
         A run that has the columns up to the applied V_c alone.
     """
     held = _HeldSite(site, decide)
-    return held.run(replace(course, interlocks=TripLevels()))
+    return held.run(replace(course, trips=NO_TRIPS))
 
 
 class _FastHalf:
