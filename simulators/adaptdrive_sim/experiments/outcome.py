@@ -165,7 +165,7 @@ def _follow_filtered(
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
         regressor = state.sample.regressor
         regression.fill_filtered_regressor(regressor, learning, load, filtered, applied)
-        estimator.learn(state, learning, load, target, usable=True)
+        estimator.update_estimate(state, learning, load, target, usable=True)
         numerator, denominator = regression.filtered_model(state.estimate.theta, learning, load)
         found.append(_physical(load, numerator, denominator))
     return np.array(found)
@@ -191,7 +191,7 @@ def _follow_directly(given: Recording, learning: EstimatorSettings, outputs: lis
     for target, applied in zip(outputs, given.held_input, strict=True):
         regressor = state.sample.regressor
         methods.fill_direct_regressor(regressor, learning, load, past_outputs, past_inputs)
-        estimator.learn(state, learning, load, target, usable=True)
+        estimator.update_estimate(state, learning, load, target, usable=True)
         a, b = methods.direct_model(state.estimate.theta, learning, load)
         found.append(_physical(load, *methods.continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)
