@@ -17,10 +17,8 @@ from typing import Any
 import can
 import pytest
 
-from adaptdrive.devices.can import connection, kind
-from adaptdrive.devices.can import port as dbc_port
+from adaptdrive.devices.can import connection, integrity
 from adaptdrive.devices.can.integrity import ArrivalClock
-from adaptdrive.devices.canopen import node as canopen_node
 from adaptdrive.devices.canopen import port as canopen_port
 from adaptdrive.devices.modbus.link import SerialPort
 from adaptdrive.devices.polled.link import PolledLink
@@ -91,8 +89,7 @@ def links_held() -> Iterator[None]:
         patch.setattr(can, "Bus", open_memory)
         for module in (connection, canopen_port):
             patch.setattr(module, "pulsing", pulsing)
-        for module in (canopen_node, dbc_port, kind):
-            patch.setattr(module, "ArrivalClock", arrival_clock)
+        patch.setattr(integrity, "ArrivalClock", arrival_clock)
         yield
 
 
