@@ -55,7 +55,7 @@ class MemoryBroker:
         """Have every client of the product connect here."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("adaptdrive.mqtt.connection.SteadyClient", partial(MemoryClient, self))
-            patch.setattr("adaptdrive.mqtt.connection.find", _found)
+            patch.setattr("adaptdrive.util.clock.find", _found)
             yield
 
     def kill(self) -> None:

@@ -471,7 +471,7 @@ async def test_when_the_reports_die_the_drive_is_left_safe(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async with running_daemon() as bench:
-        monkeypatch.setattr("adaptdrive.runtime.daemon.drive_report", lambda *_: 1 / 0)
+        monkeypatch.setattr("adaptdrive.runtime.accounts.drive_report", lambda *_: 1 / 0)
         (cause,) = await ending(bench)
         assert isinstance(cause, ZeroDivisionError)
         assert bench.sent[-1] == SAFE_COMMAND

@@ -9,8 +9,8 @@ import pytest
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.frame_rate import FrameRate
-from adaptdrive.runtime.interlock_board import InterlockBoard
-from adaptdrive.runtime.interlocks import Limits
+from adaptdrive.runtime.interlocks import InterlockBoard
+from adaptdrive.runtime.settings import Limits
 from adaptdrive.runtime.timebase import HalfCycles
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, FAST

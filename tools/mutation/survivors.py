@@ -43,7 +43,7 @@ _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.timebase:HalfCycles."
 _RATE = "runtime.frame_rate:"
 _COUNTER = "runtime.timebase:CounterWatch."
-_BRIDGE = "runtime.interlock_board:BridgeWatch."
+_BRIDGE = "runtime.stopping:BridgeWatch."
 
 RUNTIME: dict[str, str] = {
     "runtime.settings:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
@@ -108,8 +108,8 @@ RUNTIME: dict[str, str] = {
     "if unwatched_s >= self._gap_limit_s:": _TIME_BOUND,
     f"{_BRIDGE}_is_overdue: return reported_s - self._off_s > self._grace_s "
     "+ _SLACK_S -> return reported_s - self._off_s >= self._grace_s + _SLACK_S": _SLACK,
-    "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
-    "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
+    "runtime.reports:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
+    "runtime.reports:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
 }
 
 MQTT: dict[str, str] = {

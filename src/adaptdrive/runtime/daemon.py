@@ -13,7 +13,6 @@ from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
 from adaptdrive.runtime import (
     accounts,
     fast_loop,
-    interlocks,
     reports,
     requests,
     state_machine,
@@ -175,7 +174,7 @@ class Daemon:
         self._support: tick_support.TickSupport | None = None
         self._failure: asyncio.Future[None] | None = None
         self._stopper = StopSender(self._machine, self._fast, clock)
-        self._refused = interlocks.RefusedShares(settings.refused_share)
+        self._refused: dict[str, accounts.RefusedShare] = {}
         self._announcer = accounts.Announcer(self._machine, self._fast, hub, manager, recorded)
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -279,7 +278,7 @@ class Daemon:
             await self._port.reset_fault()
         fast, mode = self._fast, self._machine.mode
         output = fast.reading.output if fast.reading is not None else float("nan")
-        cause = fast.cause or self._refused.cause
+        cause = fast.cause or self._refused_cause
         voltage_V = fast.command.boost_reference_V
         self._machine.carry_out(request, fast.tick, output, cause, voltage_V)
         if self._machine.commanded_off:
@@ -386,10 +385,23 @@ class Daemon:
 
     def _watch_refusals(self, books: reports.DriveReport) -> None:
         """Report a large share of refused frames, and trip where that is configured."""
-        for detail in self._refused.add(books):
-            self._warn("refused", detail)
-        if self._refused.cause is not None and self._machine.energised:
-            self.trip(self._refused.cause)
+        ports = {"drive": books.bus} | {one.name: one.bus for one in books.sensors}
+        for name, counts in ports.items():
+            share = self._refused.setdefault(
+                name, accounts.RefusedShare(name, self._settings.refused_share)
+            )
+            detail = share.add(books.time_s, counts)
+            if detail is not None:
+                self._warn("refused", detail)
+        cause = self._refused_cause
+        if cause is not None and self._machine.energised:
+            self.trip(cause)
+
+    @property
+    def _refused_cause(self) -> str | None:
+        """Return the first port whose share of refused frames forbids to energise the drive."""
+        causes = (share.cause for share in self._refused.values())
+        return next((cause for cause in causes if cause is not None), None)
 
     async def _shut_down(self) -> None:
         """Bring the drive to zero, until it confirms; a frame can be lost, so more than once."""

@@ -115,6 +115,20 @@ class Quantiles:
 
 NO_TIMES = Quantiles(math.nan, math.nan, math.nan)
 
+BINS = 17
+"""Bins of a histogram of times: powers of two from below 1 us to 32,768 us and more.
+
+One late tick in a night is seen in it when every report of that minute has long been overwritten.
+"""
+
+_LARGEST_US = 1e9
+"""Longest time that is counted as it is, 1,000 s, so that infinite ones have a bin."""
+
+
+def bin_of(time_us: float) -> int:
+    """Return the bin of a time in microseconds; anything below 1 us is in the first."""
+    return min(int(min(max(0.0, time_us), _LARGEST_US)).bit_length(), BINS - 1)
+
 
 @dataclass(frozen=True, slots=True)
 class SensorReport:
