@@ -12,7 +12,7 @@ import msgspec
 from adaptdrive.app.settings import operator_profile
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.mqtt import clock, commands, contract
+from adaptdrive.mqtt import commands, contract
 from adaptdrive.mqtt.contract import DeviceReply
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
@@ -165,7 +165,7 @@ class VirtualStage:
         drive, machine = self.drive, self.drive.machine
         report = state_report(machine, drive.decision, StopWord.CONFIRMED)
         last = contract.LastTrip(self._now, machine.trip, "") if machine.trip else None
-        standing = contract.Standing(self._now, last, clock.Synchronisation.UNKNOWN, self._now)
+        standing = contract.Standing(self._now, last, contract.Synchronisation.UNKNOWN, self._now)
         self._publish("state", contract.state_message(report, standing, self._profile))
         if machine.state == self._told:
             return

@@ -22,7 +22,6 @@ from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt.clock import BrokerBackoff, Monotonic
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.util import clock, files, lines
 from adaptdrive.util.errors import first_error
@@ -47,7 +46,7 @@ class ClientName:
     """
 
     own: str
-    monotonic: Monotonic
+    monotonic: Callable[[], float]
     alarm: Callable[[str], None]
     trip: Callable[[str], None]
 
@@ -112,6 +111,11 @@ class ClientName:
 TIMEOUT_S = 5.0
 GOODBYE_S = 1.0
 KEEP_ALIVE_S = 15
+_FIRST_PAUSE_S = 0.5
+_LONGEST_PAUSE_S = 30.0
+_HEALTHY_S = 10.0
+"""Life of a connection that makes the next pause the first one again."""
+
 _LONGEST_PASSWORD = 65_535
 """Bytes that MQTT has room for."""
 
@@ -126,12 +130,17 @@ class BrokerLink:
     """Keeps one client connected for as long as it runs."""
 
     def __init__(
-        self, settings: Mqtt, name: ClientName, will: Will, backoff: BrokerBackoff
+        self,
+        settings: Mqtt,
+        name: ClientName,
+        will: Will,
+        uniform: Callable[[float, float], float],
     ) -> None:
         self._settings, self._place = settings, f"{settings.host}:{settings.port}"
         self._name = name
         self._will = will
-        self._backoff = backoff
+        self._uniform = uniform
+        self._failures = 0
         self._since_s = math.inf
         self._problem = ""
 
@@ -150,7 +159,18 @@ class BrokerLink:
             lived_s = max(0.0, asyncio.get_running_loop().time() - self._since_s)
             if self._name.present != name:  # the broker is there, and a stop must be heard
                 lived_s = math.inf
-            await asyncio.sleep(self._backoff.after(lived_s))
+            await asyncio.sleep(self.pause_s(lived_s))
+
+    def pause_s(self, lived_s: float) -> float:
+        """Return the wait after a connection that lived so long, 0 for one that failed, in s.
+
+        It doubles with each failure up to its longest, and is spread so that a site does not surge.
+        """
+        if lived_s >= _HEALTHY_S:
+            self._failures = 0
+        ceiling_s = min(_LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2.0 ** min(self._failures, 30))
+        self._failures += 1
+        return self._uniform(0.5 * ceiling_s, ceiling_s)
 
     async def _serve_once(self, serve: Serve) -> None:
         self._since_s = math.inf

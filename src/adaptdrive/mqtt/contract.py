@@ -10,13 +10,13 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
-from adaptdrive.mqtt.clock import Synchronisation
 from adaptdrive.mqtt.commands import STOP
 from adaptdrive.runtime import reports
 from adaptdrive.runtime.trips import remedy
@@ -88,6 +88,14 @@ class Reply(msgspec.Struct, frozen=True):
     accepted: bool
     reason: str
     state: reports.State | None
+
+
+class Synchronisation(StrEnum):
+    """Synchronisation of the wall clock with a time source."""
+
+    SYNCHRONISED = "synchronised"
+    UNSYNCHRONISED = "unsynchronised"
+    UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, slots=True)

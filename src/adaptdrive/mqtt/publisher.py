@@ -14,12 +14,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from operator import itemgetter
 from typing import TypeVar
 
 import msgspec
 
 from adaptdrive.mqtt import contract
-from adaptdrive.mqtt.clock import Monotonic, Synchronisation, WallClock
 from adaptdrive.runtime.reports import (
     Bounded,
     DriveReport,
@@ -62,7 +62,10 @@ class StateBoard:
     """The state as operators see it; its time moves only when something else does."""
 
     def __init__(
-        self, wall: WallClock, profile: contract.Profile, last_trip: contract.LastTrip | None
+        self,
+        wall: Callable[[], datetime],
+        profile: contract.Profile,
+        last_trip: contract.LastTrip | None,
     ) -> None:
         """Begin without a report.
 
@@ -75,7 +78,7 @@ class StateBoard:
         self._profile = profile
         self._report: StateReport | None = None
         now = wall()
-        self._standing = contract.Standing(now, last_trip, Synchronisation.UNKNOWN, now)
+        self._standing = contract.Standing(now, last_trip, contract.Synchronisation.UNKNOWN, now)
         self._changed = asyncio.Event()
 
     @property
@@ -108,7 +111,7 @@ class StateBoard:
             trip = contract.LastTrip(now, report.trip, remedy(report.trip))
             self._standing = replace(self._standing, last_trip=trip)
 
-    def show_clock(self, clock: Synchronisation) -> None:
+    def show_clock(self, clock: contract.Synchronisation) -> None:
         """Store whether the wall clock is synchronised."""
         if clock is not self._standing.clock:
             self._standing = replace(self._standing, clock=clock)
@@ -169,21 +172,14 @@ _ROWS = 2 * math.ceil(SPAN_S / BUCKET_S)
 _READINGS = math.ceil(READING_SPAN_S * 10.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
-    taken_s: float
-    output: float
-    body: bytes
-
-    @property
-    def bucket(self) -> float:
-        return self.taken_s // BUCKET_S
+_Row = tuple[float, float, bytes]
+"""When a slow step came, monotonic and in s; its output, infinite where it is none; its payload."""
 
 
 class History:
     """The slow steps of the last hour, at most two for each 12 s, and the readings of 300 s."""
 
-    def __init__(self, monotonic: Monotonic) -> None:
+    def __init__(self, monotonic: Callable[[], float]) -> None:
         self._monotonic = monotonic
         self._rows: deque[_Row] = deque(maxlen=_ROWS)
         self._readings: deque[bytes] = deque(maxlen=_READINGS)
@@ -192,10 +188,10 @@ class History:
     def add(self, message: contract.Payload) -> None:
         """Take in a payload of `telemetry/load`."""
         self._asked = (message["reference"], message["boost_reference_V"])
+        output, now_s = message["output"], self._monotonic()
         body = contract.encode({key: message[key] for key in KEYS})
-        row = _Row(self._monotonic(), message["output"], body)
-        bucket = [row]
-        while self._rows and self._rows[-1].bucket == row.bucket:
+        bucket = [(now_s, output if math.isfinite(output) else math.inf, body)]
+        while self._rows and self._rows[-1][0] // BUCKET_S == now_s // BUCKET_S:
             bucket.insert(0, self._rows.pop())
         self._rows.extend(_extremes(bucket))
 
@@ -213,7 +209,7 @@ class History:
             time: Time of the answer, the same in each of its pages.
         """
         oldest_s = self._monotonic() - SPAN_S
-        rows = [row.body for row in self._rows if row.taken_s >= oldest_s]
+        rows = [body for taken_s, _, body in self._rows if taken_s >= oldest_s]
         readings = list(self._readings)
         count = max(1, math.ceil(len(rows) / PAGE_ROWS), math.ceil(len(readings) / PAGE_READINGS))
         for page in range(1, count + 1):
@@ -236,12 +232,9 @@ def _extremes(rows: list[_Row]) -> list[_Row]:
     """Return the rows with the lowest and the highest output, in the order of their times."""
     if len(rows) <= 2:
         return rows
-    kept = {min(rows, key=_level).taken_s, max(rows, key=_level).taken_s}
-    return [row for row in rows if row.taken_s in kept][:2]
-
-
-def _level(row: _Row) -> float:
-    return row.output if math.isfinite(row.output) else math.inf
+    output = itemgetter(1)
+    kept = {min(rows, key=output)[0], max(rows, key=output)[0]}
+    return [row for row in rows if row[0] in kept][:2]
 
 
 REPORTS_HELD = 256
@@ -268,7 +261,7 @@ class Intake:
     board: StateBoard
     outbox: Outbox
     history: History
-    wall: WallClock
+    wall: Callable[[], datetime]
     output: contract.Output
 
     def __post_init__(self) -> None:

@@ -6,17 +6,18 @@ acknowledgement again, after any time: each command but a stop expires.
 """
 
 import asyncio
+import ctypes
 import random
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt import clock, connection, contract, desk, publisher, steady
+from adaptdrive.mqtt import connection, contract, desk, publisher, steady
 from adaptdrive.mqtt.session import BrokerSession
 from adaptdrive.runtime import reports, requests, trips
 from adaptdrive.util.clock import repeat
@@ -167,6 +168,28 @@ COMMAND_PATIENCE_S = 1.0
 """Longest wait of a command for the disk: one that hangs must not keep an operator from acting."""
 
 
+# struct timex takes 208 bytes on 64-bit kernels; more room does no harm, zeros ask and set nothing.
+_TIMEX_BYTES = 512
+_TIME_ERROR = 5
+
+
+def kernel_synchronisation() -> contract.Synchronisation:
+    """Ask the kernel whether its clock is kept right by NTP, PTP or a radio clock."""
+    try:
+        answer = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
+    except (OSError, AttributeError):
+        answer = -1
+    if answer < 0:
+        return contract.Synchronisation.UNKNOWN
+    if answer == _TIME_ERROR:
+        return contract.Synchronisation.UNSYNCHRONISED
+    return contract.Synchronisation.SYNCHRONISED
+
+
+def _utc_now() -> datetime:
+    return datetime.now(UTC)
+
+
 async def _wait_for_nothing(_patience_s: float) -> None:
     pass
 
@@ -194,9 +217,9 @@ class ServiceSurroundings:
     note_reply: Callable[[str, bytes], None] = lambda _identity, _body: None
     note_sent: Callable[[], None] = lambda: None
     kept: Callable[[float], Awaitable[None]] = _wait_for_nothing
-    wall: clock.WallClock = clock.utc_now
-    monotonic: clock.Monotonic = time.monotonic
-    synchronisation: Callable[[], clock.Synchronisation] = clock.kernel_synchronisation
+    wall: Callable[[], datetime] = _utc_now
+    monotonic: Callable[[], float] = time.monotonic
+    synchronisation: Callable[[], contract.Synchronisation] = kernel_synchronisation
     uniform: Callable[[float, float], float] = random.uniform
 
 
@@ -254,7 +277,7 @@ class MqttService:
             desk.ReplyMemory(around.replies, around.note_reply, around.monotonic),
             lambda: self._board.state,
             around.wall,
-            clock.LogRation(around.monotonic),
+            desk.LogRation(around.monotonic),
             report=hub.publish,
             kept=lambda: around.kept(COMMAND_PATIENCE_S),
             shutting_down=lambda: self._board.shutting_down,
@@ -265,7 +288,7 @@ class MqttService:
             settings,
             self._name,
             Will(self._topics.availability, contract.OFFLINE, qos=1, retain=True),
-            clock.BrokerBackoff(self._around.uniform),
+            self._around.uniform,
         )
 
     async def run(self) -> None:

@@ -16,8 +16,8 @@ from aiomqtt import Message, MqttError, ProtocolVersion
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from adaptdrive.mqtt import clock, connection, contract, publisher, steady
-from adaptdrive.mqtt.desk import Desk, OperatorCommand
+from adaptdrive.mqtt import connection, contract, publisher, steady
+from adaptdrive.mqtt.desk import Desk, LogRation, OperatorCommand
 from adaptdrive.runtime.reports import Severity, State
 from adaptdrive.util.clock import Step, repeat
 from adaptdrive.util.lines import log
@@ -135,7 +135,7 @@ class BrokerSession:
         self._probe = CommandProbe(self.client, self.topics.probe, self.intake)
         self._refused: set[str] = set()
         self._reported = 0
-        self._ration = clock.LogRation(asyncio.get_running_loop().time, 1, LOGGED_EVERY_S)
+        self._ration = LogRation(asyncio.get_running_loop().time, 1, LOGGED_EVERY_S)
 
     async def run(self, announcement: tuple[str, contract.Payload] | None = None) -> None:
         """Serve until the connection is lost, or until cancelled: then publish that and leave.
