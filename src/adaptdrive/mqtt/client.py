@@ -147,21 +147,23 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
     async with conversation(broker, drive, end_s) as client:
         async with asyncio.timeout_at(end_s):
             await client.subscribe([(topics.availability, 1), (topics.state, 1)])
-            await _listen(client, {drive: status}, lambda: _complete(status))
+            await _listen(
+                client,
+                {drive: status},
+                lambda: status.state is not None and status.availability is not None,
+            )
         if status.online:
             with suppress(TimeoutError):
                 async with asyncio.timeout_at(min(end_s, end_of(LIFE_WAIT_S))):
                     await client.subscribe(_telemetry_of(topics))
-                    await _listen(client, {drive: status}, lambda: _alive(status))
+                    await _listen(
+                        client, {drive: status}, lambda: status.live and "drive" in status.telemetry
+                    )
     return status
 
 
 async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
     """Yield telemetry as it is published: `load` or `drive`, and the message.
-
-    Args:
-        broker: Where the broker is.
-        drive: Name of the drive.
 
     Raises:
         NoAnswerError: The broker cannot be reached, or closed the connection.
@@ -218,10 +220,6 @@ async def _listen_to_all(
 async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
     """Ask for the history of a drive, and yield all that it publishes, by the name of its topic.
 
-    Args:
-        broker: Where the broker is.
-        drive: Name of the drive.
-
     Raises:
         NoAnswerError: The broker cannot be reached, or closed the connection.
     """
@@ -247,14 +245,6 @@ async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str
 
 def _telemetry_of(topics: contract.Topics) -> list[tuple[str, int]]:
     return [(topics.load_telemetry, 0), (topics.drive_telemetry, 0)]
-
-
-def _complete(status: DriveStatus) -> bool:
-    return status.state is not None and status.availability is not None
-
-
-def _alive(status: DriveStatus) -> bool:
-    return status.live and "drive" in status.telemetry
 
 
 async def _listen(client: Client, site: dict[str, DriveStatus], enough: Callable[[], bool]) -> None:

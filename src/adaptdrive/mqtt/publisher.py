@@ -15,47 +15,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from operator import itemgetter
-from typing import TypeVar
 
 import msgspec
 
 from adaptdrive.mqtt import contract
-from adaptdrive.runtime.reports import (
-    Bounded,
-    DriveReport,
-    Event,
-    Hub,
-    LoadReport,
-    Report,
-    Severity,
-    State,
-    StateReport,
-)
+from adaptdrive.runtime import reports
 from adaptdrive.runtime.trips import remedy
 
 # Reports to publish: the present state, and queues of what was not published yet.
-
-T = TypeVar("T")
-
-
-class Mailbox(Bounded[T]):
-    """A queue of which one item at a time is taken."""
-
-    async def oldest(self) -> T:
-        """Wait for an item; it stays in the queue."""
-        await self._filled.wait()
-        return self._items[0]
-
-    async def take(self) -> T:
-        """Wait for the oldest item and take it."""
-        item = await self.oldest()
-        self._strike_out()
-        return item
-
-    def _strike_out(self) -> None:
-        self._items.popleft()
-        if not self._items:
-            self._filled.clear()
 
 
 class StateBoard:
@@ -76,13 +43,13 @@ class StateBoard:
         """
         self._wall = wall
         self._profile = profile
-        self._report: StateReport | None = None
+        self._report: reports.StateReport | None = None
         now = wall()
         self._standing = contract.Standing(now, last_trip, contract.Synchronisation.UNKNOWN, now)
         self._changed = asyncio.Event()
 
     @property
-    def state(self) -> State | None:
+    def state(self) -> reports.State | None:
         """State of the state machine, None before the first report."""
         return self._report.state if self._report else None
 
@@ -98,7 +65,7 @@ class StateBoard:
             return None
         return contract.state_message(self._report, self._standing, self._profile)
 
-    def show(self, report: StateReport) -> None:
+    def show(self, report: reports.StateReport) -> None:
         """Take a report of the runtime."""
         known, self._report = self._report, report
         if report == known:
@@ -130,7 +97,7 @@ class StateBoard:
 LIMIT = 10_000
 
 
-class Outbox(Mailbox[bytes]):
+class Outbox(reports.Queue[bytes]):
     """A queue of payloads, each of which stays until the broker has it."""
 
     def __init__(
@@ -149,9 +116,9 @@ class Outbox(Mailbox[bytes]):
             self.put(body)
 
     def sent(self, body: bytes) -> None:
-        """Strike out the oldest payload, which the broker has acknowledged, unless it went."""
+        """Remove the oldest payload, which the broker has acknowledged, unless it went."""
         if self._items and self._items[0] is body:
-            self._strike_out()
+            self._remove_oldest()
             self._note_sent()
 
 
@@ -257,7 +224,7 @@ class Intake:
         histograms: The newest histograms of the fast loop, unless sent.
     """
 
-    hub: Hub
+    hub: reports.Hub
     board: StateBoard
     outbox: Outbox
     history: History
@@ -265,12 +232,12 @@ class Intake:
     output: contract.Output
 
     def __post_init__(self) -> None:
-        self.load: Mailbox[contract.Payload] = Mailbox(LOAD_MESSAGES_HELD)
-        self.drive: Mailbox[contract.Payload] = Mailbox(1)
-        self.histograms: Mailbox[contract.Payload] = Mailbox(1)
+        self.load: reports.Queue[contract.Payload] = reports.Queue(LOAD_MESSAGES_HELD)
+        self.drive: reports.Queue[contract.Payload] = reports.Queue(1)
+        self.histograms: reports.Queue[contract.Payload] = reports.Queue(1)
         self._discarded = 0
         self._unkept: list[bytes] = []
-        kinds = StateReport, LoadReport, DriveReport, Event
+        kinds = reports.StateReport, reports.LoadReport, reports.DriveReport, reports.Event
         self._reports = self.hub.subscribe(*kinds, size=REPORTS_HELD)
 
     async def run(self) -> None:
@@ -283,9 +250,9 @@ class Intake:
             finally:
                 self._release()
 
-    def report(self, kind: str, severity: Severity, detail: str) -> None:
+    def report(self, kind: str, severity: reports.Severity, detail: str) -> None:
         """Publish an event of the operators' side to the log, the recording and the broker."""
-        self.hub.publish(Event(kind, severity, detail, -1))
+        self.hub.publish(reports.Event(kind, severity, detail, -1))
 
     def report_deaf(self, detail: str) -> None:
         """Report that no command arrives, not even a stop."""
@@ -293,7 +260,7 @@ class Intake:
             f"no commands: {detail}; no command arrives over MQTT, no disable either: give this "
             "daemon's user the right to read its commands"
         )
-        self.report("broker", Severity.ALARM, text)
+        self.report("broker", reports.Severity.ALARM, text)
 
     def report_discarded(self) -> None:
         """Report how many events were discarded because none could be sent, if any."""
@@ -302,7 +269,7 @@ class Intake:
             self._discarded += discarded
             self.report(
                 "outbox",
-                Severity.WARNING,
+                reports.Severity.WARNING,
                 f"{discarded} events or other reports were discarded: at most {self.outbox.limit} "
                 "events wait for the broker, and the oldest go first",
             )
@@ -317,22 +284,22 @@ class Intake:
         for box in (self.load, self.drive, self.histograms):
             box.drain()
 
-    def _lay_out(self, reports: Sequence[Report]) -> None:
-        for report in reports:
+    def _lay_out(self, taken: Sequence[reports.Report]) -> None:
+        for report in taken:
             time = self.wall()
             match report:
-                case StateReport():
+                case reports.StateReport():
                     self.board.show(report)
-                case LoadReport():
+                case reports.LoadReport():
                     message = contract.load_message(report, time, self.output)
                     self.load.put(message)
                     self.history.add(message)
-                case DriveReport():
+                case reports.DriveReport():
                     message = contract.drive_message(report, time, self.output)
                     self.drive.put(message)
                     self.history.add_reading(message)
                     self.histograms.put(contract.histogram_message(report, time))
-                case Event():
+                case reports.Event():
                     self._unkept.append(contract.encode(contract.event_message(report, time)))
 
     def _release(self) -> None:

@@ -18,7 +18,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from adaptdrive.mqtt import connection, contract, publisher, steady
 from adaptdrive.mqtt.desk import Desk, LogRation, OperatorCommand
-from adaptdrive.runtime.reports import Severity, State
+from adaptdrive.runtime.reports import Queue, Severity, State
 from adaptdrive.util.clock import Step, repeat
 from adaptdrive.util.lines import log
 
@@ -129,8 +129,8 @@ class BrokerSession:
     telemetry_s: float
 
     def __post_init__(self) -> None:
-        self._commands: publisher.Mailbox[OperatorCommand] = publisher.Mailbox(COMMANDS_HELD)
-        self._stops: publisher.Mailbox[OperatorCommand] = publisher.Mailbox(COMMANDS_HELD)
+        self._commands: Queue[OperatorCommand] = Queue(COMMANDS_HELD)
+        self._stops: Queue[OperatorCommand] = Queue(COMMANDS_HELD)
         self._asked = asyncio.Event()
         self._probe = CommandProbe(self.client, self.topics.probe, self.intake)
         self._refused: set[str] = set()
@@ -225,14 +225,14 @@ class BrokerSession:
         (self._commands if command.stopped is None else self._stops).put(command)
 
     async def _answer_command(self) -> None:
-        reply = await self.desk.ask(await self._commands.take())
+        reply = await self.desk.ask(await self._commands.take_oldest())
         await self._reply(reply)
         self._log_dropped()
         if reply.accepted and reply.verb == RESET and reply.state in _OFF_STATES:
             self.name.reclaim(self.client)  # nothing is heard until it has connected
 
     async def _answer_stop(self) -> None:
-        command = await self._stops.take()
+        command = await self._stops.take_oldest()
         if command.remains_on_broker:
             await self._clear_retained_stop()
         await self._reply(await self.desk.answer(command))
@@ -268,10 +268,8 @@ class BrokerSession:
         self.intake.outbox.sent(body)
         self.intake.report_discarded()
 
-    async def _send(
-        self, box: publisher.Mailbox[contract.Payload], topic: str, *, retain: bool = True
-    ) -> None:
-        await self.client.publish(topic, contract.encode(await box.take()), retain=retain)
+    async def _send(self, box: Queue[contract.Payload], topic: str, *, retain: bool = True) -> None:
+        await self.client.publish(topic, contract.encode(await box.take_oldest()), retain=retain)
 
     async def _send_history(self) -> None:
         """Answer all requests of the meantime at once; every client can read the answer."""
@@ -296,7 +294,7 @@ class BrokerSession:
             pass
 
     async def _refuse_command(self) -> None:
-        await self._reply(self.desk.refuse(await self._commands.take(), SHUTTING_DOWN))
+        await self._reply(self.desk.refuse(await self._commands.take_oldest(), SHUTTING_DOWN))
 
     async def _say_offline(self) -> None:
         """Send what is left, then `offline`; each only as long as the broker plays along."""

@@ -298,8 +298,8 @@ SLOW_COLUMNS = signals.columns_of(LoadReport)
 T = TypeVar("T")
 
 
-class Bounded(Generic[T]):
-    """A queue between two tasks; the oldest goes when it is full.
+class Queue(Generic[T]):
+    """A bounded queue between two tasks; the oldest item goes when it is full.
 
     Attributes:
         dropped: Items that went because the queue was full.
@@ -330,15 +330,30 @@ class Bounded(Generic[T]):
         self._items.clear()
         return taken
 
-
-class Subscription(Bounded[Report]):
-    """One subscriber's queue."""
-
-    async def take(self) -> Sequence[Report]:
-        """Wait until there is at least one report, then take all there are."""
+    async def take(self) -> Sequence[T]:
+        """Wait until there is at least one item, then take all there are."""
         await self._filled.wait()
         return self.drain()
 
+    async def oldest(self) -> T:
+        """Wait for an item; it stays in the queue."""
+        await self._filled.wait()
+        return self._items[0]
+
+    async def take_oldest(self) -> T:
+        """Wait for the oldest item and take it."""
+        item = await self.oldest()
+        self._remove_oldest()
+        return item
+
+    def _remove_oldest(self) -> None:
+        self._items.popleft()
+        if not self._items:
+            self._filled.clear()
+
+
+Subscription = Queue[Report]
+"""One subscriber's queue."""
 
 Keep = Callable[[], Awaitable[None]]
 """Waits until all that was published is in a file, for a short bounded time at most."""
