@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from typing_extensions import TypeIs
 
-from adaptdrive.runtime.trips import TRIPS as REGISTRY
-from adaptdrive.runtime.trips import Trip, remedy
+from adaptdrive.mqtt.contract import TRIPS as REGISTRY
+from adaptdrive.mqtt.contract import Trip, remedy
 from tools.pages.trips_table import with_table
 
 CHECKOUT = Path(__file__).parents[2]

@@ -7,7 +7,7 @@ import re
 import sys
 from pathlib import Path
 
-from adaptdrive.runtime.trips import TRIPS
+from adaptdrive.mqtt.contract import TRIPS
 
 BEGIN, END = "<!-- trips: written by `make docs` -->\n", "<!-- end of trips -->\n"
 

@@ -7,10 +7,13 @@ units with RFC 3339 times in UTC. JSON has neither NaN nor infinity: the encoder
 from __future__ import annotations
 
 import dataclasses
+import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -19,7 +22,6 @@ from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import STOP
 from adaptdrive.runtime import reports
-from adaptdrive.runtime.trips import remedy
 from adaptdrive.util.quantity import BOOST, Given
 
 Range = tuple[float | None, float | None]
@@ -173,6 +175,53 @@ def _fields(report: DataclassInstance, *left_out: str) -> Payload:
     names = (field.name for field in dataclasses.fields(report))
     return {name: getattr(report, name) for name in names if name not in left_out}
 
+
+# The causes of trips with their remedies, as `runtime/trips.toml` lists them.
+#
+# An interlock gives its cause as text, and records keep only that. The registry leads from there to
+# the remedy: in the table of `docs/operation.md`, and in each message.
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """A kind of trip.
+
+    Attributes:
+        sign: Regular expression that occurs in the text of such a trip.
+        example: Text of such a trip; `…` stands for the rest.
+        cause: Cause in words.
+        remedy: Steps that remove the cause, before `reset`.
+    """
+
+    sign: str
+    example: str
+    cause: str
+    remedy: str
+
+
+def _read() -> tuple[Trip, ...]:
+    text = (resources.files("adaptdrive.runtime") / "trips.toml").read_text(encoding="utf-8")
+    return tuple(Trip(**{"sign": _beginning(one)} | one) for one in tomllib.loads(text)["trip"])
+
+
+def _beginning(entry: dict[str, str]) -> str:
+    """Return the sign of an entry that has none: what comes before the colon of its example."""
+    return f"^{re.escape(entry['example'].partition(': ')[0])}: "
+
+
+TRIPS = _read()
+
+
+def remedy(text: str) -> str:
+    """Return the steps that remove the cause of a trip as plain text, empty for an unknown cause.
+
+    Args:
+        text: Text of the trip.
+    """
+    return next((trip.remedy for trip in TRIPS if re.search(trip.sign, text)), "").replace("`", "")
+
+
+# Topics of a drive, and of a simulated device.
 
 ROOT = "adaptdrive"
 SIMULATED = "adaptdrive-sim"

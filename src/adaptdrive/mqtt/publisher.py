@@ -20,7 +20,6 @@ import msgspec
 
 from adaptdrive.mqtt import contract
 from adaptdrive.runtime import reports
-from adaptdrive.runtime.trips import remedy
 
 # Reports to publish: the present state, and queues of what was not published yet.
 
@@ -75,7 +74,7 @@ class StateBoard:
         if known is None or report.state is not known.state:
             self._standing = replace(self._standing, since=now)
         if report.trip is not None and (known is None or report.trip != known.trip):
-            trip = contract.LastTrip(now, report.trip, remedy(report.trip))
+            trip = contract.LastTrip(now, report.trip, contract.remedy(report.trip))
             self._standing = replace(self._standing, last_trip=trip)
 
     def show_clock(self, clock: contract.Synchronisation) -> None:

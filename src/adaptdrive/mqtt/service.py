@@ -19,7 +19,7 @@ from aiomqtt import Will
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt import connection, contract, desk, publisher, steady
 from adaptdrive.mqtt.session import BrokerSession
-from adaptdrive.runtime import reports, requests, trips
+from adaptdrive.runtime import reports, requests
 from adaptdrive.util.clock import repeat
 
 # Discovery message for Home Assistant: one retained message makes the drive a device there.
@@ -252,7 +252,7 @@ class MqttService:
         self._around = surroundings
         self._host = host
         tripped, wall = surroundings.trip, surroundings.wall
-        trip = contract.LastTrip(*tripped, trips.remedy(tripped[1])) if tripped else None
+        trip = contract.LastTrip(*tripped, contract.remedy(tripped[1])) if tripped else None
         self._board = publisher.StateBoard(wall, profile, trip)
         unsent = (
             contract.encode(contract.event_message(event, time))

@@ -223,22 +223,6 @@ class Record:
     rows: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Loss:
-    """Bytes of a segment that hold no sound frame.
-
-    Attributes:
-        begin: First of them.
-        end: First byte after them.
-    """
-
-    begin: int
-    end: int
-
-    def __str__(self) -> str:
-        return f"bytes {self.begin} to {self.end} cannot be read"
-
-
 def framed(record: Record) -> bytes:
     """Return a record as it is in a segment."""
     inner = _INNER.pack(record.number, record.monotonic_s, record.wall_s, record.kind)
@@ -246,8 +230,8 @@ def framed(record: Record) -> bytes:
     return _OUTER.pack(_MARK, len(inner) + len(record.payload), checksum) + inner + record.payload
 
 
-def read_frames(content: bytes) -> Iterator[Record | Loss]:
-    """Yield the records of a segment, and each part of it that holds none.
+def read_frames(content: bytes) -> Iterator[Record | tuple[int, int]]:
+    """Yield the records of a segment, and each part without one: its first byte and its end.
 
     Args:
         content: The segment, which may break off anywhere.
@@ -257,7 +241,7 @@ def read_frames(content: bytes) -> Iterator[Record | Loss]:
         record, end = _frame(content, place)
         if record is None:
             end = _next_sound(content, place + 1)
-            yield Loss(place, end)
+            yield place, end
         else:
             yield record
         place = end
