@@ -32,7 +32,6 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.mqtt.contract import Profile
 from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
-from adaptdrive.recording.journal import Place
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.requests import SetMode, SetSetpoint
@@ -152,9 +151,9 @@ async def _estimate(wire: Wire, folder: Path) -> Walk:
     with pytest.MonkeyPatch.context() as patch:
         disk.Disk(patch)
         disk.archive_in_process(patch)
-        place = Place(folder / "motor.log", folder / "sessions")
+        folders = folder / "motor.log", folder / "sessions"
         clock = lambda: (loop.time(), EPOCH_S + loop.time())  # noqa: E731
-        recorder = Recorder(place, Header(INFO, ""), wire.hub, clock)
+        recorder = Recorder(*folders, Header(INFO, ""), wire.hub, clock)
         recording = asyncio.create_task(recorder.run())
         await asyncio.sleep(1.0)
         report = await wire.period()

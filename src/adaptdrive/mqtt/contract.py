@@ -182,34 +182,18 @@ def _fields(report: DataclassInstance, *left_out: str) -> Payload:
 # the remedy: in the table of `docs/operation.md`, and in each message.
 
 
-@dataclass(frozen=True, slots=True)
-class Trip:
-    """A kind of trip.
-
-    Attributes:
-        sign: Regular expression that occurs in the text of such a trip.
-        example: Text of such a trip; `…` stands for the rest.
-        cause: Cause in words.
-        remedy: Steps that remove the cause, before `reset`.
-    """
-
-    sign: str
-    example: str
-    cause: str
-    remedy: str
-
-
-def _read() -> tuple[Trip, ...]:
-    text = (resources.files("adaptdrive.runtime") / "trips.toml").read_text(encoding="utf-8")
-    return tuple(Trip(**{"sign": _beginning(one)} | one) for one in tomllib.loads(text)["trip"])
-
-
 def _beginning(entry: dict[str, str]) -> str:
     """Return the sign of an entry that has none: what comes before the colon of its example."""
     return f"^{re.escape(entry['example'].partition(': ')[0])}: "
 
 
-TRIPS = _read()
+_TRIPS_FILE = resources.files("adaptdrive.runtime") / "trips.toml"
+TRIPS: tuple[dict[str, str], ...] = tuple(
+    {"sign": _beginning(one)} | one
+    for one in tomllib.loads(_TRIPS_FILE.read_text(encoding="utf-8"))["trip"]
+)
+"""Kinds of trips: `sign`, a regular expression that occurs in the text of such a trip; `example`,
+such a text, where `…` stands for the rest; `cause` in words; `remedy`, the steps before `reset`."""
 
 
 def remedy(text: str) -> str:
@@ -218,7 +202,8 @@ def remedy(text: str) -> str:
     Args:
         text: Text of the trip.
     """
-    return next((trip.remedy for trip in TRIPS if re.search(trip.sign, text)), "").replace("`", "")
+    found = (trip["remedy"] for trip in TRIPS if re.search(trip["sign"], text))
+    return next(found, "").replace("`", "")
 
 
 # Topics of a drive, and of a simulated device.

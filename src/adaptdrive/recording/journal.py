@@ -201,32 +201,6 @@ class Log:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Folders of the recorder.
-
-    Attributes:
-        log: Folder of the log.
-        sessions: Folder of all sessions, None where none is recorded.
-    """
-
-    log: Path
-    sessions: Path | None
-
-    def seen_in(self, header: records.Header) -> records.Header:
-        """Return facts with the folders, each seen from the other: both may be moved together."""
-        if self.sessions is None:
-            return header
-        try:
-            seen = _seen_from(self.sessions, self.log)
-            seen.encode()
-        except UnicodeEncodeError:
-            seen = ""  # then a reader has to wait for the archiver
-        info = msgspec.structs.replace(header.info, log=seen)
-        sessions = _seen_from(self.log.parent, self.sessions)
-        return msgspec.structs.replace(header, info=info, sessions=sessions)
-
-
-@dataclass(frozen=True, slots=True)
 class RecordingPace:
     """Intervals and time-outs of the recorder's writes.
 
@@ -249,6 +223,19 @@ class RecordingPace:
 
 
 DEFAULT_PACE = RecordingPace()
+
+
+def with_folders(header: records.Header, log: Path, sessions: Path | None) -> records.Header:
+    """Return facts with the folders, each seen from the other: both may be moved together."""
+    if sessions is None:
+        return header
+    try:
+        seen = _seen_from(sessions, log)
+        seen.encode()
+    except UnicodeEncodeError:
+        seen = ""  # then a reader has to wait for the archiver
+    info = msgspec.structs.replace(header.info, log=seen)
+    return msgspec.structs.replace(header, info=info, sessions=_seen_from(log.parent, sessions))
 
 
 def _seen_from(folder: Path, other: Path) -> str:

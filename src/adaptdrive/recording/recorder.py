@@ -32,7 +32,8 @@ class Archiving:
 
     def __init__(
         self,
-        place: journal.Place,
+        log: Path,
+        sessions: Path | None,
         header: records.Header,
         report: Callable[[reports.Severity, str], None],
         pace: journal.RecordingPace,
@@ -40,16 +41,17 @@ class Archiving:
         """Start nothing yet.
 
         Args:
-            place: Folders; without one of sessions there is nothing to do.
+            log: Folder of the log.
+            sessions: Folder of all sessions; without one there is nothing to do.
             header: The session that is recorded.
             report: Takes events, in the event loop.
             pace: Intervals of the recorder.
         """
         self.directory: Path | None = None
-        self._sessions = place.sessions
+        self._sessions = sessions
         self._header = header
         program = [sys.executable, "-P", "-m", "adaptdrive.recording.archiver"]
-        self._command = [*program, str(place.log), str(pace.trip_s)]
+        self._command = [*program, str(log), str(pace.trip_s)]
         self._report = report
         self._pace = pace
         self._due = asyncio.Event()
@@ -157,7 +159,8 @@ class Recorder:
 
     def __init__(  # noqa: PLR0913, PLR0917 - it joins the feed to the log
         self,
-        place: journal.Place,
+        log: Path,
+        sessions: Path | None,
         header: records.Header,
         hub: reports.Hub,
         clock: journal.Clock,
@@ -167,7 +170,8 @@ class Recorder:
         """Prepare to record.
 
         Args:
-            place: Folders.
+            log: Folder of the log.
+            sessions: Folder of all sessions, None where none is recorded.
             header: Facts about the session.
             hub: Where what is recorded comes from, and the recorder's own events go; a queue for
                 each kind, so that ticks never push out an event.
@@ -176,8 +180,8 @@ class Recorder:
             recalled: What an earlier run has left in the log.
         """
         self.complete = True
-        self._place = place
-        header = place.seen_in(header)
+        self._sessions = sessions
+        header = journal.with_folders(header, log, sessions)
         held = max(1000, round(_RATE_Hz * pace.flush_s))
         self._ticks = hub.subscribe(reports.TickReport, size=held)
         self._slow = hub.subscribe(reports.LoadReport, size=held)
@@ -186,9 +190,9 @@ class Recorder:
         self._publish = hub.publish
         self._clock = clock
         self._pace = pace
-        self._archiving = Archiving(place, header, self._report, pace)
+        self._archiving = Archiving(log, sessions, header, self._report, pace)
         self._log = journal.Log(
-            place.log,
+            log,
             header,
             recalled,
             clock,
@@ -248,7 +252,7 @@ class Recorder:
         await self._log.kept(self._pace.keep_s if patience_s is None else patience_s)
 
     async def _archive(self, begin: asyncio.Event | None) -> None:
-        if self._place.sessions is None:
+        if self._sessions is None:
             return
         if begin is not None:
             await begin.wait()
@@ -286,7 +290,7 @@ class Recorder:
 
     async def _gather(self) -> None:
         """Turn queued reports into columns and rows; cancelled half-way, it loses none."""
-        if self._place.sessions is None:
+        if self._sessions is None:
             for queue in (self._slow, self._sensors, self._ticks):
                 queue.drain()
             return

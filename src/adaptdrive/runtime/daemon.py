@@ -214,7 +214,8 @@ class Daemon:
             await self._port.reset_fault()
         fast, mode = self._fast, self._machine.mode
         output = fast.reading.output if fast.reading is not None else float("nan")
-        cause = fast.cause or self._refused_cause
+        starts = isinstance(request, requests.Enable | requests.Reset)  # no other one is refused
+        cause = (fast.cause or self._refused_cause) if starts else None
         voltage_V = fast.command.boost_reference_V
         self._machine.carry_out(request, fast.tick, output, cause, voltage_V)
         if self._machine.commanded_off:
