@@ -279,11 +279,8 @@ class Recorder:
         for report in noted:
             if isinstance(report, reports.Event | reports.CommandReport):
                 row = records.note_row(report, utc, now_s, next(self._numbers))
-                kind = (
-                    records.Kind.EVENT
-                    if isinstance(report, reports.Event)
-                    else records.Kind.COMMAND
-                )
+                is_event = isinstance(report, reports.Event)
+                kind = records.Kind.EVENT if is_event else records.Kind.COMMAND
                 self._log.append(kind, msgspec.msgpack.encode(row))
             if isinstance(report, reports.Event) and report.kind == journal_files.TRIP:
                 self._archiving.due(self._pace.trip_s + 0.1)  # once its record is complete
