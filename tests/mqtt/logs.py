@@ -44,7 +44,7 @@ async def open_log(folder: Path, clocks: Time | None = None) -> AsyncIterator[tu
     """A log, and what it held before."""
     clocks = clocks or Time()
     recalled = recall(folder, clocks.wall)
-    log = Log(folder, Header(INFO, ""), recalled, clocks.both, hear=lambda _: None)
+    log = Log(folder, Header(INFO, ""), recalled, clocks.both, on_status=lambda _: None)
     log.start()
     yield log, recalled
     await log.close(PATIENCE_S)

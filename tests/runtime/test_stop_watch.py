@@ -365,7 +365,7 @@ def test_a_bridge_that_has_been_on_and_went_off_by_itself_is_off_at_once(
 
 
 def test_the_reason_names_the_time_since_the_stop() -> None:
-    why = stopped().why_not(None, math.inf, STOP_S + 2.0)
+    why = stopped().unconfirmed_text(None, math.inf, STOP_S + 2.0)
     assert why.startswith("it has not taken the safe command 2000 ms after the stop; ")
 
 

@@ -219,7 +219,7 @@ class Intake:
         wall: Wall clock.
         output: Name and unit of the regulated quantity.
         load: Slow periods not sent yet.
-        drive: The newest word of the fast loop, unless sent.
+        drive: The newest report of the fast loop, unless sent.
         histograms: The newest histograms of the fast loop, unless sent.
     """
 
@@ -253,7 +253,7 @@ class Intake:
         """Publish an event of the operators' side to the log, the recording and the broker."""
         self.hub.publish(reports.Event(kind, severity, detail, -1))
 
-    def report_deaf(self, detail: str) -> None:
+    def report_no_commands(self, detail: str) -> None:
         """Report that no command arrives, not even a stop."""
         text = (
             f"no commands: {detail}; no command arrives over MQTT, no disable either: give this "

@@ -49,7 +49,7 @@ class CommandProbe:
         self._intake = intake
         self._token = secrets.token_hex(8).encode()
         self._arrived = asyncio.Event()
-        self._deaf = False
+        self._lost = False
 
     def takes(self, message: Message) -> bool:
         """Return whether a message is the probe's own."""
@@ -66,7 +66,7 @@ class CommandProbe:
         """
         self._arrived.clear()
         if await self._client.offer(self._topic, self._token):
-            self._report(deaf=not await self._arrives())
+            self._report(lost=not await self._arrives())
 
     async def _arrives(self) -> bool:
         with suppress(TimeoutError):
@@ -74,12 +74,12 @@ class CommandProbe:
                 await self._arrived.wait()
         return self._arrived.is_set()
 
-    def _report(self, *, deaf: bool) -> None:
-        if deaf == self._deaf:
+    def _report(self, *, lost: bool) -> None:
+        if lost == self._lost:
             return
-        self._deaf = deaf
-        if deaf:
-            self._intake.report_deaf(
+        self._lost = lost
+        if lost:
+            self._intake.report_no_commands(
                 f"the broker has taken a message to {self._topic} and does not deliver it to this "
                 f"daemon within {PATIENCE_S:g} s"
             )
@@ -97,9 +97,9 @@ LOGGED_EVERY_S = 10.0
 HISTOGRAMS_EVERY_S = 10.0
 HISTORY_EVERY_S = 5.0
 ONLINE_EVERY_S = 10.0
-"""For the farewell or the last will of another connection, which the broker keeps in its place."""
+"""For the `offline` or the last will of another connection, which the broker keeps in its place."""
 
-FAREWELL_S = 1.0
+OFFLINE_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
 RESET = "reset"
@@ -159,7 +159,7 @@ class BrokerSession:
                 for name, step, pause_s in self._work():
                     tasks.create_task(repeat(step, pause_s), name=f"mqtt {name}")
         except asyncio.CancelledError:
-            await self._take_leave()
+            await self._end()
             raise
 
     def _work(self) -> Iterator[tuple[str, Step, float]]:
@@ -192,14 +192,14 @@ class BrokerSession:
                     log("error", "broker does not allow to subscribe", topic=topic, code=str(code))
                     if topic == self.topics.commands:
                         refused = f"the broker refuses the subscription to {topic} ({code})"
-                        self.intake.report_deaf(refused)
+                        self.intake.report_no_commands(refused)
 
     def _subscriptions(self) -> Iterator[tuple[str, dict[str, Any]]]:
         topics = [self.topics.commands, self.topics.ask_history]
         if self.client.protocol is not ProtocolVersion.V5:
             yield from ((topic, {"qos": 1}) for topic in topics)
             return
-        if self.name.given_way:  # what it publishes itself does not come back
+        if self.name.is_displaced:  # what it publishes itself does not come back
             topics.append(self.topics.drive_telemetry)
         foreign = SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)
         yield from ((topic, {"options": foreign}) for topic in topics)
@@ -215,7 +215,7 @@ class BrokerSession:
         if self._probe.takes(message):
             return
         if message.topic.value == self.topics.drive_telemetry:
-            self.name.heard_rival()
+            self.name.note_other_publisher()
             return
         if message.topic.value == self.topics.ask_history:
             self._asked.set()
@@ -229,7 +229,7 @@ class BrokerSession:
         await self._reply(reply)
         self._log_dropped()
         if reply.accepted and reply.verb == RESET and reply.state in _OFF_STATES:
-            self.name.reclaim(self.client)  # nothing is heard until it has connected
+            self.name.reclaim(self.client)  # nothing arrives until it has connected
 
     async def _answer_stop(self) -> None:
         command = await self._stops.take_oldest()
@@ -279,15 +279,15 @@ class BrokerSession:
             await self.client.publish(self.topics.history, contract.encode(page), qos=1)
             await asyncio.sleep(PAUSE_S)
 
-    async def _take_leave(self) -> None:
+    async def _end(self) -> None:
         """Publish the end while commands are still answered: all but a stop are refused."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 answering = [
-                    tasks.create_task(repeat(step, PAUSE_S), name="mqtt farewell")
+                    tasks.create_task(repeat(step, PAUSE_S), name="mqtt end")
                     for step in (self._refuse_command, self._answer_stop)
                 ]
-                await self._say_offline()
+                await self._send_offline()
                 for task in answering:
                     task.cancel()
         except* MqttError:
@@ -296,16 +296,16 @@ class BrokerSession:
     async def _refuse_command(self) -> None:
         await self._reply(self.desk.refuse(await self._commands.take_oldest(), SHUTTING_DOWN))
 
-    async def _say_offline(self) -> None:
+    async def _send_offline(self) -> None:
         """Send what is left, then `offline`; each only as long as the broker plays along."""
         self.intake.catch_up()
         with suppress(MqttError, TimeoutError):
-            async with asyncio.timeout(FAREWELL_S):
+            async with asyncio.timeout(OFFLINE_S):
                 await self._publish_state()
                 while len(self.intake.outbox):
                     await self._send_oldest_event()
         with suppress(MqttError, TimeoutError):
-            async with asyncio.timeout(FAREWELL_S):
+            async with asyncio.timeout(OFFLINE_S):
                 await self.client.publish(
                     self.topics.availability, contract.OFFLINE, qos=1, retain=True
                 )

@@ -17,7 +17,7 @@ from adaptdrive.recording import journal, journal_files, records, session, write
 from adaptdrive.runtime import reports
 from adaptdrive.util.clock import in_thread
 
-# The archiver as the control process sees it: started when it is due, heard line by line.
+# The archiver as the control process sees it: started when it is due, its output read by line.
 
 _RETRY_S = 60.0
 """Pause of the archiver after a failure."""
@@ -73,12 +73,12 @@ class Archiving:
 
     async def run(self) -> None:
         """Run it until cancelled."""
-        said = ""
+        reported = ""
         while True:
             problem = await self.once()
-            if problem and problem != said:
+            if problem and problem != reported:
                 self._report(reports.Severity.ALARM, f"sessions are not written: {problem}")
-            said = problem
+            reported = problem
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_RETRY_S if problem else None):
                     await self._due.wait()
@@ -95,13 +95,13 @@ class Archiving:
         """
         loop = asyncio.get_running_loop()
 
-        def tell(severity: reports.Severity, detail: str) -> None:
+        def notify(severity: reports.Severity, detail: str) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(self._report, severity, detail)
 
         def run() -> str:
             self._pace.start_thread()
-            return _run([*self._command, *words], tell)
+            return _run([*self._command, *words], notify)
 
         try:
             return await asyncio.wrap_future(in_thread(run, "archiver"))
@@ -109,7 +109,7 @@ class Archiving:
             return str(problem)
 
 
-def _run(command: Sequence[str], tell: Callable[[reports.Severity, str], None]) -> str:
+def _run(command: Sequence[str], notify: Callable[[reports.Severity, str], None]) -> str:
     with subprocess.Popen(  # noqa: S603 - this program itself
         command,
         stdin=subprocess.DEVNULL,
@@ -120,11 +120,11 @@ def _run(command: Sequence[str], tell: Callable[[reports.Severity, str], None]) 
     ) as process:
         for line in process.stdout or ():
             with contextlib.suppress(msgspec.DecodeError):
-                tell(*msgspec.json.decode(line, type=tuple[reports.Severity, str]))
-        said = b"" if process.stderr is None else process.stderr.read()
+                notify(*msgspec.json.decode(line, type=tuple[reports.Severity, str]))
+        reported = b"" if process.stderr is None else process.stderr.read()
     if process.returncode == 0:
         return ""
-    lines = said.decode(errors="replace").strip().splitlines()
+    lines = reported.decode(errors="replace").strip().splitlines()
     return lines[-1] if lines else f"the archiver ended with status {process.returncode}"
 
 
@@ -150,7 +150,7 @@ _COUNTED_S = 10.0
 class Recorder:
     """Records one session until cancelled.
 
-    Ticks and slow steps go out every `flush_s`, an event as soon as it is heard of. Trouble with
+    Ticks and slow steps go out every `flush_s`, an event as soon as it comes. Trouble with
     the recording is reported and changes nothing else.
 
     Attributes:
@@ -196,7 +196,7 @@ class Recorder:
             header,
             recalled,
             clock,
-            hear=self._hear,
+            on_status=self._on_status,
             begin_rows=self._archiving.make_session,
             start_thread=pace.start_thread,
             backlog_bytes=pace.backlog_bytes,
@@ -340,7 +340,7 @@ class Recorder:
         await self._gather()
         self._note(self._events.drain())
         self._count(last=True)
-        self._note(self._events.drain())  # with the loss that this has told
+        self._note(self._events.drain())  # with the loss that this has reported
         self._log.append(records.Kind.END, b"")
         written = await self._log.close(part_s)
         self.complete = not self._begun or (written and self._archiving.directory is not None)
@@ -361,7 +361,7 @@ class Recorder:
             detail = f"the archiver, or the next start, completes the session's files: {problem}"
             self._report(reports.Severity.WARNING, detail)
 
-    def _hear(self, outcome: writer.LogNews) -> None:
+    def _on_status(self, outcome: writer.LogStatus) -> None:
         begun = self._archiving.directory is not None
         for what, problem in outcome.problems.items():
             if problem and what == writer.SYNC:

@@ -53,12 +53,12 @@ class EventRow(msgspec.Struct, frozen=True):
     """One event as it is recorded.
 
     Attributes:
-        time: When it was heard of, UTC.
+        time: When it was reported, UTC.
         tick: Fast tick at which it happened.
         kind: Machine-readable name.
         severity: How much it matters.
         detail: One sentence.
-        monotonic_s: When it was heard of.
+        monotonic_s: When it was reported, monotonic.
         number: Running number in the session, from 1.
     """
 

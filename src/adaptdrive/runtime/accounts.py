@@ -272,8 +272,8 @@ def _judged(grown: Mapping[str, int]) -> int:
     asked = grown["exceptions"] + grown["timeouts"]
     if not asked:
         return grown["received"] - grown["foreign"]
-    heard = grown["received"] + grown["exceptions"]
-    return heard + grown["timeouts"] if heard else 0
+    answered = grown["received"] + grown["exceptions"]
+    return answered + grown["timeouts"] if answered else 0
 
 
 def _refused(grown: Mapping[str, int]) -> dict[str, int]:

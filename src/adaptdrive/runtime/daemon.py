@@ -322,22 +322,22 @@ class Daemon:
     async def _report(self) -> None:
         while True:
             await asyncio.sleep(self._settings.report_s)
-            books = accounts.drive_report(
+            report = accounts.drive_report(
                 self._fast, self._port.statistics, self._sensors(), self._clock()
             )
-            self._hub.publish(books)
-            self._watch_refusals(books)
+            self._hub.publish(report)
+            self._watch_refusals(report)
             self._announcer.publish_state()
             self._announcer.update_manager()
 
-    def _watch_refusals(self, books: reports.DriveReport) -> None:
+    def _watch_refusals(self, report: reports.DriveReport) -> None:
         """Report a large share of refused frames, and trip where that is configured."""
-        ports = {"drive": books.bus} | {one.name: one.bus for one in books.sensors}
+        ports = {"drive": report.bus} | {one.name: one.bus for one in report.sensors}
         for name, counts in ports.items():
             share = self._refused.setdefault(
                 name, accounts.RefusedShare(name, self._settings.refused_share)
             )
-            detail = share.add(books.time_s, counts)
+            detail = share.add(report.time_s, counts)
             if detail is not None:
                 self._warn("refused", detail)
         cause = self._refused_cause

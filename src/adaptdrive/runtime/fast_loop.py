@@ -231,7 +231,7 @@ class FastLoop:
     @property
     def stop(self) -> reports.StopWord:
         """Confirmation of the stop by the drive."""
-        return self._stopping.word
+        return self._stopping.status
 
     def _send(self, command: signals.Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
@@ -328,9 +328,9 @@ class FastLoop:
             machine.latch(cause)
             self._stopping.watch.command(now_s)
         else:
-            doubt = board.rate_doubt(now_s)
+            unknown_rate = board.unknown_rate(now_s)
             voltage_V = math.nan if reading is None else reading.boost_voltage_V
-            machine.advance(self.tick, voltage_V, doubt=doubt, now_s=now_s)
+            machine.advance(self.tick, voltage_V, unknown_rate=unknown_rate, now_s=now_s)
             if stage is _OFF and machine.stage is not _OFF:
                 self._stopping.start()
 
@@ -379,7 +379,7 @@ class FastLoop:
         machine, board, now_s = self._machine, self._interlocks, self._surroundings.now_s()
         if not machine.energised:
             return False
-        cause = board.gap_cause(now_s) or (board.blind_cause(now_s) if sent else None)
+        cause = board.gap_cause(now_s) or (board.late_command_cause(now_s) if sent else None)
         if cause is not None:
             machine.latch(cause)
         return cause is not None

@@ -133,7 +133,7 @@ class InterlockBoard:
         self._stale_s = timing.stale_s
         self._gap_limit_s = timing.overslept_s
 
-    def rate_doubt(self, now_s: float) -> str | None:
+    def unknown_rate(self, now_s: float) -> str | None:
         """Return why the drive's rate is not known, at which it is not energised; None once it is.
 
         Args:
@@ -148,7 +148,7 @@ class InterlockBoard:
 
     def awaits_bridge(self, now_s: float) -> bool:
         """Return whether nothing that energises may be sent before the drive has reported again."""
-        return self._counts.in_doubt or self._bridge.must_report(now_s - self._watched_s)
+        return self._counts.may_have_restarted or self._bridge.must_report(now_s - self._watched_s)
 
     def look(self, now_s: float) -> None:
         """Note an evaluation, and the longest time of late in which this process did not run."""
@@ -216,11 +216,11 @@ class InterlockBoard:
             f"the drive's own time-out allows it, or {_PRIORITY}"
         )
 
-    def blind_cause(self, now_s: float) -> str | None:
+    def late_command_cause(self, now_s: float) -> str | None:
         """Return the cause of a trip when a drive that may have stopped was just driven on.
 
         This process did not run between its last look at the drive and the bus, and the next report
-        says that the bridge is on in either case.
+        shows the bridge on in either case.
         """
         unwatched_s = now_s - self._watched_s
         if not self._bridge.hides_stop(unwatched_s):

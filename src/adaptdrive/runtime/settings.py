@@ -61,7 +61,7 @@ class ManualVoltage:
 # Limits of an operator's requests, and the refusals of values outside them.
 
 _LONGEST_HOLD_S = 86_400.0
-"""A day, as for the times of supervision in the configuration; no limit at all has its own word."""
+"""A day, as for the times of supervision in the configuration; None is no limit at all."""
 
 FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""

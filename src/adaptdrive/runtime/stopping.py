@@ -58,11 +58,11 @@ class BridgeWatch:
         Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
         has come on by command and is off is a stop at once; one that has not been on yet has its
         time to switch. In that time one report of off after one of on may be a contact that
-        bounces: the next report decides. A report from before the command says nothing of what
+        bounces: the next report decides. A report from before the command shows nothing of what
         follows it.
 
-        A drive may have stopped while this process did not run, or while nothing was heard of its
-        bridge, whatever else came: a report from before the end of that time says nothing of it.
+        A drive may have stopped while this process did not run, or without a report of its
+        bridge, whatever else came: a report from before the end of that time shows nothing of it.
 
         Args:
             reading: The newest reading.
@@ -74,14 +74,14 @@ class BridgeWatch:
         if unwatched_s > self._gap_limit_s:
             self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
         self._note_silence(reading, now_s)
-        self._lag_s = max(self._lag_s, reading.arrival_s - _heard_s(reading))
+        self._lag_s = max(self._lag_s, reading.arrival_s - _bridge_report_s(reading))
         self._due_s = min(self._due_s, now_s) if commanded and due else math.inf
         if not commanded:
             self._rest(bridge=reading.bridge)
             return None
         self._commanded_s = min(self._commanded_s, now_s)
         if reading.bridge:
-            self._see_on(reading)
+            self._note_on(reading)
             return None
         self._lingers = False
         if self._been_on and self._may_bounce(reading.bridge_reported_s):
@@ -118,7 +118,7 @@ class BridgeWatch:
         self._commanded_s = math.inf
         self._gap_s = self._silent_s = self._lag_s = 0.0
 
-    def _see_on(self, reading: Reading) -> None:
+    def _note_on(self, reading: Reading) -> None:
         """Note a bridge that is on, by this command unless it still is by the one before."""
         self._off_s = self._bounced_s = None
         reported_s = reading.bridge_reported_s
@@ -126,7 +126,7 @@ class BridgeWatch:
         self._been_on = self._been_on or switched
         if reported_s > self._gap_end_s:
             self._gap_s = 0.0
-        if _heard_s(reading) > self._silence_end_s:
+        if _bridge_report_s(reading) > self._silence_end_s:
             self._silent_s = 0.0
 
     def _may_bounce(self, reported_s: float) -> bool:
@@ -163,14 +163,14 @@ class BridgeWatch:
 
         A reading ends it whose values were asked for before: a poll may take as long.
         """
-        silent_s, limit_s = now_s - _heard_s(reading), self._mute_limit_s
+        silent_s, limit_s = now_s - _bridge_report_s(reading), self._mute_limit_s
         if silent_s <= limit_s:
             silent_s, limit_s = now_s - reading.arrival_s, self._silent_limit_s
         if silent_s > limit_s:
             self._silent_s, self._silence_end_s = max(self._silent_s, silent_s), now_s
 
 
-def _heard_s(reading: Reading) -> float:
+def _bridge_report_s(reading: Reading) -> float:
     """Return when the report of the bridge came: with the reading if it has no separate time."""
     return reading.arrival_s if reading.bridge_s is None else reading.bridge_s
 
@@ -253,20 +253,20 @@ class StopWatch:
     def _denied(self, reading: Reading, now_s: float) -> Stop:
         """The bridge is on after a confirmed stop: denied by the second such reading.
 
-        One that no other follows in the time of a stop is the drive's last word.
+        One that no other follows in the time of a stop is the drive's last report.
         """
         if reading.arrival_s not in self._on:
             self._on.append(reading.arrival_s)
         if len(self._on) < _ON_READINGS and now_s - reading.arrival_s <= self.limit_s:
             return Stop.CONFIRMED
-        self.doubt(reading.arrival_s)
+        self.await_again(reading.arrival_s)
         return Stop.DENIED
 
-    def doubt(self, now_s: float) -> None:
+    def await_again(self, now_s: float) -> None:
         """Wait for a confirmation again."""
         self._confirmed, self._commanded_s = False, now_s
 
-    def why_not(self, reading: Reading | None, safe_s: float, now_s: float) -> str:
+    def unconfirmed_text(self, reading: Reading | None, safe_s: float, now_s: float) -> str:
         """Return why the stop is not confirmed, and the likeliest remedy."""
         waited = f"{(now_s - self._commanded_s) * 1e3:.0f} ms after the stop"
         if safe_s == math.inf:
@@ -298,7 +298,7 @@ class Stopping:
 
     Attributes:
         watch: Compares the reports of the drive with the stop.
-        word: Confirmation of the stop by the drive.
+        status: Confirmation of the stop by the drive.
     """
 
     def __init__(
@@ -318,14 +318,14 @@ class Stopping:
         self._report = report
         self._settled_s = -math.inf
         self._starting = False
-        self.word = StopWord.AWAITED
+        self.status = StopWord.AWAITED
 
     def start(self) -> None:
         """Note that the boost voltage rises: a stop that ends it begins anew."""
         self._starting = True
 
     def release(self, reading: Reading | None = None, *, bridge: bool = False) -> None:
-        """Note that the drive is energised: its word of the stop before says nothing any more.
+        """Note that the drive is energised: its report of the stop before counts no more.
 
         Args:
             reading: The latest reading, None before the first.
@@ -334,7 +334,7 @@ class Stopping:
         self.watch.release(reading, bridge=bridge)
         self._starting = False
         self._settled_s = -math.inf
-        self.word = StopWord.AWAITED
+        self.status = StopWord.AWAITED
 
     def judge(self, reading: Reading | None, now_s: float) -> None:
         """Compare what the drive reports of its bridge with the stop that it was commanded.
@@ -350,24 +350,24 @@ class Stopping:
         settled = self._is_settled(verdict, now_s)
         if verdict is Stop.CONFIRMED:
             machine.confirm_stop()
-            self.word = self._confirmation(reading, now_s) if settled else self.word
+            self.status = self._confirmation(reading, now_s) if settled else self.status
         elif verdict is Stop.DENIED:
-            machine.doubt_stop()
-            self._miss(_SWITCHED_ON)
+            machine.withdraw_stop()
+            self._trip(_SWITCHED_ON)
         elif machine.state is State.STANDBY:
-            self._await_first_word(reading, now_s)
+            self._await_first_stop(reading, now_s)
         elif machine.state is State.STARTING and (reading is None or not reading.bridge):
-            return  # as in `standby`, only a bridge that is on makes a missing word a problem
-        elif verdict is Stop.OVERDUE and self.word is not StopWord.MISSING:
-            self._miss(f"the drive does not stop: {watch.why_not(reading, safe_s, now_s)}")
+            return  # as in `standby`, only a bridge that is on makes a missing report a problem
+        elif verdict is Stop.OVERDUE and self.status is not StopWord.MISSING:
+            self._trip(f"the drive does not stop: {watch.unconfirmed_text(reading, safe_s, now_s)}")
         elif verdict is Stop.AWAITED and settled:
-            self.word = StopWord.AWAITED
+            self.status = StopWord.AWAITED
 
     def _confirmation(self, reading: Reading | None, now_s: float) -> StopWord:
-        """Return the word on a stop that is complete.
+        """Return the confirmation of a stop that is complete.
 
         A drive that has been silent for a stop's time may have been switched on meanwhile: what it
-        has confirmed is no word on it now.
+        has confirmed is no report of it now.
         """
         if self._port.stop_slack_s is None:
             return StopWord.IMPOSSIBLE
@@ -385,15 +385,15 @@ class Stopping:
             self._settled_s = now_s + self.watch.limit_s
         return settled or self._machine.state is not State.TRIPPED
 
-    def _await_first_word(self, reading: Reading | None, now_s: float) -> None:
+    def _await_first_stop(self, reading: Reading | None, now_s: float) -> None:
         """Expect a drive to stop that is found on at the start."""
         if reading is not None and reading.bridge:
-            self.watch.doubt(now_s)
-            self._machine.doubt_stop()
+            self.watch.await_again(now_s)
+            self._machine.withdraw_stop()
 
-    def _miss(self, problem: str) -> None:
+    def _trip(self, problem: str) -> None:
         """Trip; a drive that had tripped before keeps that cause, and this one is reported once."""
-        if self._machine.state is State.TRIPPED and self.word is not StopWord.MISSING:
+        if self._machine.state is State.TRIPPED and self.status is not StopWord.MISSING:
             self._report(problem)
-        self.word = StopWord.MISSING
+        self.status = StopWord.MISSING
         self._machine.latch(problem)
