@@ -186,10 +186,6 @@ def kernel_synchronisation() -> contract.Synchronisation:
     return contract.Synchronisation.SYNCHRONISED
 
 
-def _utc_now() -> datetime:
-    return datetime.now(UTC)
-
-
 async def _wait_for_nothing(_patience_s: float) -> None:
     pass
 
@@ -217,7 +213,7 @@ class ServiceSurroundings:
     note_reply: Callable[[str, bytes], None] = lambda _identity, _body: None
     note_sent: Callable[[], None] = lambda: None
     kept: Callable[[float], Awaitable[None]] = _wait_for_nothing
-    wall: Callable[[], datetime] = _utc_now
+    wall: Callable[[], datetime] = lambda: datetime.now(UTC)
     monotonic: Callable[[], float] = time.monotonic
     synchronisation: Callable[[], contract.Synchronisation] = kernel_synchronisation
     uniform: Callable[[float, float], float] = random.uniform
@@ -258,10 +254,8 @@ class MqttService:
             contract.encode(contract.event_message(event, time))
             for time, event in surroundings.events
         )
-        outbox, history = (
-            publisher.Outbox(unsent, surroundings.note_sent),
-            publisher.History(surroundings.monotonic),
-        )
+        outbox = publisher.Outbox(unsent, surroundings.note_sent)
+        history = publisher.History(surroundings.monotonic)
         self._intake = publisher.Intake(hub, self._board, outbox, history, wall, profile.output)
         self._desk = self._build_desk(hub)
         alarm = partial(self._intake.report, "broker", reports.Severity.ALARM)

@@ -109,11 +109,6 @@ def release(folder: Path) -> None:
     (folder / _FILE).unlink(missing_ok=True)
 
 
-def is_full(problem: BaseException) -> bool:
-    """Return whether an error means that the disk or a quota is full."""
-    return isinstance(problem, OSError) and problem.errno in {errno.ENOSPC, errno.EDQUOT}
-
-
 # The log as the thread that writes it sees it: files that are appended to.
 
 _LARGEST_FILE_BYTES = 4 << 20
@@ -236,7 +231,7 @@ class LogWriter:
             try:
                 self._append(self._taken)
             except OSError as problem:
-                if not is_full(problem):
+                if problem.errno not in {errno.ENOSPC, errno.EDQUOT}:
                     raise
                 release(self._folder)
                 self._append(self._taken)
