@@ -115,7 +115,7 @@ def drive_report(
     sensors: tuple[reports.SensorReport, ...],
     now_s: float,
 ) -> reports.DriveReport:
-    """Measurement, command and the books of the fast loop; its windows of time begin anew.
+    """Measurement, command and the counts of the fast loop; its windows of time begin anew.
 
     Args:
         fast: The fast loop.

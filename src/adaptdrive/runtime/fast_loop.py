@@ -5,7 +5,7 @@ values; the frame, if it still comes, then replaces those values and makes no se
 goes wrong, every tick sends a command, and without a reason to do otherwise it is the safe one.
 
 Within a tick the command comes first. What can wait until it is on the wire (the timer, the slow
-loop, the watchdog, the books and the report) comes after it.
+loop, the watchdog, the counts and the report) comes after it.
 """
 
 import math

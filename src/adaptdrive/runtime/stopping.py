@@ -108,8 +108,8 @@ class BridgeWatch:
         Args:
             unwatched_s: Time from the last look until after that command.
         """
-        limit_s = self._hidden_s(self._lag_s if self._queued else math.inf)
-        return unwatched_s > limit_s and self.must_report(unwatched_s)
+        lag_s = self._lag_s if self._queued else math.inf
+        return self.must_report(unwatched_s) and unwatched_s > self._hidden_s(lag_s)
 
     def _rest(self, *, bridge: bool) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
