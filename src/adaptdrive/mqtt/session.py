@@ -22,72 +22,9 @@ from adaptdrive.runtime.reports import Queue, Severity, State
 from adaptdrive.util.clock import Step, repeat
 from adaptdrive.util.lines import log
 
-# Notices that the broker delivers no commands: a message of the daemon's own must come back.
-
 PROBE_EVERY_S = 60.0
 PATIENCE_S = 10.0
 """Longest way of a message to the broker and back."""
-
-
-class CommandProbe:
-    """Sends a message to a topic among the commands, again and again, and awaits it.
-
-    A broker that does not take it, as one with an older access list, shows nothing.
-    """
-
-    def __init__(self, client: steady.SteadyClient, topic: str, intake: publisher.Intake) -> None:
-        """Send nothing yet.
-
-        Args:
-            client: Connected by MQTT 5; a broker of MQTT 3.1.1 does not answer whether it takes a
-                message.
-            topic: Subscribed to in addition to the commands, with the daemon's own messages.
-            intake: Takes the alarm, and its end.
-        """
-        self._client = client
-        self._topic = topic
-        self._intake = intake
-        self._token = secrets.token_hex(8).encode()
-        self._arrived = asyncio.Event()
-        self._lost = False
-
-    def takes(self, message: Message) -> bool:
-        """Return whether a message is the probe's own."""
-        own = message.topic.value == self._topic and message.payload == self._token
-        if own:
-            self._arrived.set()
-        return own
-
-    async def send(self) -> None:
-        """Look once whether commands arrive.
-
-        Raises:
-            MqttError: The connection is lost.
-        """
-        self._arrived.clear()
-        if await self._client.offer(self._topic, self._token):
-            self._report(lost=not await self._arrives())
-
-    async def _arrives(self) -> bool:
-        with suppress(TimeoutError):
-            async with asyncio.timeout(PATIENCE_S):
-                await self._arrived.wait()
-        return self._arrived.is_set()
-
-    def _report(self, *, lost: bool) -> None:
-        if lost == self._lost:
-            return
-        self._lost = lost
-        if lost:
-            self._intake.report_no_commands(
-                f"the broker has taken a message to {self._topic} and does not deliver it to this "
-                f"daemon within {PATIENCE_S:g} s"
-            )
-        else:
-            self._intake.report("broker", Severity.INFO, "commands arrive again")
-
-
-# One connection to the broker, from `online` to `offline`.
 
 COMMANDS_HELD = 100
 PAUSE_S = 0.005
@@ -132,7 +69,9 @@ class BrokerSession:
         self._commands: Queue[OperatorCommand] = Queue(COMMANDS_HELD)
         self._stops: Queue[OperatorCommand] = Queue(COMMANDS_HELD)
         self._asked = asyncio.Event()
-        self._probe = CommandProbe(self.client, self.topics.probe, self.intake)
+        self._token = secrets.token_hex(8).encode()
+        self._arrived = asyncio.Event()
+        self._commands_lost = False
         self._refused: set[str] = set()
         self._reported = 0
         self._ration = LogRation(asyncio.get_running_loop().time, 1, LOGGED_EVERY_S)
@@ -177,7 +116,28 @@ class BrokerSession:
         yield "histograms", counts, HISTOGRAMS_EVERY_S
         yield "history", self._send_history, HISTORY_EVERY_S
         if topics.probe not in self._refused and self.client.protocol is ProtocolVersion.V5:
-            yield "probe", self._probe.send, PROBE_EVERY_S
+            yield "probe", self._probe, PROBE_EVERY_S
+
+    async def _probe(self) -> None:
+        """Look once whether commands arrive: a message to a topic among them must come back.
+
+        A broker that does not take it, as one with an older access list, shows nothing; nor does
+        one of MQTT 3.1.1, which does not answer whether it takes a message.
+        """
+        self._arrived.clear()
+        if not await self.client.offer(self.topics.probe, self._token):
+            return
+        with suppress(TimeoutError):
+            async with asyncio.timeout(PATIENCE_S):
+                await self._arrived.wait()
+        lost, self._commands_lost = self._commands_lost, not self._arrived.is_set()
+        if self._commands_lost and not lost:
+            self.intake.report_no_commands(
+                f"the broker has taken a message to {self.topics.probe} and does not deliver it to "
+                f"this daemon within {PATIENCE_S:g} s"
+            )
+        elif lost and not self._commands_lost:
+            self.intake.report("broker", Severity.INFO, "commands arrive again")
 
     async def _publish_online(self) -> None:
         await self.client.publish(self.topics.availability, contract.ONLINE, qos=1, retain=True)
@@ -212,7 +172,8 @@ class BrokerSession:
             )
 
     def _receive(self, message: Message) -> None:
-        if self._probe.takes(message):
+        if message.topic.value == self.topics.probe and message.payload == self._token:
+            self._arrived.set()
             return
         if message.topic.value == self.topics.drive_telemetry:
             self.name.note_other_publisher()
