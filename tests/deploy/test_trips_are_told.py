@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from typing_extensions import TypeIs
 
-from adaptdrive.runtime.trips import TRIPS as REGISTRY
-from adaptdrive.runtime.trips import Trip, remedy
+from adaptdrive.mqtt.contract import TRIPS as REGISTRY
+from adaptdrive.mqtt.contract import remedy
 from tools.pages.trips_table import with_table
 
 CHECKOUT = Path(__file__).parents[2]
@@ -71,11 +71,11 @@ def test_the_table_of_the_manual_is_current() -> None:
 
 
 def test_a_trip_is_in_the_registry(trips: list[str]) -> None:
-    examples = [re.sub(r"^node 5: ", "", known.example) for known in REGISTRY]
+    examples = [re.sub(r"^node 5: ", "", known["example"]) for known in REGISTRY]
     without = [trip for trip in trips if not any(re.fullmatch(trip, one) for one in examples)]
     assert not without, "no remedy"
 
 
-@pytest.mark.parametrize("known", REGISTRY, ids=lambda known: known.sign)
-def test_the_text_of_a_trip_leads_to_its_own_remedy(known: Trip) -> None:
-    assert remedy(known.example) == known.remedy.replace("`", "")
+@pytest.mark.parametrize("known", REGISTRY, ids=lambda known: known["sign"])
+def test_the_text_of_a_trip_leads_to_its_own_remedy(known: dict[str, str]) -> None:
+    assert remedy(known["example"]) == known["remedy"].replace("`", "")

@@ -22,7 +22,8 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.port import CanPort
-from adaptdrive.runtime.interlocks import Limits, find_cause
+from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.runtime.settings import Limits
 from adaptdrive.util.errors import ConfigurationError
 from tests.devices.bench import (
     EXAMPLES,

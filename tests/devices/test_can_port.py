@@ -19,7 +19,8 @@ from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.faults import QUIET_S
 from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.interlocks import Limits, find_cause
+from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.runtime.settings import Limits
 from adaptdrive.runtime.stopping import Stop, StopWatch
 from adaptdrive.util.errors import BusError
 from tests.devices.bench import (

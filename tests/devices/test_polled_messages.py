@@ -18,7 +18,8 @@ from adaptdrive.devices.can.kind import build_can_sensors
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.interlocks import Limits, find_cause
+from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.runtime.settings import Limits
 from tests.devices.bench import (
     LOAD,
     PATIENCE_S,

@@ -149,11 +149,11 @@ class DaemonByHand:
 
     def decide(self) -> int:
         """Have the slow loop decide on what waits; how many decisions that made."""
-        slow, made = self.daemon._slow, 0
+        daemon, made = self.daemon, 0
         with contextlib.suppress(asyncio.QueueEmpty):
             while True:
-                snapshot = slow._snapshots.get_nowait()
-                slow._deliver(snapshot, self.revise(slow._decide(snapshot)))
+                snapshot = daemon._snapshots.get_nowait()
+                daemon._fast.deliver(snapshot, self.revise(daemon._decide(snapshot)))
                 made += 1
         return made
 

@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from adaptdrive.config.timing import Timing
-from adaptdrive.runtime.interlock_board import BridgeWatch, InterlockBoard
+from adaptdrive.runtime.interlocks import InterlockBoard
+from adaptdrive.runtime.stopping import BridgeWatch
 from tests.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 
 STORIES = int(os.environ.get("STORIES", "8"))

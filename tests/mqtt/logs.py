@@ -14,7 +14,7 @@ import msgspec
 from adaptdrive.app.run import surroundings_of
 from adaptdrive.mqtt.desk import ReplyMemory
 from adaptdrive.mqtt.service import ServiceSurroundings
-from adaptdrive.recording.journal import Log, Place
+from adaptdrive.recording.journal import Log
 from adaptdrive.recording.journal_files import Recalled, recall
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header, Kind
@@ -44,7 +44,7 @@ async def open_log(folder: Path, clocks: Time | None = None) -> AsyncIterator[tu
     """A log, and what it held before."""
     clocks = clocks or Time()
     recalled = recall(folder, clocks.wall)
-    log = Log(folder, Header(INFO, ""), recalled, clocks.both, hear=lambda _: None)
+    log = Log(folder, Header(INFO, ""), recalled, clocks.both, on_status=lambda _: None)
     log.start()
     yield log, recalled
     await log.close(PATIENCE_S)
@@ -71,7 +71,8 @@ async def keeping(folder: Path, hub: Hub) -> AsyncIterator[ServiceSurroundings]:
     """The log of a daemon that records no session."""
     recalled, loop = recall(folder, datetime.now(UTC)), asyncio.get_running_loop()
     recorder = Recorder(
-        Place(folder, None),
+        folder,
+        None,
         Header(INFO, ""),
         hub,
         lambda: (loop.time(), datetime.now(UTC).timestamp()),

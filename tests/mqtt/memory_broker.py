@@ -136,7 +136,7 @@ class MemoryClient:
     async def release(self) -> None:
         self._leave()
 
-    def give_up(self) -> None:
+    def cancel_connecting(self) -> None:
         self._given_up.set()
 
     async def subscribe(self, topic: Any, *, qos: int = 0, options: Any = None) -> list[int]:
@@ -173,14 +173,14 @@ class MemoryClient:
     async def lost(self) -> NoReturn:
         raise MqttError(await asyncio.shield(self._lost))
 
-    def hang_up(self, reason: str) -> None:
+    def end_connection(self, reason: str) -> None:
         if not self._lost.done():
             self._lost.set_result(reason)
 
     def end(self, reason: str, *, taken_over: bool) -> None:
         """Lose the connection by the broker."""
         self.taken_over, self.closed_by_broker = taken_over, not taken_over
-        self.hang_up(reason)
+        self.end_connection(reason)
         self._leave()
 
     def hear(self, message: Message, sender: MemoryClient | None) -> None:

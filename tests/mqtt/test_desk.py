@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.mqtt.clock import LogRation
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.mqtt.desk import (
     INTERRUPTED,
     OVERTAKEN,
     RETAINED,
     Desk,
+    LogRation,
     OperatorCommand,
     ReplyMemory,
 )

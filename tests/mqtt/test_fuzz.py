@@ -17,10 +17,9 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.mqtt.clock import LogRation
 from adaptdrive.mqtt.commands import FORMS, PING
 from adaptdrive.mqtt.contract import encode
-from adaptdrive.mqtt.desk import Desk, ReplyMemory
+from adaptdrive.mqtt.desk import Desk, LogRation, ReplyMemory
 from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Enable, Request, SetMode
 from adaptdrive.runtime.state_machine import Machine

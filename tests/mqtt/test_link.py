@@ -9,9 +9,10 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
+from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt.clock import BrokerBackoff
+from adaptdrive.mqtt.connection import BrokerLink, ClientName
 from adaptdrive.mqtt.contract import Profile
 from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.reports import Event, Severity, State
@@ -279,7 +280,8 @@ def states(*hosts: RememberingHost) -> list[State]:
 
 
 def test_waiting_doubles_up_to_a_limit_and_starts_anew_after_a_good_connection() -> None:
-    backoff = BrokerBackoff(lambda _, high: high, first_s=0.5, longest_s=30.0)
-    assert [backoff.after(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
-    assert backoff.after(3.0) == 30.0  # a broker that hangs up at once is no good connection
-    assert backoff.after(60.0) == 0.5
+    name = ClientName("adaptdrive-motor", lambda: 0.0, lambda _: None, lambda _: None)
+    link = BrokerLink(Mqtt(), name, Will("x"), lambda _, high: high)
+    assert [link.pause_s(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
+    assert link.pause_s(3.0) == 30.0  # a broker that hangs up at once is no good connection
+    assert link.pause_s(60.0) == 0.5

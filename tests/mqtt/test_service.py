@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode, Shape, Waveform
-from adaptdrive.mqtt.clock import Synchronisation
+from adaptdrive.mqtt.contract import Synchronisation
 from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import (

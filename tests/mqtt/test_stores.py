@@ -9,10 +9,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.mqtt.clock import LogRation
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.mqtt.desk import FORGOTTEN as UNREADABLE
-from adaptdrive.mqtt.desk import INTERRUPTED, Desk, ReplyMemory
+from adaptdrive.mqtt.desk import INTERRUPTED, Desk, LogRation, ReplyMemory
 from adaptdrive.mqtt.publisher import Outbox
 from adaptdrive.recording.journal import Log
 from adaptdrive.recording.journal_files import EVENTS, log_files, recall

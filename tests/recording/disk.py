@@ -76,7 +76,7 @@ class Disk:
             writer._write_for_ever()
             self._writers.remove(writer)
         with suppress(_NothingLeftError):
-            sync_for_ever(writer._syncs, writer._tell)
+            sync_for_ever(writer._syncs, writer._notify)
         if not writer._idle:
             asyncio.get_running_loop().call_later(RETRY_S, self._wake, writer)
 
@@ -85,13 +85,13 @@ def archive_in_process(patch: pytest.MonkeyPatch) -> None:
     """Run the archiver here; its time is that of the event loop."""
     loop = asyncio.get_running_loop()
 
-    def run(command: Sequence[str], tell: Callable[[Severity, str], None]) -> str:
+    def run(command: Sequence[str], notify: Callable[[Severity, str], None]) -> str:
         try:
-            trips = archive(Path(command[4]), loop.time(), float(command[5]), tell)
+            trips = archive(Path(command[4]), loop.time(), float(command[5]), notify)
         except ERRORS as problem:
             return str(problem)
         for directory in trips:
-            tell(Severity.INFO, f"the record of the trip is in {directory}")
+            notify(Severity.INFO, f"the record of the trip is in {directory}")
         return ""
 
     def at_once(call: Callable[[], str], _: str) -> Future[str]:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptdrive.recording.records import Kind, Loss, Record, framed, read_frames
+from adaptdrive.recording.records import Kind, Record, framed, read_frames
 
 SIZE = 200_000
 STRIDES = [
@@ -46,7 +46,7 @@ def test_a_segment_that_is_cut_anywhere_gives_its_whole_records(stride: int) -> 
     for end in range(0, len(content) + 1, stride):
         while whole + 1 < len(edges) and edges[whole + 1] <= end:
             whole += 1
-        rest = [Loss(edges[whole], end)] if end > edges[whole] else []
+        rest = [(edges[whole], end)] if end > edges[whole] else []
         assert list(read_frames(content[:end])) == records[:whole] + rest
 
 
@@ -62,7 +62,7 @@ def test_a_byte_that_is_flipped_anywhere_costs_one_record_and_its_place_is_named
             damaged += 1
         flip = chance.randrange(1, 256)
         content[place] ^= flip
-        loss = Loss(edges[damaged], edges[damaged + 1])
+        loss = (edges[damaged], edges[damaged + 1])
         assert list(read_frames(bytes(content))) == [
             *records[:damaged],
             loss,
@@ -74,4 +74,4 @@ def test_a_byte_that_is_flipped_anywhere_costs_one_record_and_its_place_is_named
 @settings(deadline=None)
 @given(noise=st.binary(max_size=2000))
 def test_noise_gives_no_record(noise: bytes) -> None:
-    assert list(read_frames(noise)) == ([Loss(0, len(noise))] if noise else [])
+    assert list(read_frames(noise)) == ([(0, len(noise))] if noise else [])

@@ -17,7 +17,7 @@ from adaptdrive.recording.journal import Log
 from adaptdrive.recording.journal_files import is_live, log_files, recall, records
 from adaptdrive.recording.records import EventRow, Header, Kind
 from adaptdrive.recording.session import Dropped
-from adaptdrive.recording.writer import LogNews, LogWriter
+from adaptdrive.recording.writer import LogStatus, LogWriter
 from tests.recording.disk import Disk
 from tests.recording.material import INFO
 from tests.virtual_time import held
@@ -30,7 +30,7 @@ class Bench:
 
     def __init__(self, folder: Path, backlog_bytes: int = 1 << 20, segment_s: float = 3600) -> None:
         self.folder = folder
-        self.outcomes: list[LogNews] = []
+        self.outcomes: list[LogStatus] = []
         header = Header(INFO, "", segment_s=segment_s)
         self.now_s = 100.0
         self.log = Log(
@@ -38,7 +38,7 @@ class Bench:
             header,
             recall(folder, INFO.started),
             lambda: (self.now_s, 1.7e9),
-            hear=self.outcomes.append,
+            on_status=self.outcomes.append,
             backlog_bytes=backlog_bytes,
         )
         self.log.start()

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.recording.archive import archive
-from adaptdrive.recording.journal import Place, RecordingPace
+from adaptdrive.recording.journal import RecordingPace
 from adaptdrive.recording.journal_files import log_files
 from adaptdrive.recording.reader import Session, read_session, session_notes, verify
 from adaptdrive.recording.recorder import EVENT_KIND, Recorder
@@ -49,8 +49,8 @@ class Bench:
         self.published = 0
         self.told = self.hub.subscribe(Event, size=100)
         pace = RecordingPace(flush_s=flush_s, backlog_bytes=backlog_bytes, trip_s=0.5)
-        place, header = Place(log_of(sessions), sessions), Header(INFO, "# as configured\n")
-        self.recorder = Recorder(place, header, self.hub, clock, pace)
+        header = Header(INFO, "# as configured\n")
+        self.recorder = Recorder(log_of(sessions), sessions, header, self.hub, clock, pace)
         self.running: asyncio.Task[None] | None = None
 
     @property

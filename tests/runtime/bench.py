@@ -25,11 +25,13 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.devices.port import Reading
+from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.reports import State, TickReport
+from adaptdrive.runtime.reports import Hub, State, TickReport
 from adaptdrive.runtime.requests import Enable, Request
 from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.runtime.tick_support import ServiceManager
 from tests.loopback_port import LoopbackPort
 
 MOTOR = load_configuration(Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml")
@@ -340,6 +342,25 @@ class LoopTimer:
 def timed(**changes: float | None) -> FastLoopSettings:
     """The settings with other times."""
     return replace(FAST, timing=replace(FAST.timing, **changes))  # type: ignore[arg-type]
+
+
+def idle_daemon(
+    machine: Machine,
+    fast: FastLoop,
+    clock: Callable[[], float],
+    controller: MotorController | None = None,
+) -> Daemon:
+    """Return a daemon that does not run, with a machine and a fast loop of the test."""
+    daemon = Daemon(
+        port=LoopbackPort(lambda _: None),
+        controller=controller or MotorController(),
+        settings=SETTINGS,
+        clock=clock,
+        hub=Hub(),
+        manager=ServiceManager({}),
+    )
+    daemon._machine, daemon._fast = machine, fast
+    return daemon
 
 
 async def until(condition: Callable[[], bool]) -> None:

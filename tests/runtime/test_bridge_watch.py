@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from adaptdrive.config.timing import Timing
-from adaptdrive.runtime.interlock_board import BridgeWatch
+from adaptdrive.runtime.stopping import BridgeWatch
 from tests.runtime.bench import CALM
 
 TICK_S = 2.0**-7

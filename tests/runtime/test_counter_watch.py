@@ -24,15 +24,15 @@ def in_step(first: int, count: int, frames: int) -> list[Frame]:
     return [(first + n, count + n) for n in range(frames)]
 
 
-def see(watch: CounterWatch, modulus: int, frame: Frame, tick_s: float = TICK_S) -> bool:
-    return watch.see(frame[1] % modulus, frame[0] * tick_s, tick_s)
+def add(watch: CounterWatch, modulus: int, frame: Frame, tick_s: float = TICK_S) -> bool:
+    return watch.add(frame[1] % modulus, frame[0] * tick_s, tick_s)
 
 
 def begun(modulus: int, half_cycle: int) -> CounterWatch:
     """A watch that has seen three frames, the last of them in this half cycle."""
     watch = CounterWatch(modulus, TICK_S)
     for frame in in_step(half_cycle - 2, half_cycle - 2, 3):
-        see(watch, modulus, frame)
+        add(watch, modulus, frame)
     return watch
 
 
@@ -65,7 +65,7 @@ def test_no_disturbance_of_an_honest_drive_is_a_restart(
 ) -> None:
     watch = begun(1 << width, last)
     for frame in data.draw(honest_frames(last)):
-        see(watch, 1 << width, frame)
+        add(watch, 1 << width, frame)
         assert watch.find_cause(commanded=True) is None
 
 
@@ -84,8 +84,8 @@ def test_a_drive_that_starts_anew_is_found_within_four_frames(
     off = (last + away - first) % modulus
     chance = min(off, modulus - off) <= 4 + 0.04 * (away + 4)
     for frame in in_step(last + away, first, 4):
-        see(watch, modulus, frame)
-        assert chance or watch.in_doubt
+        add(watch, modulus, frame)
+        assert chance or watch.may_have_restarted
     cause = watch.find_cause(commanded=True)
     assert chance or (cause or "").startswith("drive restarted: its half-cycle counter began anew")
 
@@ -104,10 +104,10 @@ def test_old_frames_between_hide_no_new_start(
     watch = begun(65536, last)
     for number, (at_tick, count) in enumerate(in_step(last + away + late, late, 12)):
         for back in old if number == at else ():
-            see(watch, 65536, (at_tick - 0.25, last - back))
-            assert watch.in_doubt is (number > 0)
-        see(watch, 65536, (at_tick, count))
-        assert watch.in_doubt
+            add(watch, 65536, (at_tick - 0.25, last - back))
+            assert watch.may_have_restarted is (number > 0)
+        add(watch, 65536, (at_tick, count))
+        assert watch.may_have_restarted
     assert watch.find_cause(commanded=True) is not None
 
 
@@ -125,7 +125,7 @@ def resets(count: int) -> list[Frame]:
 
 
 @pytest.mark.parametrize(
-    ("modulus", "last", "frames", "doubted", "found"),
+    ("modulus", "last", "frames", "suspect", "found"),
     [
         (65536, 200, [*QUEUE, *in_step(9, 6, 6)], [0, 0] + [1] * 6, True),
         (65536, 41_200, SCATTERED, [1] * 4, False),
@@ -142,20 +142,20 @@ def resets(count: int) -> list[Frame]:
     ],
 )
 def test_a_count_is_in_doubt_where_it_may_have_begun_anew(
-    modulus: int, last: int, frames: list[Frame], doubted: list[int], *, found: bool
+    modulus: int, last: int, frames: list[Frame], suspect: list[int], *, found: bool
 ) -> None:
     watch, seen = begun(modulus, last), []
     for arrival, count in frames:
-        see(watch, modulus, (last + arrival, count))
-        seen.append(int(watch.in_doubt))
-    assert seen == doubted
+        add(watch, modulus, (last + arrival, count))
+        seen.append(int(watch.may_have_restarted))
+    assert seen == suspect
     assert (watch.find_cause(commanded=True) is not None) is found
 
 
 def test_the_trip_names_both_counts() -> None:
     watch = begun(65536, 41_200)
     for frame in in_step(41_207, 3, 4):
-        see(watch, 65536, frame)
+        add(watch, 65536, frame)
     assert watch.find_cause(commanded=True) == (
         "drive restarted: its half-cycle counter began anew, 3 where 41207 was due"
     )
@@ -164,23 +164,23 @@ def test_the_trip_names_both_counts() -> None:
 def test_time_is_that_of_the_measured_half_cycle() -> None:
     watch = CounterWatch(256, TICK_S)
     for half_cycle in range(0, 1000, 20):
-        see(watch, 256, (half_cycle, half_cycle), 2.0 * TICK_S)
-        assert not watch.in_doubt
+        add(watch, 256, (half_cycle, half_cycle), 2.0 * TICK_S)
+        assert not watch.may_have_restarted
 
 
 def test_a_drive_that_is_commanded_off_may_start_anew() -> None:
     watch = begun(256, 100)
     for number, frame in enumerate(in_step(101, 0, 10)):
-        see(watch, 256, frame)
+        add(watch, 256, frame)
         assert watch.find_cause(commanded=number >= 2) is None
-        assert not watch.in_doubt
+        assert not watch.may_have_restarted
 
 
 def test_a_count_that_stands_is_old_though_its_drive_may_start_anew() -> None:
     """With the bridge off, and although two of its frames arrive at once."""
     watch = begun(256, 3)
     for half_cycle in range(8, 120):
-        assert see(watch, 256, (half_cycle // 2, 3))
+        assert add(watch, 256, (half_cycle // 2, 3))
         assert watch.find_cause(commanded=False) is None
 
 
@@ -195,14 +195,14 @@ def test_a_count_that_stands_is_old_though_its_drive_may_start_anew() -> None:
 )
 def test_a_count_behind_the_newest_is_old(modulus: int, frames: list[Frame], *, old: bool) -> None:
     watch = begun(modulus, 1000)
-    assert [see(watch, modulus, (1000 + at, n)) for at, n in frames][-1] is old
+    assert [add(watch, modulus, (1000 + at, n)) for at, n in frames][-1] is old
 
 
 def test_without_a_counter_nothing_is_in_doubt() -> None:
     watch = CounterWatch(None, TICK_S)
     for number in range(10):
-        assert not watch.see(None, number * TICK_S, TICK_S)
-        assert not watch.in_doubt
+        assert not watch.add(None, number * TICK_S, TICK_S)
+        assert not watch.may_have_restarted
 
 
 def standing_ticks(
@@ -270,9 +270,9 @@ def test_a_count_that_stands_while_its_message_is_lost_is_no_restart(
     last = 256 + first
     watch = begun(256, last)
     for half_cycle in range(last + 1, last + 144):
-        see(watch, 256, (half_cycle, last if half_cycle <= last + stands else half_cycle))
+        add(watch, 256, (half_cycle, last if half_cycle <= last + stands else half_cycle))
         assert watch.find_cause(commanded=True) is None
-    assert not watch.in_doubt
+    assert not watch.may_have_restarted
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ async def test_a_late_frame_replaces_the_stand_in_and_makes_no_second_tick() -> 
         bench.frame(after_s=0.3 * TICK_S)
         assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 7))
         assert bench.reports[-1].measurement.fresh
-        assert (bench.loop.counts.held, bench.loop.counts.missed) == (1, 0)
+        assert (bench.loop.held, bench.loop.missed) == (1, 0)
 
 
 async def test_a_value_that_is_held_is_no_new_measurement() -> None:
@@ -104,7 +104,7 @@ async def test_ticks_that_the_machine_overslept_are_missed_not_repeated() -> Non
         before, deadline_s = bench.loop.tick, bench.around.deadline_s
         bench.oversleep(5.4 * TICK_S)
         assert bench.loop.tick == before + 6
-        assert bench.loop.counts.missed == 5
+        assert bench.loop.missed == 5
         assert bench.around.deadline_s == pytest.approx(deadline_s + 6 * TICK_S)
 
 
@@ -240,12 +240,12 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
         bench.start()
         bench.frames(10)
         began_s, last_s = bench.around.now, bench.around.now
-        ticks, sent = bench.loop.counts.ticks, len(bench.sent)
+        ticks, sent = bench.loop.ticks, len(bench.sent)
         for _ in range(round(silent_s / TICK_S)):
             known = len(bench.sent)
             bench.wait(TICK_S)
             last_s = bench.around.now if len(bench.sent) > known else last_s
-        withheld = bench.loop.counts.ticks - ticks - (len(bench.sent) - sent)
+        withheld = bench.loop.ticks - ticks - (len(bench.sent) - sent)
         assert withheld > 0
         books = drive_report(bench.loop, bench.port.statistics, (), bench.around.now)
         assert books.bus["withheld_commands"] == withheld

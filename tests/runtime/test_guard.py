@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.runtime.interlocks import CommandLimits, Guard
+from adaptdrive.runtime.interlocks import Guard
+from adaptdrive.runtime.settings import CommandLimits
 
 ANY = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-1.0, 1.0)
 COMMANDS = st.builds(Command, ANY, ANY | st.floats(0.0, 500.0), st.booleans())

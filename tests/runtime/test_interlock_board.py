@@ -9,8 +9,8 @@ import pytest
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.frame_rate import FrameRate
-from adaptdrive.runtime.interlock_board import InterlockBoard
-from adaptdrive.runtime.interlocks import Limits
+from adaptdrive.runtime.interlocks import InterlockBoard
+from adaptdrive.runtime.settings import Limits
 from adaptdrive.runtime.timebase import HalfCycles
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, FAST
@@ -148,7 +148,7 @@ def test_the_rate_of_a_drive_that_is_the_clock_must_be_known_and_right(
     rate: FrameRate | None, *, known: bool, cause: str | None
 ) -> None:
     of = new_board(rate=rate)
-    assert (of.rate_doubt(START_S) is None) is known
+    assert (of.unknown_rate(START_S) is None) is known
     reading = replace(CALM, arrival_s=START_S, oldest_s=START_S)
     standing = of.standing_cause(reading, START_S)
     assert standing == cause if cause is None else (standing or "").startswith(cause)
@@ -176,7 +176,7 @@ def test_a_busy_machine_is_named_where_its_pauses_may_be_what_is_wrong_with_the_
         now_s += pause_ticks * TICK_S
         of.look(now_s)
     reading = replace(CALM, arrival_s=now_s, oldest_s=now_s)
-    said = of.rate_doubt(now_s) if rate.cause is None else of.standing_cause(reading, now_s)
+    said = of.unknown_rate(now_s) if rate.cause is None else of.standing_cause(reading, now_s)
     named = f"this machine was busy: the daemon did not run for {named_ms} ms"
     assert (named in (said or "")) is (named_ms is not None)
     assert ("gateway" in (said or "")) is (rate.cause is None and named_ms is None)

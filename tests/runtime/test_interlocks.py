@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.interlocks import Limits, find_cause
+from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.runtime.settings import Limits
 from tests.devices.bench import EXAMPLES
 from tests.runtime.bench import CALM
 

@@ -224,14 +224,14 @@ def test_a_rate_that_stays_unknown_trips(mode: Mode, hold_s: float | None, limit
     for waited_s in (0.0, limit_s, limit_s + 0.25):
         assert desk.state() is State.STARTING
         desk.tick += 1
-        desk.machine.advance(desk.tick, 150.0, doubt="why", now_s=64.0 + waited_s)
+        desk.machine.advance(desk.tick, 150.0, unknown_rate="why", now_s=64.0 + waited_s)
     cause = f"frame rate: not known {limit_s + 0.25:.3g} s after the start: why"
     assert desk.machine.trip == cause
 
 
 def test_a_wait_for_the_rate_of_an_earlier_start_does_not_count(starting: Desk) -> None:
     for now_s in (64.0, 128.0):
-        starting.machine.advance(starting.tick, 150.0, doubt="why", now_s=now_s)
+        starting.machine.advance(starting.tick, 150.0, unknown_rate="why", now_s=now_s)
         starting.ask(Disable())
         starting.machine.confirm_stop()
         starting.ask(Enable())
@@ -242,7 +242,7 @@ def test_a_precharge_that_waited_for_its_rate_may_last_as_long_as_any(starting: 
     for _ in range(500):
         starting.tick += 1
         now_s = starting.tick * LIMITS.tick_s
-        starting.machine.advance(starting.tick, 150.0, doubt="why", now_s=now_s)
+        starting.machine.advance(starting.tick, 150.0, unknown_rate="why", now_s=now_s)
     assert starting.machine.stage is Stage.OFF
     starting.pass_ticks(601, boost_voltage_V=171.0)
     assert (starting.state(), starting.machine.stage) == (State.STARTING, Stage.PRECHARGE)

@@ -109,7 +109,7 @@ def test_a_trip_of_a_drive_that_is_off_is_reset_into_standby_unless_in_doubt() -
             )
         desk.machine.latch("x")
         if doubted:
-            desk.machine.doubt_stop()
+            desk.machine.withdraw_stop()
         desk.ask(Reset())
         assert desk.state() is state
 
@@ -245,7 +245,7 @@ def test_without_governing_a_set_point_stays_as_it_was_asked_for() -> None:
 def test_a_doubted_stop_must_be_confirmed_again_and_stops_no_drive_that_runs(*, runs: bool) -> None:
     desk = running() if runs else Desk()
     for state, stopped in ((State.STANDBY, True), (State.STOPPING, False), (State.STANDBY, True)):
-        (desk.machine.confirm_stop if stopped else desk.machine.doubt_stop)()
+        (desk.machine.confirm_stop if stopped else desk.machine.withdraw_stop)()
         assert desk.state() is (State.RUNNING if runs else state)
         assert desk.machine.stopped is (stopped and not runs)
     assert (desk.machine.stage is Stage.RUN) is runs

@@ -103,8 +103,8 @@ class AnyOperator(RuleBasedStateMachine):
         self.stopped |= not self.machine.energised
 
     @rule()
-    def doubt_stop(self) -> None:
-        self.machine.doubt_stop()
+    def withdraw_stop(self) -> None:
+        self.machine.withdraw_stop()
         self.stopped = False
 
     @rule(wish=WISHES, cause=CAUSES)

@@ -99,7 +99,7 @@ async def test_each_poll_makes_one_tick_and_one_command() -> None:
         poll(bench, 2 * POLL_S)
         assert [report.measurement.fresh for report in bench.reports[30:]] == [False, True]
         assert [b - a for a, b in pairwise(bench.ticks)] == [STRIDE] * 31
-        assert (bench.loop.counts.missed, bench.loop.counts.held) == (0, 1)
+        assert (bench.loop.missed, bench.loop.held) == (0, 1)
 
 
 async def test_a_decision_takes_effect_at_its_poll_until_the_slow_loop_trips_in_one() -> None:

@@ -5,17 +5,30 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.runtime.accounts import status_line
-from adaptdrive.runtime.daemon import SlowLoop
+from adaptdrive.runtime.daemon import Daemon
+from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity, State, StateReport
-from tests.runtime.bench import decision, snapshot, until
+from adaptdrive.runtime.state_machine import Machine
+from tests.runtime.bench import (
+    SETTINGS,
+    MotorController,
+    decision,
+    idle_daemon,
+    snapshot,
+    until,
+)
+
+Decided = list[tuple[Snapshot, Decision]]
 
 
-class Decider:
+class Decider(MotorController):
     """Answers each snapshot with its own number."""
 
     def decide(self, snapshot: Snapshot) -> Decision:
@@ -25,57 +38,56 @@ class Decider:
 
 
 @contextlib.asynccontextmanager
-async def running(slow: SlowLoop) -> AsyncIterator[asyncio.Task[None]]:
-    task = asyncio.create_task(slow.run())
+async def deciding(daemon: Daemon) -> AsyncIterator[None]:
+    task = asyncio.create_task(daemon._decide_for_ever())
     try:
-        yield task
+        yield
     finally:
         task.cancel()
         await asyncio.wait([task])
 
 
 @pytest.fixture
-def delivered() -> list[tuple[Snapshot, Decision]]:
+def delivered() -> Decided:
     return []
 
 
 @pytest.fixture
-def slow(delivered: list[tuple[Snapshot, Decision]]) -> SlowLoop:
-    return SlowLoop(Decider().decide, lambda *pair: delivered.append(pair))
+def slow(delivered: Decided) -> Daemon:
+    fast = SimpleNamespace(deliver=lambda *pair: delivered.append(pair))
+    machine = Machine(SETTINGS.machine, SETTINGS.pole)
+    return idle_daemon(machine, cast(FastLoop, fast), lambda: 0.0, Decider())
 
 
-async def test_snapshots_are_decided_in_their_order(
-    slow: SlowLoop, delivered: list[tuple[Snapshot, Decision]]
-) -> None:
-    async with running(slow):
+async def test_snapshots_are_decided_in_their_order(slow: Daemon, delivered: Decided) -> None:
+    async with deciding(slow):
         for k in range(1, 10):
-            assert slow.offer(snapshot(k))
+            assert slow.snapshot_taken(snapshot(k))
             await asyncio.sleep(0)
         await until(lambda: len(delivered) == 9)
     assert [taken.k for taken, _ in delivered] == list(range(1, 10))
     assert [made.boost_reference_V for _, made in delivered] == [201.0 + k for k in range(9)]
 
 
-async def test_offering_never_waits_and_says_when_it_is_hopeless(slow: SlowLoop) -> None:
-    assert [slow.offer(snapshot(k)) for k in range(5)] == [True, True, True, False, False]
+async def test_offering_never_waits_and_says_when_it_is_hopeless(slow: Daemon) -> None:
+    taken = [slow.snapshot_taken(snapshot(k)) for k in range(5)]
+    assert taken == [True, True, True, False, False]
 
 
-async def test_what_is_forgotten_is_never_decided(
-    slow: SlowLoop, delivered: list[tuple[Snapshot, Decision]]
-) -> None:
-    async with running(slow):
+async def test_what_is_forgotten_is_never_decided(slow: Daemon, delivered: Decided) -> None:
+    async with deciding(slow):
         await asyncio.sleep(0)
-        slow.offer(snapshot(1))
-        slow.forget()
-        slow.offer(snapshot(2))
+        slow.snapshot_taken(snapshot(1))
+        slow.run_ended()
+        slow.snapshot_taken(snapshot(2))
         await until(lambda: bool(delivered))
     assert [taken.k for taken, _ in delivered] == [2]
 
 
-async def test_a_failing_decision_ends_the_loop(slow: SlowLoop) -> None:
-    slow.offer(snapshot(-1))
+async def test_a_failing_decision_ends_the_loop(slow: Daemon) -> None:
+    slow.snapshot_taken(snapshot(-1))
     with pytest.raises(ArithmeticError):
-        await slow.run()
+        await slow._decide_for_ever()
 
 
 def event(number: int) -> Event:

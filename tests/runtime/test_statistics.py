@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.devices.port import PortStatistics
-from adaptdrive.runtime.interlocks import WINDOW_S, RefusedShare
-from adaptdrive.runtime.reports import Quantiles
-from adaptdrive.runtime.statistics import BINS, TimeWindow
+from adaptdrive.runtime.accounts import WINDOW_S, RefusedShare
+from adaptdrive.runtime.fast_loop import TimeWindow
+from adaptdrive.runtime.reports import BINS, Quantiles
 
 TIMES = st.lists(st.floats(0.0, 1e6), min_size=1, max_size=400)
 

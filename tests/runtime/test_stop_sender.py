@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import cast
 
 from adaptdrive.devices.port import FAREWELLS
-from adaptdrive.runtime.daemon import StopSender
 from adaptdrive.runtime.fast_loop import FastLoop
+from adaptdrive.runtime.reports import StopWord
 from adaptdrive.runtime.requests import Enable
+from tests.runtime.bench import idle_daemon
 from tests.runtime.test_machine import Desk
 
 
@@ -19,6 +20,7 @@ class Counting:
     """
 
     stop_limit_s = 0.5
+    stop = StopWord.AWAITED
 
     def __init__(self) -> None:
         self.sent = 0
@@ -29,12 +31,12 @@ class Counting:
 
 def test_a_flood_of_stops_leaves_out_none_of_an_energised_drive() -> None:
     desk, fast = Desk(), Counting()
-    sender = StopSender(desk.machine, cast(FastLoop, fast), lambda: 100.0)
-    sender.stop_again()
-    sender.stop_again()
+    daemon = idle_daemon(desk.machine, cast(FastLoop, fast), lambda: 100.0)
+    daemon.stop()
+    daemon.stop()
     assert fast.sent == 1
     desk.ask(Enable())
-    sender.stop_again()
+    daemon.stop()
     assert fast.sent == 2
     assert not desk.machine.energised
 
@@ -42,6 +44,6 @@ def test_a_flood_of_stops_leaves_out_none_of_an_energised_drive() -> None:
 async def test_a_farewell_is_said_more_than_once() -> None:
     desk, fast = Desk(), Counting()
     desk.ask(Enable())
-    await StopSender(desk.machine, cast(FastLoop, fast), lambda: 100.0).say_farewell()
+    await idle_daemon(desk.machine, cast(FastLoop, fast), lambda: 100.0)._send_last_stops()
     assert fast.sent == FAREWELLS > 1
     assert not desk.machine.energised

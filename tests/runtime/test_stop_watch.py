@@ -11,7 +11,6 @@ import pytest
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
-from adaptdrive.runtime.daemon import StopSender
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from adaptdrive.runtime.stopping import Stop, StopWatch
@@ -23,6 +22,7 @@ from tests.runtime.bench import (
     TICK_S,
     FastBench,
     fast_bench,
+    idle_daemon,
     running_bench,
 )
 
@@ -262,7 +262,7 @@ async def test_a_stop_that_is_not_confirmed_is_an_alarm_however_long_the_last_sl
 ) -> None:
     async with running_bench() as bench:
         around = bench.around
-        sender = StopSender(bench.machine, bench.loop, around.now_s)
+        daemon = idle_daemon(bench.machine, bench.loop, around.now_s)
         bench.ask(Disable())
         limit_s = around.now + bench.loop.stop_limit_s
 
@@ -271,7 +271,7 @@ async def test_a_stop_that_is_not_confirmed_is_an_alarm_however_long_the_last_sl
             around.now += seconds + (overslept_s if late else 0.0)
 
         monkeypatch.setattr(asyncio, "sleep", sleep)
-        await sender.await_stop()
+        await daemon._await_stop()
         monkeypatch.undo()
         assert bench.trip.startswith("the drive does not stop")
 
@@ -365,7 +365,7 @@ def test_a_bridge_that_has_been_on_and_went_off_by_itself_is_off_at_once(
 
 
 def test_the_reason_names_the_time_since_the_stop() -> None:
-    why = stopped().why_not(None, math.inf, STOP_S + 2.0)
+    why = stopped().unconfirmed_text(None, math.inf, STOP_S + 2.0)
     assert why.startswith("it has not taken the safe command 2000 ms after the stop; ")
 
 

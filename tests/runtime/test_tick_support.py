@@ -103,11 +103,11 @@ def test_a_tick_is_rehearsed_from_frames_to_a_command_of_a_drive_that_runs(name:
     port = build_port(configuration, lambda: next(now), path)
     rehearsal = Rehearsal(configuration, port)
     rehearsal.tick()
-    before, ticks = port.statistics, rehearsal._loop.counts.ticks
+    before, ticks = port.statistics, rehearsal._loop.ticks
     for _ in range(100):
         rehearsal.tick()
     after, loop = port.statistics, rehearsal._loop
-    assert loop.counts.ticks == ticks + 100
+    assert loop.ticks == ticks + 100
     assert loop.command.bridge
     assert rehearsal._machine.trip is None
     assert after.send_drops > before.send_drops
@@ -147,10 +147,10 @@ async def test_what_was_overslept_reaches_the_filters_as_a_drive_that_skipped_it
     async with fast_bench() as bench, fast_bench() as other:
         bench.start()
         other.start()
-        ticks, sent = bench.loop.counts.ticks, len(bench.sent)
+        ticks, sent = bench.loop.ticks, len(bench.sent)
         await overslept(bench, 5)
-        assert (bench.loop.counts.ticks, len(bench.sent)) == (ticks + 1, sent + 1)
-        assert (bench.loop.counts.missed, bench.loop.counts.held) == (4, 0)
+        assert (bench.loop.ticks, len(bench.sent)) == (ticks + 1, sent + 1)
+        assert (bench.loop.missed, bench.loop.held) == (4, 0)
         assert bench.around.deadline_s > bench.around.now
         other.around.deadline_s = math.inf
         other.measured = CALM

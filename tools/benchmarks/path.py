@@ -24,8 +24,8 @@ from adaptdrive.devices.port import PortStatistics
 from adaptdrive.mqtt.contract import Output, drive_message, encode
 from adaptdrive.recording.records import packed_ticks
 from adaptdrive.runtime.accounts import drive_report
+from adaptdrive.runtime.fast_loop import TimeWindow
 from adaptdrive.runtime.reports import Hub, TickReport
-from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector
 from adaptdrive.util.clock import arm_timer, create_timer
 from tests.devices.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING

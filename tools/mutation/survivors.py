@@ -43,7 +43,7 @@ _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.timebase:HalfCycles."
 _RATE = "runtime.frame_rate:"
 _COUNTER = "runtime.timebase:CounterWatch."
-_BRIDGE = "runtime.interlock_board:BridgeWatch."
+_BRIDGE = "runtime.stopping:BridgeWatch."
 
 RUNTIME: dict[str, str] = {
     "runtime.settings:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
@@ -84,14 +84,14 @@ RUNTIME: dict[str, str] = {
     f"{_COUNTER}__init__: self._newest: _Count = (0, -math.inf) -> "
     "self._newest: _Count = (0, math.inf)": _SET_BEFORE_USE,
     f"{_COUNTER}see: return False -> return None": _FALSE,
-    f"{_COUNTER}_judge: if self._off(believed, count) <= SLACK_TICKS: -> "
-    "if self._off(believed, count) < SLACK_TICKS:": _DOUBT_BOUND,
-    f"{_COUNTER}_judge: if doubted is not None and self._off(doubted, count) <= _PACE_TICKS: -> "
-    "if doubted is not None and self._off(doubted, count) < _PACE_TICKS:": _DOUBT_BOUND,
-    f"{_COUNTER}_judge: if self._passed(doubted, count) >= _SURE_TICKS: -> "
-    "if self._passed(doubted, count) > _SURE_TICKS:": _TIME_BOUND,
-    f"{_COUNTER}_judge: if count[0] <= self._passed(believed, count) + _BEGUN_TICKS: -> "
-    "if count[0] < self._passed(believed, count) + _BEGUN_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_judge: if self._off(accepted, count) <= SLACK_TICKS: -> "
+    "if self._off(accepted, count) < SLACK_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_judge: if suspect is not None and self._off(suspect, count) <= _PACE_TICKS: -> "
+    "if suspect is not None and self._off(suspect, count) < _PACE_TICKS:": _DOUBT_BOUND,
+    f"{_COUNTER}_judge: if self._passed(suspect, count) >= _SURE_TICKS: -> "
+    "if self._passed(suspect, count) > _SURE_TICKS:": _TIME_BOUND,
+    f"{_COUNTER}_judge: if count[0] <= self._passed(accepted, count) + _BEGUN_TICKS: -> "
+    "if count[0] < self._passed(accepted, count) + _BEGUN_TICKS:": _DOUBT_BOUND,
     f"{_COUNTER}_judge: if stray is not None and self._off(stray, count) <= _PACE_TICKS: -> "
     "if stray is not None and self._off(stray, count) < _PACE_TICKS:": _DOUBT_BOUND,
     f"{_COUNTER}_judge: if self._passed(stray, count) >= sure_ticks: -> "
@@ -100,16 +100,16 @@ RUNTIME: dict[str, str] = {
     "self._gap_s = self._silent_s = 1.0": _SET_BEFORE_USE,
     f"{_BRIDGE}__init__: self._gap_end_s = self._silence_end_s = -math.inf -> "
     "self._gap_end_s = self._silence_end_s = math.inf": _SET_BEFORE_USE,
-    f"{_BRIDGE}_see_on: if _heard_s(reading) > self._silence_end_s: -> "
-    "if _heard_s(reading) >= self._silence_end_s:": _TIME_BOUND,
+    f"{_BRIDGE}_note_on: if _bridge_report_s(reading) > self._silence_end_s: -> "
+    "if _bridge_report_s(reading) >= self._silence_end_s:": _TIME_BOUND,
     f"{_BRIDGE}_is_overdue: return False -> return None": _FALSE,
     f"{_BRIDGE}_note_silence: if silent_s <= limit_s: -> if silent_s < limit_s:": _TIME_BOUND,
     f"{_BRIDGE}find_cause: if unwatched_s > self._gap_limit_s: -> "
     "if unwatched_s >= self._gap_limit_s:": _TIME_BOUND,
     f"{_BRIDGE}_is_overdue: return reported_s - self._off_s > self._grace_s "
     "+ _SLACK_S -> return reported_s - self._off_s >= self._grace_s + _SLACK_S": _SLACK,
-    "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
-    "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
+    "runtime.reports:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
+    "runtime.reports:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
 }
 
 MQTT: dict[str, str] = {

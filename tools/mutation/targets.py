@@ -19,8 +19,9 @@ _RATE = (
 RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.interlocks": (
         "tests/runtime/test_interlocks.py",
-        "tests/runtime/test_response.py",
+        "tests/runtime/test_interlock_board.py",
         *_LOOP,
+        "tests/runtime/test_bridge_watch.py",
         "tests/runtime/test_guard.py",
     ),
     "adaptdrive.runtime.state_machine": (*_MACHINE, "tests/runtime/test_fast_loop_decisions.py"),
@@ -28,12 +29,11 @@ RUNTIME: dict[str, tuple[str, ...]] = {
         "tests/runtime/test_machine_manual.py",
         *_MACHINE,
     ),
-    "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
-    "adaptdrive.runtime.interlock_board": (
-        "tests/runtime/test_interlock_board.py",
+    "adaptdrive.runtime.fast_loop": (
         *_LOOP,
-        "tests/runtime/test_bridge_watch.py",
-        "tests/runtime/test_fast_loop.py",
+        *_LOOP_MORE,
+        *_STOP,
+        "tests/runtime/test_statistics.py",
     ),
     "adaptdrive.runtime.timebase": (
         "tests/runtime/test_counter_watch.py",
@@ -43,9 +43,10 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.frame_rate": (*_RATE, "tests/runtime/test_counter_watch.py"),
     "adaptdrive.runtime.stopping": (
         *_STOP,
+        "tests/runtime/test_bridge_watch.py",
+        *_LOOP,
         "tests/runtime/test_frame_rate.py",
     ),
-    "adaptdrive.runtime.statistics": ("tests/runtime/test_statistics.py",),
     "adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP),  # the loop's order
 }
 

@@ -7,7 +7,7 @@ import re
 import sys
 from pathlib import Path
 
-from adaptdrive.runtime.trips import TRIPS
+from adaptdrive.mqtt.contract import TRIPS
 
 BEGIN, END = "<!-- trips: written by `make docs` -->\n", "<!-- end of trips -->\n"
 
@@ -29,7 +29,9 @@ def _part(found: re.Match[str]) -> str:
 
 def table() -> str:
     """Return the table as Markdown."""
-    rows = [f"| `{shown(trip.example)}` | {trip.cause} | {trip.remedy} |" for trip in TRIPS]
+    rows = [
+        f"| `{shown(trip['example'])}` | {trip['cause']} | {trip['remedy']} |" for trip in TRIPS
+    ]
     return "\n".join(["| trip | cause | remedy |", "|---|---|---|", *rows, ""])
 
 

@@ -1,15 +1,21 @@
 """Which files does one sample pass? `python -m tools.walk [--files]`.
 
-The daemon of the motor example runs in front of a simulated drive, in virtual time. Two walks are
-traced through the running program: one tick from the frames of the drive to the command, and one
-ordinary slow period. For each one the calls, the functions and the files of the product are
-counted, and how often the walk returns to a file that it had left.
+The daemon of the motor example runs in front of a simulated drive, in virtual time. Four walks are
+traced through the running program: one tick from the frames of the drive to the command, one
+ordinary slow period, one set-point from the message of the broker to the reply, and one estimate
+from the decision to the table of its session. For each one the calls, the functions and the files
+of the product are counted, and how often the walk returns to a file that it had left.
+
+The broker of the third walk is in memory, without the client of the MQTT library. The fourth takes
+the ticks of the same 0.25 s with it, and ends in the archiver, which is another process in the
+field.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -20,16 +26,27 @@ from typing import Any
 
 import pytest
 
+from adaptdrive.config.services import Mqtt
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode
 from adaptdrive.devices.can.connection import FrameReader
+from adaptdrive.mqtt.contract import Profile
+from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
+from adaptdrive.recording.recorder import Recorder
+from adaptdrive.recording.records import Header
 from adaptdrive.runtime.requests import SetMode, SetSetpoint
 from tests.closed_loop.test_same_on_every_bus import COURSES, configured
-from tests.closed_loop.wire import wired
+from tests.closed_loop.wire import Wire, wired
+from tests.mqtt.memory_broker import MemoryBroker
+from tests.mqtt.peers import listening
+from tests.recording import disk
+from tests.recording.material import INFO
+from tests.support import captured_lines
 from tests.virtual_time import virtual_time
 
 SOURCE = str(Path(__file__).parents[2] / "src" / "adaptdrive") + "/"
 SETTLED_S = 60.0
+EPOCH_S = 1.8e9
 
 
 @dataclass
@@ -59,22 +76,29 @@ class Walk:
     def line(self, name: str) -> str:
         """Return the row of the table."""
         counts = (len(self.functions), len(set(self.functions)), len(self.files), self.returns)
-        return f"{name:12}" + "".join(f"{count:>11}" for count in counts)
+        return f"{name:18}" + "".join(f"{count:>11}" for count in counts)
 
 
 @contextlib.contextmanager
-def traced(owner: type, name: str, walks: list[Walk]) -> Iterator[None]:
-    """Trace each call of a method into a walk of its own."""
+def traced(walk: Walk) -> Iterator[None]:
+    """Trace what runs meanwhile, but what has a walk of its own."""
+    before = sys.getprofile()
+    sys.setprofile(walk.note)
+    try:
+        yield
+    finally:
+        sys.setprofile(before)
+
+
+@contextlib.contextmanager
+def each_traced(owner: object, name: str, walks: list[Walk]) -> Iterator[None]:
+    """Trace each call of a function into a walk of its own."""
     call: Callable[..., Any] = getattr(owner, name)
 
     def followed(*words: Any, **named: Any) -> Any:
-        walk = Walk()
-        walks.append(walk)
-        sys.setprofile(walk.note)
-        try:
+        walks.append(Walk())
+        with traced(walks[-1]):
             return call(*words, **named)
-        finally:
-            sys.setprofile(None)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(owner, name, followed)
@@ -86,14 +110,61 @@ async def follow(folder: Path) -> dict[str, Walk]:
     configuration, path = configured("motor", folder)
     ticks: list[Walk] = []
     periods: list[Walk] = []
-    with traced(FrameReader, "drain", ticks), traced(Controller, "decide", periods):
+    with each_traced(FrameReader, "drain", ticks), each_traced(Controller, "decide", periods):
         async with wired(configuration, COURSES["motor"].settings, path) as wire:
             await wire.until_running()
             await wire.daemon.execute(SetSetpoint(3.0))
             await wire.daemon.execute(SetMode(Mode.ADAPTIVE))
             await asyncio.sleep(SETTLED_S)
-    sent = [walk for walk in ticks[-100:] if "runtime/interlocks.py" in walk.files]
-    return {"tick": _median(sent), "slow period": _median(periods[-20:])}
+            sent = [walk for walk in ticks[-100:] if "runtime/interlocks.py" in walk.files]
+            settled = periods[-20:]
+            return {
+                "tick": _median(sent),
+                "slow period": _median(settled),
+                "set-point": _median(await _setpoints(wire)),
+                "estimate to disk": await _estimate(wire, folder),
+            }
+
+
+async def _setpoints(wire: Wire) -> list[Walk]:
+    """Send set-points through a broker, and wait for the reply to each."""
+    walks, broker = [Walk() for _ in range(20)], MemoryBroker()
+    service = MqttService(Profile("motor"), Mqtt(), wire.daemon, wire.hub, ServiceSurroundings())
+    with broker.joined(), captured_lines():
+        serving = asyncio.create_task(service.run())
+        await asyncio.sleep(1.0)
+        async with listening(broker, "adaptdrive/motor/reply") as ear:
+            for number, walk in enumerate(walks):
+                command = json.dumps({"id": str(number), "value": 3.0 + 0.01 * number})
+                with traced(walk):
+                    broker.publish("adaptdrive/motor/command/setpoint", command.encode())
+                    await ear.on("adaptdrive/motor/reply")
+                await asyncio.sleep(0.1)
+        serving.cancel()
+        await asyncio.wait([serving])
+    return walks
+
+
+async def _estimate(wire: Wire, folder: Path) -> Walk:
+    """Record one decision, end the session, and write its tables."""
+    loop, walk, archived = asyncio.get_running_loop(), Walk(), list[Walk]()
+    with pytest.MonkeyPatch.context() as patch:
+        disk.Disk(patch)
+        disk.archive_in_process(patch)
+        folders = folder / "motor.log", folder / "sessions"
+        clock = lambda: (loop.time(), EPOCH_S + loop.time())  # noqa: E731
+        recorder = Recorder(*folders, Header(INFO, ""), wire.hub, clock)
+        recording = asyncio.create_task(recorder.run())
+        await asyncio.sleep(1.0)
+        report = await wire.period()
+        with traced(walk):
+            wire.daemon.decided(report.snapshot, report.decision)
+            await recorder._gather()
+        with each_traced(disk, "archive", archived):
+            recording.cancel()
+            await asyncio.wait([recording])
+    walk.functions += archived[-1].functions
+    return walk
 
 
 def _median(walks: list[Walk]) -> Walk:
@@ -105,7 +176,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="walk-") as folder, virtual_time() as runner:
         walks = runner.run(follow(Path(folder)))
     heads = ("calls", "functions", "files", "returns")
-    lines = [f"{'':12}" + "".join(f"{head:>11}" for head in heads)]
+    lines = [f"{'':18}" + "".join(f"{head:>11}" for head in heads)]
     lines += [walk.line(name) for name, walk in walks.items()]
     if "--files" in sys.argv:
         lines += ["\n  ".join([f"\n{name}:", *walk.files]) for name, walk in walks.items()]

@@ -25,7 +25,7 @@ from adaptdrive.app.process import NAMESPACE
 from adaptdrive.app.settings import operator_profile
 from adaptdrive.cli.desk import panel_address
 from adaptdrive.config import bus, file, services
-from adaptdrive.mqtt import clock, commands, contract
+from adaptdrive.mqtt import commands, contract
 from adaptdrive.mqtt.client import NoAnswerError
 from adaptdrive.processes.owned import BROKER, Child, Household, Ports
 from adaptdrive.recording.session import Ending, read_info
@@ -360,7 +360,7 @@ class VirtualStage:
         drive, machine = self.drive, self.drive.machine
         report = state_report(machine, drive.decision, reports.StopWord.CONFIRMED)
         last = contract.LastTrip(self._now, machine.trip, "") if machine.trip else None
-        standing = contract.Standing(self._now, last, clock.Synchronisation.UNKNOWN, self._now)
+        standing = contract.Standing(self._now, last, contract.Synchronisation.UNKNOWN, self._now)
         self._publish("state", contract.state_message(report, standing, self._profile))
         if machine.state == self._last_state:
             return

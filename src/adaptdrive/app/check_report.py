@@ -14,8 +14,8 @@ from adaptdrive.control.signals import Command
 from adaptdrive.devices.bus import Row
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime import plausibility
+from adaptdrive.runtime.accounts import WINDOW_S
 from adaptdrive.runtime.capacitor import CapacitorBalance, CapacitorLimits
-from adaptdrive.runtime.interlocks import WINDOW_S
 from adaptdrive.util.errors import ConfigurationError, escaped
 
 # Highest v_bst that a report which fails can lead to, as `adaptdrive check` states it.

@@ -197,7 +197,7 @@ class Rehearsal:
         self._machine.carry_out(requests.Disable(), self._loop.tick, math.nan, None)
         self._loop.send_safe()
         self._machine.confirm_stop()  # no drive is there to do it
-        return self._loop.counts.ticks
+        return self._loop.ticks
 
     def tick(self) -> None:
         """One tick of a drive that runs, from its frames to a command; the first one starts it."""

@@ -266,12 +266,12 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
         keep=records.Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
     pace = journal.RecordingPace(flush_s=recording.flush_s, start_thread=start_thread)
-    place = place_of(configuration)
-    return recorder.Recorder(place, header, hub, lambda: (now_s(), time.time()), pace, recalled)
+    clock = lambda: (now_s(), time.time())  # noqa: E731
+    return recorder.Recorder(*place_of(configuration), header, hub, clock, pace, recalled)
 
 
-def place_of(configuration: Configuration) -> journal.Place:
-    """Return the folders of the log and of the sessions of a drive.
+def place_of(configuration: Configuration) -> tuple[Path, Path | None]:
+    """Return the folders of the log and of the sessions of a drive, None where none is recorded.
 
     Raises:
         RecordingError: The name of the folder of sessions is not UTF-8.
@@ -279,7 +279,7 @@ def place_of(configuration: Configuration) -> journal.Place:
     recording = configuration.recording
     state = _absolute(state_directory())
     sessions = _sessions(recording.directory) if recording.enabled else None
-    return journal.Place(journal_files.log_folder(state, configuration.drive.name), sessions)
+    return journal_files.log_folder(state, configuration.drive.name), sessions
 
 
 def state_directory() -> Path:

@@ -260,7 +260,7 @@ async def _run(
     events = hub.subscribe(reports.Event, size=_EVENTS_HELD)
     port = ports.build_whole_port(configuration, clock.now_s, course.path)
     settings, load = controller_settings(configuration), loads.build_load(configuration)
-    recalled = recall_log(recording.place_of(configuration).log, datetime.now(UTC))
+    recalled = recall_log(recording.place_of(configuration)[0], datetime.now(UTC))
     learnt, known = recording.recall(
         recalled.learnt, configuration, settings, load, measured=given.measured
     )

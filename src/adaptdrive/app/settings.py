@@ -30,8 +30,13 @@ from adaptdrive.control.settings import (
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
 from adaptdrive.runtime import capacitor, frame_rate, plausibility
-from adaptdrive.runtime.interlocks import CommandLimits, Limits, Watch
-from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, MachineLimits
+from adaptdrive.runtime.settings import (
+    CommandLimits,
+    DaemonSettings,
+    FastLoopSettings,
+    Limits,
+    MachineLimits,
+)
 
 # The interlocks that a configuration asks for: trip levels, and watches over the output.
 
@@ -64,12 +69,12 @@ def capacitor_limits(configuration: Configuration) -> capacitor.CapacitorLimits 
     )
 
 
-def watches(configuration: Configuration) -> tuple[Callable[[], Watch], ...]:
+def watches(configuration: Configuration) -> tuple[Callable[[], plausibility.Watch], ...]:
     """Return the factories of the watches over the output; a fast loop builds its own of each."""
     return tuple(_watches(configuration))
 
 
-def _watches(configuration: Configuration) -> Iterator[Callable[[], Watch]]:
+def _watches(configuration: Configuration) -> Iterator[Callable[[], plausibility.Watch]]:
     if (stillness := stillness_limits(configuration)) is not None:
         yield functools.partial(plausibility.StillnessWatch, stillness)
     if (response := response_limits(configuration)) is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from adaptdrive.mqtt import commands
 from adaptdrive.mqtt.client import LIVE_S, DriveStatus
-from adaptdrive.runtime.trips import remedy
+from adaptdrive.mqtt.contract import remedy
 from adaptdrive.util.quantity import Given
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")

@@ -214,8 +214,8 @@ def events(
         directory: Folder of the sessions.
         as_json: Print JSON.
     """
+    from adaptdrive.mqtt.contract import remedy  # noqa: PLC0415
     from adaptdrive.recording.reader import session_notes  # noqa: PLC0415 - see above
-    from adaptdrive.runtime.trips import remedy  # noqa: PLC0415
 
     _refuse_unknown(kind)
     noted, _ = session_notes(find(session, directory))

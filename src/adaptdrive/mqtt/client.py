@@ -128,7 +128,7 @@ class DriveStatus:
 
     @property
     def silent(self) -> bool:
-        """True if the daemon is online by the broker's word only."""
+        """True if the daemon is online by the broker's report only."""
         return self.online and not self.live
 
 
@@ -147,21 +147,23 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
     async with conversation(broker, drive, end_s) as client:
         async with asyncio.timeout_at(end_s):
             await client.subscribe([(topics.availability, 1), (topics.state, 1)])
-            await _listen(client, {drive: status}, lambda: _complete(status))
+            await _listen(
+                client,
+                {drive: status},
+                lambda: status.state is not None and status.availability is not None,
+            )
         if status.online:
             with suppress(TimeoutError):
                 async with asyncio.timeout_at(min(end_s, end_of(LIFE_WAIT_S))):
                     await client.subscribe(_telemetry_of(topics))
-                    await _listen(client, {drive: status}, lambda: _alive(status))
+                    await _listen(
+                        client, {drive: status}, lambda: status.live and "drive" in status.telemetry
+                    )
     return status
 
 
 async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
     """Yield telemetry as it is published: `load` or `drive`, and the message.
-
-    Args:
-        broker: Where the broker is.
-        drive: Name of the drive.
 
     Raises:
         NoAnswerError: The broker cannot be reached, or closed the connection.
@@ -179,10 +181,6 @@ async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[
 async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
     """Return what the broker holds of all drives, and their telemetry if some arrives in time.
 
-    Args:
-        broker: Where the broker is.
-        timeout_s: Longest time in all.
-
     Raises:
         NoAnswerError: No broker.
     """
@@ -190,9 +188,9 @@ async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
     end_s = end_of(timeout_s)
     async with conversation(broker, "all drives", end_s) as client:
         every = contract.Topics("+")
-        retained = (every.availability, every.state, every.load_telemetry)
+        topics = every.availability, every.state, every.load_telemetry, every.drive_telemetry
         async with asyncio.timeout_at(end_s):
-            await client.subscribe([(topic, 1) for topic in (*retained, every.drive_telemetry)])
+            await client.subscribe([(topic, 1) for topic in topics])
         life_s = end_of(LIFE_WAIT_S)
         with suppress(TimeoutError):
             async with asyncio.timeout_at(end_s), asyncio.timeout(SITE_WAIT_S) as quiet:
@@ -217,10 +215,6 @@ async def _listen_to_all(
 
 async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
     """Ask for the history of a drive, and yield all that it publishes, by the name of its topic.
-
-    Args:
-        broker: Where the broker is.
-        drive: Name of the drive.
 
     Raises:
         NoAnswerError: The broker cannot be reached, or closed the connection.
@@ -247,14 +241,6 @@ async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str
 
 def _telemetry_of(topics: contract.Topics) -> list[tuple[str, int]]:
     return [(topics.load_telemetry, 0), (topics.drive_telemetry, 0)]
-
-
-def _complete(status: DriveStatus) -> bool:
-    return status.state is not None and status.availability is not None
-
-
-def _alive(status: DriveStatus) -> bool:
-    return status.live and "drive" in status.telemetry
 
 
 async def _listen(client: Client, site: dict[str, DriveStatus], enough: Callable[[], bool]) -> None:
@@ -347,14 +333,12 @@ async def disturb(
 
 
 async def _expiry(client: Client, drive: str, topics: contract.Topics, end_s: float) -> str:
-    """Return the time at which a wait ends, by the clock of the drive where it is heard."""
+    """Return the time at which a wait ends, by the clock of the drive where it publishes."""
     patience_s = (end_s - asyncio.get_running_loop().time()) / 2.0
     ahead_s = await _clock_difference_s(client, topics, patience_s)
     if ahead_s is None:
-        ping = {"expires": _moment(end_s)}
-        await _ask(
-            client, drive, (topics.command(commands.PING), topics.reply), ping, contract.Reply
-        )
+        places = topics.command(commands.PING), topics.reply
+        await _ask(client, drive, places, {"expires": _moment(end_s)}, contract.Reply)
     return _moment(end_s, ahead_s or 0.0)
 
 
@@ -375,9 +359,9 @@ async def _clock_difference_s(
         async with asyncio.timeout(min(patience_s, TELEMETRY_WAIT_S)):
             await client.subscribe(topics.drive_telemetry)
             async for message in client.messages:
-                told = decoded(bytes(message.payload), _Timed)
-                if told is not None and not message.retain:
-                    ahead_s = (told.time - datetime.now(UTC)).total_seconds()
+                found = decoded(bytes(message.payload), _Timed)
+                if found is not None and not message.retain:
+                    ahead_s = (found.time - datetime.now(UTC)).total_seconds()
                     return ahead_s if abs(ahead_s) < _FARTHEST_S else 0.0
     return None
 

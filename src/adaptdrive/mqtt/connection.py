@@ -22,7 +22,6 @@ from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt.clock import BrokerBackoff, Monotonic
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.util import clock, files, log
 from adaptdrive.util.errors import first_error
@@ -42,12 +41,12 @@ class ClientName:
         own: The drive's own name.
         monotonic: Clock for intervals, in seconds.
         alarm: Reports another client of this name.
-        trip: Trips the drive, where the other client is beyond doubt.
+        trip: Trips the drive, where the other client is certain.
         present: The name to connect under.
     """
 
     own: str
-    monotonic: Monotonic
+    monotonic: Callable[[], float]
     alarm: Callable[[str], None]
     trip: Callable[[str], None]
 
@@ -57,29 +56,29 @@ class ClientName:
         self._closings_s: deque[float] = deque(maxlen=CLOSINGS)
 
     @property
-    def given_way(self) -> bool:
+    def is_displaced(self) -> bool:
         """True if another client has the drive's own name."""
         return self.present != self.own
 
     def connection_ended(self, client: SteadyClient) -> None:
         """Look whether a connection ended because another client took the name."""
-        if self.given_way:
+        if self.is_displaced:
             return
         if client.taken_over:
-            self._give_way("the broker gave its connection to another client", certain=True)
+            self._change_name("the broker gave its connection to another client", certain=True)
         elif client.closed_by_broker:
             self._count_closing()
 
-    def heard_rival(self) -> None:
+    def note_other_publisher(self) -> None:
         """Another client publishes as this drive."""
         if not self._certain:
-            self._meet(f"another client publishes as {self.own}", certain=True)
+            self._report_other(f"another client publishes as {self.own}", certain=True)
 
     def reclaim(self, client: SteadyClient) -> None:
         """Take the drive's own name again: a daemon that has it loses it, and trips."""
-        if self.given_way:
+        if self.is_displaced:
             self.present, self._certain = self.own, False
-            client.hang_up("connects under its own client name again")
+            client.end_connection("connects under its own client name again")
 
     def _count_closing(self) -> None:
         # Not every broker gives a reason; then a name that is lost again and again is the sign.
@@ -89,13 +88,13 @@ class ClientName:
         if len(self._closings_s) == CLOSINGS and lasted_s < CLOSINGS_WITHIN_S:
             self._closings_s.clear()
             closed = f"the broker closed its connection {CLOSINGS} times in {lasted_s:.0f} s"
-            self._give_way(closed, certain=False)
+            self._change_name(closed, certain=False)
 
-    def _give_way(self, detail: str, *, certain: bool) -> None:
+    def _change_name(self, detail: str, *, certain: bool) -> None:
         self.present = f"{self.own}-{uuid.uuid4().hex[:8]}"
-        self._meet(f"client name {self.own}: {detail}", certain=certain)
+        self._report_other(f"client name {self.own}: {detail}", certain=certain)
 
-    def _meet(self, detail: str, *, certain: bool) -> None:
+    def _report_other(self, detail: str, *, certain: bool) -> None:
         """Report the other client, and trip where it is certain."""
         self._certain = certain
         cause = (
@@ -110,8 +109,13 @@ class ClientName:
 # The connection to a broker: made, kept, and made again.
 
 TIMEOUT_S = 5.0
-GOODBYE_S = 1.0
+DISCONNECT_S = 1.0
 KEEP_ALIVE_S = 15
+_FIRST_PAUSE_S = 0.5
+_LONGEST_PAUSE_S = 30.0
+_HEALTHY_S = 10.0
+"""Life of a connection that makes the next pause the first one again."""
+
 _LONGEST_PASSWORD = 65_535
 """Bytes that MQTT has room for."""
 
@@ -126,12 +130,17 @@ class BrokerLink:
     """Keeps one client connected for as long as it runs."""
 
     def __init__(
-        self, settings: Mqtt, name: ClientName, will: Will, backoff: BrokerBackoff
+        self,
+        settings: Mqtt,
+        name: ClientName,
+        will: Will,
+        uniform: Callable[[float, float], float],
     ) -> None:
         self._settings, self._place = settings, f"{settings.host}:{settings.port}"
         self._name = name
         self._will = will
-        self._backoff = backoff
+        self._uniform = uniform
+        self._failures = 0
         self._since_s = math.inf
         self._problem = ""
 
@@ -148,9 +157,20 @@ class BrokerLink:
             except* Exception as problems:  # noqa: BLE001 - control continues without a broker
                 self._report(first_error(problems))
             lived_s = max(0.0, asyncio.get_running_loop().time() - self._since_s)
-            if self._name.present != name:  # the broker is there, and a stop must be heard
+            if self._name.present != name:  # the broker is there, and a stop must arrive
                 lived_s = math.inf
-            await asyncio.sleep(self._backoff.after(lived_s))
+            await asyncio.sleep(self.pause_s(lived_s))
+
+    def pause_s(self, lived_s: float) -> float:
+        """Return the wait after a connection that lived so long, 0 for one that failed, in s.
+
+        It doubles with each failure up to its longest, and is spread so that a site does not surge.
+        """
+        if lived_s >= _HEALTHY_S:
+            self._failures = 0
+        ceiling_s = min(_LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2.0 ** min(self._failures, 30))
+        self._failures += 1
+        return self._uniform(0.5 * ceiling_s, ceiling_s)
 
     async def _serve_once(self, serve: Serve) -> None:
         self._since_s = math.inf
@@ -201,7 +221,7 @@ async def connection(
 ) -> AsyncIterator[SteadyClient]:
     """One connection to a broker, closed at the end whatever state it is in.
 
-    It ends with a goodbye unless an error ends it: then the broker sends the last will.
+    It ends with a DISCONNECT unless an error ends it: then the broker sends the last will.
 
     Args:
         settings: Address of the broker, and login.
@@ -231,13 +251,13 @@ async def connection(
     )
     try:
         # a cancelled attempt is waited for, as its thread cannot be stopped
-        await _contained(client.__aenter__(), client.give_up)
+        await _contained(client.__aenter__(), client.cancel_connecting)
         try:
             yield client
         except asyncio.CancelledError:
-            await _say_goodbye(client)
+            await _disconnect(client)
             raise
-        await _say_goodbye(client)
+        await _disconnect(client)
     finally:
         await client.release()
 
@@ -280,14 +300,14 @@ def _tls(ca_file: Path | None) -> ssl.SSLContext:
         raise OSError(f"ca_file {ca_file} cannot be used: {problem}") from problem
 
 
-async def _say_goodbye(client: Client) -> None:
+async def _disconnect(client: Client) -> None:
     with suppress(MqttError, TimeoutError):
-        async with asyncio.timeout(GOODBYE_S):
+        async with asyncio.timeout(DISCONNECT_S):
             await client.__aexit__(None, None, None)
 
 
 async def _contained(
-    work: Coroutine[Any, Any, object], give_up: Callable[[], object] | None = None
+    work: Coroutine[Any, Any, object], cancel: Callable[[], object] | None = None
 ) -> None:
     """Await work in a separate task, so that a cancellation is never lost.
 
@@ -295,13 +315,13 @@ async def _contained(
 
     Args:
         work: What is awaited.
-        give_up: Ends it early, at a cancellation; None to cancel it.
+        cancel: Ends it early, at a cancellation; None to cancel it.
     """
     task = asyncio.create_task(work)
     try:
         await asyncio.wait([task])
     except asyncio.CancelledError:
-        (give_up or task.cancel)()
+        (cancel or task.cancel)()
         await asyncio.wait([task])
         if not task.cancelled():
             task.exception()

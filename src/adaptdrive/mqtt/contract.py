@@ -7,19 +7,21 @@ units with RFC 3339 times in UTC. JSON has neither NaN nor infinity: the encoder
 from __future__ import annotations
 
 import dataclasses
+import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
-from adaptdrive.mqtt.clock import Synchronisation
 from adaptdrive.mqtt.commands import STOP
 from adaptdrive.runtime import reports
-from adaptdrive.runtime.trips import remedy
 from adaptdrive.util.quantity import BOOST, Given
 
 Range = tuple[float | None, float | None]
@@ -88,6 +90,14 @@ class Reply(msgspec.Struct, frozen=True):
     accepted: bool
     reason: str
     state: reports.State | None
+
+
+class Synchronisation(StrEnum):
+    """Synchronisation of the wall clock with a time source."""
+
+    SYNCHRONISED = "synchronised"
+    UNSYNCHRONISED = "unsynchronised"
+    UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +175,38 @@ def _fields(report: DataclassInstance, *left_out: str) -> Payload:
     names = (field.name for field in dataclasses.fields(report))
     return {name: getattr(report, name) for name in names if name not in left_out}
 
+
+# The causes of trips with their remedies, as `runtime/trips.toml` lists them.
+#
+# An interlock gives its cause as text, and records keep only that. The registry leads from there to
+# the remedy: in the table of `docs/operation.md`, and in each message.
+
+
+def _beginning(entry: dict[str, str]) -> str:
+    """Return the sign of an entry that has none: what comes before the colon of its example."""
+    return f"^{re.escape(entry['example'].partition(': ')[0])}: "
+
+
+_TRIPS_FILE = resources.files("adaptdrive.runtime") / "trips.toml"
+TRIPS: tuple[dict[str, str], ...] = tuple(
+    {"sign": _beginning(one)} | one
+    for one in tomllib.loads(_TRIPS_FILE.read_text(encoding="utf-8"))["trip"]
+)
+"""Kinds of trips: `sign`, a regular expression that occurs in the text of such a trip; `example`,
+such a text, where `…` stands for the rest; `cause` in words; `remedy`, the steps before `reset`."""
+
+
+def remedy(text: str) -> str:
+    """Return the steps that remove the cause of a trip as plain text, empty for an unknown cause.
+
+    Args:
+        text: Text of the trip.
+    """
+    found = (trip["remedy"] for trip in TRIPS if re.search(trip["sign"], text))
+    return next(found, "").replace("`", "")
+
+
+# Topics of a drive, and of a simulated device.
 
 ROOT = "adaptdrive"
 SIMULATED = "adaptdrive-sim"

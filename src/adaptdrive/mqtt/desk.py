@@ -6,6 +6,8 @@ waits for a slow disk must not undo the stop that came after it.
 """
 
 import asyncio
+import math
+import sys
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import InitVar, dataclass, field
@@ -14,7 +16,7 @@ from functools import cached_property
 
 import msgspec
 
-from adaptdrive.mqtt import clock, commands, contract
+from adaptdrive.mqtt import commands, contract
 from adaptdrive.runtime.reports import CommandReport, Keep, State
 from adaptdrive.runtime.requests import Host, Request
 from adaptdrive.util.errors import NOT_JSON, AdaptdriveError, RefusedError
@@ -30,11 +32,8 @@ Recalled = tuple[str, float, bytes]
 """Id, age in seconds and contents of a reply of an earlier run."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    reply: contract.Reply
-    born_s: float
-    asked: str | None = None
+_Entry = tuple[contract.Reply, float, str | None]
+"""A reply, when it was given (monotonic), and what its command asked for, None if not known."""
 
 
 @dataclass
@@ -54,7 +53,7 @@ class ReplyMemory:
 
     recalled: InitVar[Iterable[Recalled]]
     post: Callable[[str, bytes], None]
-    monotonic: clock.Monotonic
+    monotonic: Callable[[], float]
     limit: int = LIMIT
 
     def __post_init__(self, recalled: Iterable[Recalled]) -> None:
@@ -67,12 +66,12 @@ class ReplyMemory:
         """The first reply to a command with this id, None for a new one."""
         self._forget()
         entry = self._entries.get(identity)
-        return entry.reply if entry else None
+        return entry[0] if entry else None
 
     def asked(self, identity: str) -> str | None:
         """Return the content of the first command with this id, None where it is not known."""
         entry = self._entries.get(identity)
-        return entry.asked if entry else None
+        return entry[2] if entry else None
 
     def note(self, identity: str, reply: contract.Reply, asked: str | None = None) -> None:
         """Remember the reply to a command; returns at once, the disk follows.
@@ -83,28 +82,63 @@ class ReplyMemory:
             asked: What the command asked for with its verb, None where nobody compares it.
         """
         self._entries.pop(identity, None)
-        self._entries[identity] = _Entry(reply, self.monotonic(), asked)
+        self._entries[identity] = reply, self.monotonic(), asked
         self.post(identity, msgspec.json.encode((reply, asked)))
         self._forget()
 
     def _forget(self) -> None:
         oldest_s = self.monotonic() - LIFETIME_S
         while self._entries:
-            identity, entry = next(iter(self._entries.items()))
-            if len(self._entries) <= self.limit and entry.born_s >= oldest_s:
+            identity, (_, born_s, _) = next(iter(self._entries.items()))
+            if len(self._entries) <= self.limit and born_s >= oldest_s:
                 return
             del self._entries[identity]
 
 
 def _entry(identity: str, born_s: float, body: bytes) -> _Entry:
+    asked: str | None = None
     try:
         reply, asked = msgspec.json.decode(body, type=tuple[contract.Reply, str | None])
-        return _Entry(reply, born_s, asked)
     except NOT_JSON:
-        reply = contract.Reply(
-            identity, "an earlier command", accepted=False, reason=FORGOTTEN, state=None
-        )
-        return _Entry(reply, born_s)
+        earlier = "an earlier command"
+        reply = contract.Reply(identity, earlier, accepted=False, reason=FORGOTTEN, state=None)
+    return reply, born_s, asked
+
+
+# Lines of the log, which are bounded.
+
+
+@dataclass(slots=True)
+class LogRation:
+    """Lets so many lines into the log in each interval, and counts those that it withholds.
+
+    Attributes:
+        monotonic: Clock.
+        lines: Lines in each interval.
+        interval_s: Length of an interval.
+        began_s: When the present interval began, on that clock.
+        used: Lines written in it.
+        withheld: Lines withheld since the last one that was written.
+    """
+
+    monotonic: Callable[[], float]
+    lines: int = 20
+    interval_s: float = 10.0
+    began_s: float = -math.inf
+    used: int = 0
+    withheld: int = 0
+
+    def take(self) -> int | None:
+        """Return how many lines were withheld before this one, None when this one is withheld."""
+        now_s = self.monotonic()
+        if now_s - self.began_s >= self.interval_s:
+            self.began_s, self.used = now_s, 0
+        if self.used >= self.lines:
+            self.withheld += 1
+            return None
+        self.used += 1
+        withheld, self.withheld = self.withheld, 0
+        return withheld
 
 
 # Processing of commands: refuse, repeat or carry out, and always record.
@@ -175,8 +209,8 @@ class Desk:
     host: Host
     memory: ReplyMemory
     present_state: Callable[[], State | None]
-    wall: clock.WallClock
-    ration: clock.LogRation
+    wall: Callable[[], datetime]
+    ration: LogRation
     report: Callable[[CommandReport], None]
     kept: Keep
     shutting_down: Callable[[], bool]
@@ -284,7 +318,7 @@ class Desk:
         A daemon that ends withholds none: it may have no time left for its session.
         """
         if self.shutting_down():
-            self.ration.lift()
+            self.ration.lines = sys.maxsize
         if (withheld := self.ration.take()) is not None:
             log(level, event, **facts, withheld_lines=withheld)
 
@@ -323,15 +357,9 @@ class Desk:
         self.memory.note(str(command.payload.id), reply, asked)
 
     def _report_reply(self, command: OperatorCommand, reply: contract.Reply) -> None:
-        report = CommandReport(
-            id="" if reply.id is None else str(reply.id),
-            verb=reply.verb,
-            value=_clean(command.payload.value),
-            user=command.payload.user,
-            accepted=reply.accepted,
-            reason=reply.reason,
-        )
-        self.report(report)
+        identity, payload = "" if reply.id is None else str(reply.id), command.payload
+        value, user = _clean(payload.value), payload.user
+        self.report(CommandReport(identity, reply.verb, value, user, reply.accepted, reply.reason))
 
     def _read(self, command: OperatorCommand) -> tuple[Request, datetime | None]:
         self._refuse_retained(command)

@@ -14,55 +14,24 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import TypeVar
+from operator import itemgetter
 
 import msgspec
 
 from adaptdrive.mqtt import contract
-from adaptdrive.mqtt.clock import Monotonic, Synchronisation, WallClock
-from adaptdrive.runtime.reports import (
-    Bounded,
-    DriveReport,
-    Event,
-    Hub,
-    LoadReport,
-    Report,
-    Severity,
-    State,
-    StateReport,
-)
-from adaptdrive.runtime.trips import remedy
+from adaptdrive.runtime import reports
 
 # Reports to publish: the present state, and queues of what was not published yet.
-
-T = TypeVar("T")
-
-
-class Mailbox(Bounded[T]):
-    """A queue of which one item at a time is taken."""
-
-    async def oldest(self) -> T:
-        """Wait for an item; it stays in the queue."""
-        await self._filled.wait()
-        return self._items[0]
-
-    async def take(self) -> T:
-        """Wait for the oldest item and take it."""
-        item = await self.oldest()
-        self._strike_out()
-        return item
-
-    def _strike_out(self) -> None:
-        self._items.popleft()
-        if not self._items:
-            self._filled.clear()
 
 
 class StateBoard:
     """The state as operators see it; its time moves only when something else does."""
 
     def __init__(
-        self, wall: WallClock, profile: contract.Profile, last_trip: contract.LastTrip | None
+        self,
+        wall: Callable[[], datetime],
+        profile: contract.Profile,
+        last_trip: contract.LastTrip | None,
     ) -> None:
         """Begin without a report.
 
@@ -73,13 +42,13 @@ class StateBoard:
         """
         self._wall = wall
         self._profile = profile
-        self._report: StateReport | None = None
+        self._report: reports.StateReport | None = None
         now = wall()
-        self._standing = contract.Standing(now, last_trip, Synchronisation.UNKNOWN, now)
+        self._standing = contract.Standing(now, last_trip, contract.Synchronisation.UNKNOWN, now)
         self._changed = asyncio.Event()
 
     @property
-    def state(self) -> State | None:
+    def state(self) -> reports.State | None:
         """State of the state machine, None before the first report."""
         return self._report.state if self._report else None
 
@@ -95,7 +64,7 @@ class StateBoard:
             return None
         return contract.state_message(self._report, self._standing, self._profile)
 
-    def show(self, report: StateReport) -> None:
+    def show(self, report: reports.StateReport) -> None:
         """Take a report of the runtime."""
         known, self._report = self._report, report
         if report == known:
@@ -105,10 +74,10 @@ class StateBoard:
         if known is None or report.state is not known.state:
             self._standing = replace(self._standing, since=now)
         if report.trip is not None and (known is None or report.trip != known.trip):
-            trip = contract.LastTrip(now, report.trip, remedy(report.trip))
+            trip = contract.LastTrip(now, report.trip, contract.remedy(report.trip))
             self._standing = replace(self._standing, last_trip=trip)
 
-    def show_clock(self, clock: Synchronisation) -> None:
+    def show_clock(self, clock: contract.Synchronisation) -> None:
         """Store whether the wall clock is synchronised."""
         if clock is not self._standing.clock:
             self._standing = replace(self._standing, clock=clock)
@@ -127,7 +96,7 @@ class StateBoard:
 LIMIT = 10_000
 
 
-class Outbox(Mailbox[bytes]):
+class Outbox(reports.Queue[bytes]):
     """A queue of payloads, each of which stays until the broker has it."""
 
     def __init__(
@@ -146,9 +115,9 @@ class Outbox(Mailbox[bytes]):
             self.put(body)
 
     def sent(self, body: bytes) -> None:
-        """Strike out the oldest payload, which the broker has acknowledged, unless it went."""
+        """Remove the oldest payload, which the broker has acknowledged, unless it went."""
         if self._items and self._items[0] is body:
-            self._strike_out()
+            self._remove_oldest()
             self._note_sent()
 
 
@@ -169,21 +138,14 @@ _ROWS = 2 * math.ceil(SPAN_S / BUCKET_S)
 _READINGS = math.ceil(READING_SPAN_S * 10.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
-    taken_s: float
-    output: float
-    body: bytes
-
-    @property
-    def bucket(self) -> float:
-        return self.taken_s // BUCKET_S
+_Row = tuple[float, float, bytes]
+"""When a slow step came, monotonic and in s; its output, infinite where it is none; its payload."""
 
 
 class History:
     """The slow steps of the last hour, at most two for each 12 s, and the readings of 300 s."""
 
-    def __init__(self, monotonic: Monotonic) -> None:
+    def __init__(self, monotonic: Callable[[], float]) -> None:
         self._monotonic = monotonic
         self._rows: deque[_Row] = deque(maxlen=_ROWS)
         self._readings: deque[bytes] = deque(maxlen=_READINGS)
@@ -192,10 +154,10 @@ class History:
     def add(self, message: contract.Payload) -> None:
         """Take in a payload of `telemetry/load`."""
         self._asked = (message["reference"], message["boost_reference_V"])
+        output, now_s = message["output"], self._monotonic()
         body = contract.encode({key: message[key] for key in KEYS})
-        row = _Row(self._monotonic(), message["output"], body)
-        bucket = [row]
-        while self._rows and self._rows[-1].bucket == row.bucket:
+        bucket = [(now_s, output if math.isfinite(output) else math.inf, body)]
+        while self._rows and self._rows[-1][0] // BUCKET_S == now_s // BUCKET_S:
             bucket.insert(0, self._rows.pop())
         self._rows.extend(_extremes(bucket))
 
@@ -213,7 +175,7 @@ class History:
             time: Time of the answer, the same in each of its pages.
         """
         oldest_s = self._monotonic() - SPAN_S
-        rows = [row.body for row in self._rows if row.taken_s >= oldest_s]
+        rows = [body for taken_s, _, body in self._rows if taken_s >= oldest_s]
         readings = list(self._readings)
         count = max(1, math.ceil(len(rows) / PAGE_ROWS), math.ceil(len(readings) / PAGE_READINGS))
         for page in range(1, count + 1):
@@ -236,12 +198,9 @@ def _extremes(rows: list[_Row]) -> list[_Row]:
     """Return the rows with the lowest and the highest output, in the order of their times."""
     if len(rows) <= 2:
         return rows
-    kept = {min(rows, key=_level).taken_s, max(rows, key=_level).taken_s}
-    return [row for row in rows if row.taken_s in kept][:2]
-
-
-def _level(row: _Row) -> float:
-    return row.output if math.isfinite(row.output) else math.inf
+    output = itemgetter(1)
+    kept = {min(rows, key=output)[0], max(rows, key=output)[0]}
+    return [row for row in rows if row[0] in kept][:2]
 
 
 REPORTS_HELD = 256
@@ -260,24 +219,24 @@ class Intake:
         wall: Wall clock.
         output: Name and unit of the regulated quantity.
         load: Slow periods not sent yet.
-        drive: The newest word of the fast loop, unless sent.
+        drive: The newest report of the fast loop, unless sent.
         histograms: The newest histograms of the fast loop, unless sent.
     """
 
-    hub: Hub
+    hub: reports.Hub
     board: StateBoard
     outbox: Outbox
     history: History
-    wall: WallClock
+    wall: Callable[[], datetime]
     output: contract.Output
 
     def __post_init__(self) -> None:
-        self.load: Mailbox[contract.Payload] = Mailbox(LOAD_MESSAGES_HELD)
-        self.drive: Mailbox[contract.Payload] = Mailbox(1)
-        self.histograms: Mailbox[contract.Payload] = Mailbox(1)
+        self.load: reports.Queue[contract.Payload] = reports.Queue(LOAD_MESSAGES_HELD)
+        self.drive: reports.Queue[contract.Payload] = reports.Queue(1)
+        self.histograms: reports.Queue[contract.Payload] = reports.Queue(1)
         self._discarded = 0
         self._unkept: list[bytes] = []
-        kinds = StateReport, LoadReport, DriveReport, Event
+        kinds = reports.StateReport, reports.LoadReport, reports.DriveReport, reports.Event
         self._reports = self.hub.subscribe(*kinds, size=REPORTS_HELD)
 
     async def run(self) -> None:
@@ -290,17 +249,17 @@ class Intake:
             finally:
                 self._release()
 
-    def report(self, kind: str, severity: Severity, detail: str) -> None:
+    def report(self, kind: str, severity: reports.Severity, detail: str) -> None:
         """Publish an event of the operators' side to the log, the recording and the broker."""
-        self.hub.publish(Event(kind, severity, detail, -1))
+        self.hub.publish(reports.Event(kind, severity, detail, -1))
 
-    def report_deaf(self, detail: str) -> None:
+    def report_no_commands(self, detail: str) -> None:
         """Report that no command arrives, not even a stop."""
         text = (
             f"no commands: {detail}; no command arrives over MQTT, no disable either: give this "
             "daemon's user the right to read its commands"
         )
-        self.report("broker", Severity.ALARM, text)
+        self.report("broker", reports.Severity.ALARM, text)
 
     def report_discarded(self) -> None:
         """Report how many events were discarded because none could be sent, if any."""
@@ -309,7 +268,7 @@ class Intake:
             self._discarded += discarded
             self.report(
                 "outbox",
-                Severity.WARNING,
+                reports.Severity.WARNING,
                 f"{discarded} events or other reports were discarded: at most {self.outbox.limit} "
                 "events wait for the broker, and the oldest go first",
             )
@@ -324,22 +283,22 @@ class Intake:
         for box in (self.load, self.drive, self.histograms):
             box.drain()
 
-    def _lay_out(self, reports: Sequence[Report]) -> None:
-        for report in reports:
+    def _lay_out(self, taken: Sequence[reports.Report]) -> None:
+        for report in taken:
             time = self.wall()
             match report:
-                case StateReport():
+                case reports.StateReport():
                     self.board.show(report)
-                case LoadReport():
+                case reports.LoadReport():
                     message = contract.load_message(report, time, self.output)
                     self.load.put(message)
                     self.history.add(message)
-                case DriveReport():
+                case reports.DriveReport():
                     message = contract.drive_message(report, time, self.output)
                     self.drive.put(message)
                     self.history.add_reading(message)
                     self.histograms.put(contract.histogram_message(report, time))
-                case Event():
+                case reports.Event():
                     self._unkept.append(contract.encode(contract.event_message(report, time)))
 
     def _release(self) -> None:

@@ -6,19 +6,20 @@ acknowledgement again, after any time: each command but a stop expires.
 """
 
 import asyncio
+import ctypes
 import random
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt import clock, connection, contract, desk, publisher, steady
+from adaptdrive.mqtt import connection, contract, desk, publisher, steady
 from adaptdrive.mqtt.session import BrokerSession
-from adaptdrive.runtime import reports, requests, trips
+from adaptdrive.runtime import reports, requests
 from adaptdrive.util.clock import repeat
 
 # Discovery message for Home Assistant: one retained message makes the drive a device there.
@@ -167,6 +168,24 @@ COMMAND_PATIENCE_S = 1.0
 """Longest wait of a command for the disk: one that hangs must not keep an operator from acting."""
 
 
+# struct timex takes 208 bytes on 64-bit kernels; more room does no harm, zeros ask and set nothing.
+_TIMEX_BYTES = 512
+_TIME_ERROR = 5
+
+
+def kernel_synchronisation() -> contract.Synchronisation:
+    """Ask the kernel whether its clock is kept right by NTP, PTP or a radio clock."""
+    try:
+        answer = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
+    except (OSError, AttributeError):
+        answer = -1
+    if answer < 0:
+        return contract.Synchronisation.UNKNOWN
+    if answer == _TIME_ERROR:
+        return contract.Synchronisation.UNSYNCHRONISED
+    return contract.Synchronisation.SYNCHRONISED
+
+
 async def _wait_for_nothing(_patience_s: float) -> None:
     pass
 
@@ -194,9 +213,9 @@ class ServiceSurroundings:
     note_reply: Callable[[str, bytes], None] = lambda _identity, _body: None
     note_sent: Callable[[], None] = lambda: None
     kept: Callable[[float], Awaitable[None]] = _wait_for_nothing
-    wall: clock.WallClock = clock.utc_now
-    monotonic: clock.Monotonic = time.monotonic
-    synchronisation: Callable[[], clock.Synchronisation] = clock.kernel_synchronisation
+    wall: Callable[[], datetime] = lambda: datetime.now(UTC)
+    monotonic: Callable[[], float] = time.monotonic
+    synchronisation: Callable[[], contract.Synchronisation] = kernel_synchronisation
     uniform: Callable[[float, float], float] = random.uniform
 
 
@@ -229,16 +248,14 @@ class MqttService:
         self._around = surroundings
         self._host = host
         tripped, wall = surroundings.trip, surroundings.wall
-        trip = contract.LastTrip(*tripped, trips.remedy(tripped[1])) if tripped else None
+        trip = contract.LastTrip(*tripped, contract.remedy(tripped[1])) if tripped else None
         self._board = publisher.StateBoard(wall, profile, trip)
         unsent = (
             contract.encode(contract.event_message(event, time))
             for time, event in surroundings.events
         )
-        outbox, history = (
-            publisher.Outbox(unsent, surroundings.note_sent),
-            publisher.History(surroundings.monotonic),
-        )
+        outbox = publisher.Outbox(unsent, surroundings.note_sent)
+        history = publisher.History(surroundings.monotonic)
         self._intake = publisher.Intake(hub, self._board, outbox, history, wall, profile.output)
         self._desk = self._build_desk(hub)
         alarm = partial(self._intake.report, "broker", reports.Severity.ALARM)
@@ -254,7 +271,7 @@ class MqttService:
             desk.ReplyMemory(around.replies, around.note_reply, around.monotonic),
             lambda: self._board.state,
             around.wall,
-            clock.LogRation(around.monotonic),
+            desk.LogRation(around.monotonic),
             report=hub.publish,
             kept=lambda: around.kept(COMMAND_PATIENCE_S),
             shutting_down=lambda: self._board.shutting_down,
@@ -265,7 +282,7 @@ class MqttService:
             settings,
             self._name,
             Will(self._topics.availability, contract.OFFLINE, qos=1, retain=True),
-            clock.BrokerBackoff(self._around.uniform),
+            self._around.uniform,
         )
 
     async def run(self) -> None:

@@ -16,78 +16,15 @@ from aiomqtt import Message, MqttError, ProtocolVersion
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from adaptdrive.mqtt import clock, connection, contract, publisher, steady
-from adaptdrive.mqtt.desk import Desk, OperatorCommand
-from adaptdrive.runtime.reports import Severity, State
+from adaptdrive.mqtt import connection, contract, publisher, steady
+from adaptdrive.mqtt.desk import Desk, LogRation, OperatorCommand
+from adaptdrive.runtime.reports import Queue, Severity, State
 from adaptdrive.util.clock import Step, repeat
 from adaptdrive.util.log import log
-
-# Notices that the broker delivers no commands: a message of the daemon's own must come back.
 
 PROBE_EVERY_S = 60.0
 PATIENCE_S = 10.0
 """Longest way of a message to the broker and back."""
-
-
-class CommandProbe:
-    """Sends a message to a topic among the commands, again and again, and awaits it.
-
-    A broker that does not take it, as one with an older access list, shows nothing.
-    """
-
-    def __init__(self, client: steady.SteadyClient, topic: str, intake: publisher.Intake) -> None:
-        """Send nothing yet.
-
-        Args:
-            client: Connected by MQTT 5; a broker of MQTT 3.1.1 does not answer whether it takes a
-                message.
-            topic: Subscribed to in addition to the commands, with the daemon's own messages.
-            intake: Takes the alarm, and its end.
-        """
-        self._client = client
-        self._topic = topic
-        self._intake = intake
-        self._token = secrets.token_hex(8).encode()
-        self._arrived = asyncio.Event()
-        self._deaf = False
-
-    def takes(self, message: Message) -> bool:
-        """Return whether a message is the probe's own."""
-        own = message.topic.value == self._topic and message.payload == self._token
-        if own:
-            self._arrived.set()
-        return own
-
-    async def send(self) -> None:
-        """Look once whether commands arrive.
-
-        Raises:
-            MqttError: The connection is lost.
-        """
-        self._arrived.clear()
-        if await self._client.offer(self._topic, self._token):
-            self._report(deaf=not await self._arrives())
-
-    async def _arrives(self) -> bool:
-        with suppress(TimeoutError):
-            async with asyncio.timeout(PATIENCE_S):
-                await self._arrived.wait()
-        return self._arrived.is_set()
-
-    def _report(self, *, deaf: bool) -> None:
-        if deaf == self._deaf:
-            return
-        self._deaf = deaf
-        if deaf:
-            self._intake.report_deaf(
-                f"the broker has taken a message to {self._topic} and does not deliver it to this "
-                f"daemon within {PATIENCE_S:g} s"
-            )
-        else:
-            self._intake.report("broker", Severity.INFO, "commands arrive again")
-
-
-# One connection to the broker, from `online` to `offline`.
 
 COMMANDS_HELD = 100
 PAUSE_S = 0.005
@@ -97,9 +34,9 @@ LOGGED_EVERY_S = 10.0
 HISTOGRAMS_EVERY_S = 10.0
 HISTORY_EVERY_S = 5.0
 ONLINE_EVERY_S = 10.0
-"""For the farewell or the last will of another connection, which the broker keeps in its place."""
+"""For the `offline` or the last will of another connection, which the broker keeps in its place."""
 
-FAREWELL_S = 1.0
+OFFLINE_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
 RESET = "reset"
@@ -129,13 +66,15 @@ class BrokerSession:
     telemetry_s: float
 
     def __post_init__(self) -> None:
-        self._commands: publisher.Mailbox[OperatorCommand] = publisher.Mailbox(COMMANDS_HELD)
-        self._stops: publisher.Mailbox[OperatorCommand] = publisher.Mailbox(COMMANDS_HELD)
+        self._commands: Queue[OperatorCommand] = Queue(COMMANDS_HELD)
+        self._stops: Queue[OperatorCommand] = Queue(COMMANDS_HELD)
         self._asked = asyncio.Event()
-        self._probe = CommandProbe(self.client, self.topics.probe, self.intake)
+        self._token = secrets.token_hex(8).encode()
+        self._arrived = asyncio.Event()
+        self._commands_lost = False
         self._refused: set[str] = set()
         self._reported = 0
-        self._ration = clock.LogRation(asyncio.get_running_loop().time, 1, LOGGED_EVERY_S)
+        self._ration = LogRation(asyncio.get_running_loop().time, 1, LOGGED_EVERY_S)
 
     async def run(self, announcement: tuple[str, contract.Payload] | None = None) -> None:
         """Serve until the connection is lost, or until cancelled: then publish that and leave.
@@ -159,7 +98,7 @@ class BrokerSession:
                 for name, step, pause_s in self._work():
                     tasks.create_task(repeat(step, pause_s), name=f"mqtt {name}")
         except asyncio.CancelledError:
-            await self._take_leave()
+            await self._end()
             raise
 
     def _work(self) -> Iterator[tuple[str, Step, float]]:
@@ -177,7 +116,28 @@ class BrokerSession:
         yield "histograms", counts, HISTOGRAMS_EVERY_S
         yield "history", self._send_history, HISTORY_EVERY_S
         if topics.probe not in self._refused and self.client.protocol is ProtocolVersion.V5:
-            yield "probe", self._probe.send, PROBE_EVERY_S
+            yield "probe", self._probe, PROBE_EVERY_S
+
+    async def _probe(self) -> None:
+        """Look once whether commands arrive: a message to a topic among them must come back.
+
+        A broker that does not take it, as one with an older access list, shows nothing; nor does
+        one of MQTT 3.1.1, which does not answer whether it takes a message.
+        """
+        self._arrived.clear()
+        if not await self.client.offer(self.topics.probe, self._token):
+            return
+        with suppress(TimeoutError):
+            async with asyncio.timeout(PATIENCE_S):
+                await self._arrived.wait()
+        lost, self._commands_lost = self._commands_lost, not self._arrived.is_set()
+        if self._commands_lost and not lost:
+            self.intake.report_no_commands(
+                f"the broker has taken a message to {self.topics.probe} and does not deliver it to "
+                f"this daemon within {PATIENCE_S:g} s"
+            )
+        elif lost and not self._commands_lost:
+            self.intake.report("broker", Severity.INFO, "commands arrive again")
 
     async def _publish_online(self) -> None:
         await self.client.publish(self.topics.availability, contract.ONLINE, qos=1, retain=True)
@@ -192,14 +152,14 @@ class BrokerSession:
                     log("error", "broker does not allow to subscribe", topic=topic, code=str(code))
                     if topic == self.topics.commands:
                         refused = f"the broker refuses the subscription to {topic} ({code})"
-                        self.intake.report_deaf(refused)
+                        self.intake.report_no_commands(refused)
 
     def _subscriptions(self) -> Iterator[tuple[str, dict[str, Any]]]:
         topics = [self.topics.commands, self.topics.ask_history]
         if self.client.protocol is not ProtocolVersion.V5:
             yield from ((topic, {"qos": 1}) for topic in topics)
             return
-        if self.name.given_way:  # what it publishes itself does not come back
+        if self.name.is_displaced:  # what it publishes itself does not come back
             topics.append(self.topics.drive_telemetry)
         foreign = SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)
         yield from ((topic, {"options": foreign}) for topic in topics)
@@ -212,10 +172,11 @@ class BrokerSession:
             )
 
     def _receive(self, message: Message) -> None:
-        if self._probe.takes(message):
+        if message.topic.value == self.topics.probe and message.payload == self._token:
+            self._arrived.set()
             return
         if message.topic.value == self.topics.drive_telemetry:
-            self.name.heard_rival()
+            self.name.note_other_publisher()
             return
         if message.topic.value == self.topics.ask_history:
             self._asked.set()
@@ -225,14 +186,14 @@ class BrokerSession:
         (self._commands if command.stopped is None else self._stops).put(command)
 
     async def _answer_command(self) -> None:
-        reply = await self.desk.ask(await self._commands.take())
+        reply = await self.desk.ask(await self._commands.take_oldest())
         await self._reply(reply)
         self._log_dropped()
         if reply.accepted and reply.verb == RESET and reply.state in _OFF_STATES:
-            self.name.reclaim(self.client)  # nothing is heard until it has connected
+            self.name.reclaim(self.client)  # nothing arrives until it has connected
 
     async def _answer_stop(self) -> None:
-        command = await self._stops.take()
+        command = await self._stops.take_oldest()
         if command.remains_on_broker:
             await self._clear_retained_stop()
         await self._reply(await self.desk.answer(command))
@@ -268,10 +229,8 @@ class BrokerSession:
         self.intake.outbox.sent(body)
         self.intake.report_discarded()
 
-    async def _send(
-        self, box: publisher.Mailbox[contract.Payload], topic: str, *, retain: bool = True
-    ) -> None:
-        await self.client.publish(topic, contract.encode(await box.take()), retain=retain)
+    async def _send(self, box: Queue[contract.Payload], topic: str, *, retain: bool = True) -> None:
+        await self.client.publish(topic, contract.encode(await box.take_oldest()), retain=retain)
 
     async def _send_history(self) -> None:
         """Answer all requests of the meantime at once; every client can read the answer."""
@@ -281,33 +240,33 @@ class BrokerSession:
             await self.client.publish(self.topics.history, contract.encode(page), qos=1)
             await asyncio.sleep(PAUSE_S)
 
-    async def _take_leave(self) -> None:
+    async def _end(self) -> None:
         """Publish the end while commands are still answered: all but a stop are refused."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 answering = [
-                    tasks.create_task(repeat(step, PAUSE_S), name="mqtt farewell")
+                    tasks.create_task(repeat(step, PAUSE_S), name="mqtt end")
                     for step in (self._refuse_command, self._answer_stop)
                 ]
-                await self._say_offline()
+                await self._send_offline()
                 for task in answering:
                     task.cancel()
         except* MqttError:
             pass
 
     async def _refuse_command(self) -> None:
-        await self._reply(self.desk.refuse(await self._commands.take(), SHUTTING_DOWN))
+        await self._reply(self.desk.refuse(await self._commands.take_oldest(), SHUTTING_DOWN))
 
-    async def _say_offline(self) -> None:
+    async def _send_offline(self) -> None:
         """Send what is left, then `offline`; each only as long as the broker plays along."""
         self.intake.catch_up()
         with suppress(MqttError, TimeoutError):
-            async with asyncio.timeout(FAREWELL_S):
+            async with asyncio.timeout(OFFLINE_S):
                 await self._publish_state()
                 while len(self.intake.outbox):
                     await self._send_oldest_event()
         with suppress(MqttError, TimeoutError):
-            async with asyncio.timeout(FAREWELL_S):
+            async with asyncio.timeout(OFFLINE_S):
                 await self.client.publish(
                     self.topics.availability, contract.OFFLINE, qos=1, retain=True
                 )

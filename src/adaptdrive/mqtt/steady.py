@@ -116,13 +116,13 @@ class SteadyClient(Client):
         problem = self._disconnected.exception() if ended else None
         return problem.rc if isinstance(problem, MqttCodeError) else None
 
-    def give_up(self) -> None:
+    def cancel_connecting(self) -> None:
         """End the wait for the broker's answer to a connection that is being made."""
         if not self._connected.done():
             self._connected.set_exception(MqttError("given up"))
             self._connected.exception()  # retrieved, where nobody waits for it yet
 
-    def hang_up(self, reason: str) -> None:
+    def end_connection(self, reason: str) -> None:
         """End the connection; `lost` raises the reason."""
         if not self._disconnected.done():
             self._disconnected.set_exception(MqttError(reason))

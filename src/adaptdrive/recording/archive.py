@@ -20,32 +20,7 @@ from typing import Any, TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import journal_files, reader, records, tables, writer
-from adaptdrive.recording.segments import (
-    Batches,
-    Segment,
-    content_of,
-    logged_batches,
-    prune,
-    segments,
-    write_segment,
-)
-from adaptdrive.recording.session import (
-    NOTES,
-    TABLES,
-    TRIP_PREFIX,
-    Dropped,
-    Ending,
-    SessionInfo,
-    TableName,
-    create_session,
-    read_info,
-    session_of,
-    time_in_name,
-    unfinished_folder,
-    write_facts,
-    write_info,
-)
+from adaptdrive.recording import journal_files, reader, records, segments, session, tables, writer
 from adaptdrive.runtime.reports import MONOTONIC, Severity
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
 
@@ -56,7 +31,9 @@ _BEFORE_S = 60.0
 """Time before a trip that its record begins."""
 
 
-def write_trips(directory: Path, info: SessionInfo, due_s: float, after_s: float) -> list[Path]:
+def write_trips(
+    directory: Path, info: session.SessionInfo, due_s: float, after_s: float
+) -> list[Path]:
     """Write the record of each trip of a session that has none yet.
 
     Args:
@@ -72,55 +49,56 @@ def write_trips(directory: Path, info: SessionInfo, due_s: float, after_s: float
         RecordingError: The session is damaged.
         OSError: A record cannot be written.
     """
-    session = reader.read_session(directory)
-    trips = [
-        one for one in session.events if one.kind == journal_files.TRIP and one.monotonic_s <= due_s
-    ]
-    missing = [(one, path) for one in trips if not (path := _path(directory, one)).exists()]
-    info = msgspec.structs.replace(info, ended=Ending.ORDERLY, log="")
-    recent = {table: segments(directory, session.info, table)[-2:] for table in (*TABLES, *NOTES)}
-    session, begin_s = replace(session, info=info), _first(recent[TableName.TICKS], MONOTONIC)
+    recorded = reader.read_session(directory)
+    info = msgspec.structs.replace(info, ended=session.Ending.ORDERLY, log="")
+    recent = {
+        table: segments.segments(directory, recorded.info, table)[-2:]
+        for table in (*session.TABLES, *session.NOTES)
+    }
+    begin_s = _first(recent[session.TableName.TICKS], MONOTONIC)
+    recorded = replace(recorded, info=info)
     return [
-        _write(session, recent, trip, path, after_s)
-        for trip, path in missing
-        if trip.monotonic_s >= begin_s
+        _write(recorded, recent, trip, path, after_s)
+        for trip in recorded.events
+        if trip.kind == journal_files.TRIP and begin_s <= trip.monotonic_s <= due_s
+        if not (path := _path(directory, trip)).exists()
     ]
 
 
 def _path(directory: Path, trip: records.EventRow) -> Path:
-    return directory / f"{TRIP_PREFIX}{time_in_name(trip.time)}-{trip.number}"
+    return directory / f"{session.TRIP_PREFIX}{session.time_in_name(trip.time)}-{trip.number}"
 
 
-def _first(found: list[Segment], column: str) -> Any:  # noqa: ANN401 - of the column
+def _first(found: list[segments.Segment], column: str) -> Any:  # noqa: ANN401 - of the column
     """Return the first value of a column of ticks; 0 without one."""
-    schema = pa.schema([tables.table_schema(TableName.TICKS).field(column)])
+    schema = pa.schema([tables.table_schema(session.TableName.TICKS).field(column)])
     values = (batch.column(column)[0].as_py() for one in found for batch in one.rows(schema))
     return next(values, 0)
 
 
 def _write(
-    session: reader.Session,
-    recent: dict[str, list[Segment]],
+    recorded: reader.Session,
+    recent: dict[str, list[segments.Segment]],
     trip: records.EventRow,
     path: Path,
     after_s: float,
 ) -> Path:
     begin_s, end_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
 
-    def rows_of(table: str) -> Batches:
-        schema = tables.table_schema(table, session.info)
+    def rows_of(table: str) -> segments.Batches:
+        schema = tables.table_schema(table, recorded.info)
         for batch in chain.from_iterable(segment.rows(schema) for segment in recent[table]):
             times_s = batch.column(MONOTONIC).to_pylist()
             first, last = bisect.bisect_left(times_s, begin_s), bisect.bisect_right(times_s, end_s)
             if first < last:
                 yield batch.slice(first, last - first)
 
-    with unfinished_folder(session.path / f".{path.name}") as unfinished:
-        info = write_segment(unfinished, session.info, 1, rows_of)
-        first = _first(segments(unfinished, info, TableName.TICKS), "sequence")
+    with session.unfinished_folder(recorded.path / f".{path.name}") as unfinished:
+        info = segments.write_segment(unfinished, recorded.info, 1, rows_of)
+        first = _first(segments.segments(unfinished, info, session.TableName.TICKS), "sequence")
         info = msgspec.structs.replace(info, first_sequence=first)
-        write_facts(unfinished, info, session.config_text)
-        events = [one for one in session.events if begin_s <= one.monotonic_s <= end_s]
+        session.write_facts(unfinished, info, recorded.config_text)
+        events = [one for one in recorded.events if begin_s <= one.monotonic_s <= end_s]
         (unfinished / TEXT_FILE).write_text(_text(info.drive, trip, events), encoding="utf-8")
         return unfinished.rename(path)
 
@@ -193,8 +171,8 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
     with _alone(folder):
         # listed once: what the daemon begins meanwhile is for the next run, and stays
         files, live = journal_files.log_files(folder), journal_files.is_live(folder)
-        for session, group in groupby(files, key=lambda file: file.session):
-            of_session, newest = tuple(group), session == files[-1].session
+        for started, group in groupby(files, key=lambda file: file.session):
+            of_session, newest = tuple(group), started == files[-1].session
             try:
                 begin = next(filter(None, (file.begin() for file in of_session)), None)
                 if begin is None:
@@ -204,7 +182,7 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
                 logged = _Logged(begin.header, of_session, newest, open_part)
                 written += _archive(logged, now_s, after_s, report)
             except ERRORS as problem:
-                failures.append(f"session {session} stays in the log: {problem}")
+                failures.append(f"session {started} stays in the log: {problem}")
         if failures:
             raise RecordingError(folder, "; ".join(failures))
         _remove_archived(files, live=live)
@@ -240,14 +218,16 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
     trips = _with_reserve(
         logged.folder, lambda: write_trips(directory, logged.header.info, due_s, after_s)
     )
-    info = read_info(directory)
+    info = session.read_info(directory)
     for part, files in groupby(logged.files, key=lambda file: file.part):
         if info.segments < part != logged.open:
             info = close_segment(directory, logged.header, info, part, tuple(files))
-    if not logged.open and info.ended is Ending.OPEN:
+    if not logged.open and info.ended is session.Ending.OPEN:
         _with_reserve(logged.folder, lambda: _end(directory, info, logged, report))
     if logged.newest:
-        for sentence in prune(directory.parent, logged.header.keep, datetime.now(UTC), directory):
+        for sentence in segments.prune(
+            directory.parent, logged.header.keep, datetime.now(UTC), directory
+        ):
             report(Severity.INFO, sentence)
     return trips
 
@@ -267,19 +247,19 @@ def _directory(logged: _Logged) -> Path | None:
     if not header.sessions:
         return None
     sessions = logged.folder.parent / header.sessions
-    found = session_of(sessions, header.info)
+    found = session.session_of(sessions, header.info)
     if found is None and journal_files.last_of(logged.files, *records.ROW_KINDS):
-        return create_session(sessions, header.info, header.config_text)
+        return session.create_session(sessions, header.info, header.config_text)
     return found
 
 
 def close_segment(
     directory: Path,
     header: records.Header,
-    info: SessionInfo,
+    info: session.SessionInfo,
     part: int,
     files: Sequence[journal_files.LogFile],
-) -> SessionInfo:
+) -> session.SessionInfo:
     """Write one segment; `session.json` is last, and states that it is closed.
 
     Args:
@@ -299,22 +279,28 @@ def close_segment(
     losses: list[str] = []
 
     def rows_of(table: str) -> Iterator[pa.RecordBatch]:
-        return logged_batches(files, table, tables.table_schema(table, header.info), losses)
+        return segments.logged_batches(
+            files, table, tables.table_schema(table, header.info), losses
+        )
 
-    info = write_segment(directory, info, part, rows_of)
+    info = segments.write_segment(directory, info, part, rows_of)
     last = journal_files.last_of(files, records.Kind.DROPPED)
-    dropped = content_of(last, Dropped, losses) if last else None
+    dropped = segments.content_of(last, session.Dropped, losses) if last else None
     losses = [*info.losses, *dict.fromkeys(losses)]
     info = msgspec.structs.replace(info, dropped=dropped or info.dropped, losses=tuple(losses))
-    write_info(directory, info)
+    session.write_info(directory, info)
     return info
 
 
-def _end(directory: Path, info: SessionInfo, logged: _Logged, report: Report) -> None:
+def _end(directory: Path, info: session.SessionInfo, logged: _Logged, report: Report) -> None:
     """Write how a session ended, and report what it lacks."""
-    ending = Ending.ORDERLY if journal_files.last_of(logged.files, records.Kind.END) else Ending.CUT
-    write_info(directory, msgspec.structs.replace(info, ended=ending))
-    if ending is Ending.CUT:
+    ending = (
+        session.Ending.ORDERLY
+        if journal_files.last_of(logged.files, records.Kind.END)
+        else session.Ending.CUT
+    )
+    session.write_info(directory, msgspec.structs.replace(info, ended=ending))
+    if ending is session.Ending.CUT:
         last = reader.read_session(directory).last_tick
         until = f"its last tick is of {last:%Y-%m-%dT%H:%M:%S.%f}Z" if last else "it has no ticks"
         detail = f"session {directory.name} ended without its close, the daemon was killed: {until}"

@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.recording import journal_files, records, session
-from adaptdrive.recording.writer import NOTES, ROWS, SYNC, LogNews, LogWriter
+from adaptdrive.recording.writer import NOTES, ROWS, SYNC, LogStatus, LogWriter
 
 # The log of a drive: what happened is appended once, and everything else is read from it.
 
@@ -43,7 +43,7 @@ class Log:
         recalled: journal_files.Recalled,
         clock: Clock,
         *,
-        hear: Callable[[LogNews], None],
+        on_status: Callable[[LogStatus], None],
         begin_rows: Callable[[], None] = lambda: None,
         start_thread: Callable[[], None] = lambda: None,
         backlog_bytes: int = LARGEST_BACKLOG_BYTES,
@@ -55,7 +55,7 @@ class Log:
             header: The session.
             recalled: What an earlier run has left.
             clock: Clocks of the records.
-            hear: Takes news of the threads, in the event loop.
+            on_status: Takes reports of the threads, in the event loop.
             begin_rows: Prepares for rows, in a thread; may raise `OSError`, and is called again.
             start_thread: What a thread does first.
             backlog_bytes: Rows that may wait.
@@ -64,16 +64,16 @@ class Log:
         self.closed = False
         self.problems = {NOTES: "", ROWS: "", SYNC: ""}
         self._clock = clock
-        self._hear = hear
+        self._on_status = on_status
         self._backlog_bytes = backlog_bytes
         self._writer = LogWriter(
-            folder, header, recalled, clock, self._tell, begin_rows, start_thread
+            folder, header, recalled, clock, self._notify, begin_rows, start_thread
         )
         self._loop: asyncio.AbstractEventLoop | None = None
         self._notes = self._synced = self._rows_bytes = 0
         self._in_vain_s = 0.0
         self._written = False
-        self._news = asyncio.Event()
+        self._changed = asyncio.Event()
 
     @property
     def failing(self) -> bool:
@@ -156,11 +156,11 @@ class Log:
         return self._written
 
     async def _until(self, done: Callable[[], bool], patience_s: float) -> bool:
-        """Wait until news of the threads make something true; return whether it is."""
+        """Wait until a report of the threads makes something true; return whether it is."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(patience_s):
                 while not done():
-                    await self._news.wait()
+                    await self._changed.wait()
         return done()
 
     def _bound(self) -> None:
@@ -177,53 +177,27 @@ class Log:
             elif oldest.kind is records.Kind.SLOW:
                 self.dropped += session.Dropped(slow=oldest.rows)
 
-    def _tell(self, news: LogNews) -> None:
-        """Pass what is new of a thread to the event loop, which may have ended."""
+    def _notify(self, status: LogStatus) -> None:
+        """Pass a report of a thread to the event loop, which may have ended."""
         known = self.problems.items()
-        problems = {what: why for what, why in news.problems.items() if (what, why) not in known}
+        problems = {what: why for what, why in status.problems.items() if (what, why) not in known}
         self.problems |= problems
-        news = msgspec.structs.replace(news, problems=problems)
-        if self._loop is not None and news != LogNews():
+        status = msgspec.structs.replace(status, problems=problems)
+        if self._loop is not None and status != LogStatus():
             with contextlib.suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._take, news)
+                self._loop.call_soon_threadsafe(self._take, status)
 
-    def _take(self, news: LogNews) -> None:
-        if news.synced is not None:
-            self._synced, self._in_vain_s = news.synced, 0.0
-        self._written |= news.written
-        self.closed |= news.ended
-        self._news.set()
-        self._news = asyncio.Event()
-        self._hear(news)
+    def _take(self, status: LogStatus) -> None:
+        if status.synced is not None:
+            self._synced, self._in_vain_s = status.synced, 0.0
+        self._written |= status.written
+        self.closed |= status.ended
+        self._changed.set()
+        self._changed = asyncio.Event()
+        self._on_status(status)
 
 
 # Settings of the recorder: folders and intervals.
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Folders of the recorder.
-
-    Attributes:
-        log: Folder of the log.
-        sessions: Folder of all sessions, None where none is recorded.
-    """
-
-    log: Path
-    sessions: Path | None
-
-    def seen_in(self, header: records.Header) -> records.Header:
-        """Return facts with the folders, each seen from the other: both may be moved together."""
-        if self.sessions is None:
-            return header
-        try:
-            seen = _seen_from(self.sessions, self.log)
-            seen.encode()
-        except UnicodeEncodeError:
-            seen = ""  # then a reader has to wait for the archiver
-        info = msgspec.structs.replace(header.info, log=seen)
-        sessions = _seen_from(self.log.parent, self.sessions)
-        return msgspec.structs.replace(header, info=info, sessions=sessions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +223,19 @@ class RecordingPace:
 
 
 DEFAULT_PACE = RecordingPace()
+
+
+def with_folders(header: records.Header, log: Path, sessions: Path | None) -> records.Header:
+    """Return facts with the folders, each seen from the other: both may be moved together."""
+    if sessions is None:
+        return header
+    try:
+        seen = _seen_from(sessions, log)
+        seen.encode()
+    except UnicodeEncodeError:
+        seen = ""  # then a reader has to wait for the archiver
+    info = msgspec.structs.replace(header.info, log=seen)
+    return msgspec.structs.replace(header, info=info, sessions=_seen_from(log.parent, sessions))
 
 
 def _seen_from(folder: Path, other: Path) -> str:

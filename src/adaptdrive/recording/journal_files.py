@@ -24,7 +24,6 @@ from adaptdrive.recording.records import (
     EventRow,
     Header,
     Kind,
-    Loss,
     Record,
     read_frames,
 )
@@ -290,8 +289,9 @@ def records(files: Sequence[LogFile], losses: list[str] | None = None) -> Iterat
     last = 0
     for file in files:
         for found in read_frames(_content(file.path)):
-            if isinstance(found, Loss):
-                losses.append(f"{file.path.name}: {found}")
+            if isinstance(found, tuple):
+                begin, end = found
+                losses.append(f"{file.path.name}: bytes {begin} to {end} cannot be read")
             elif found.number > last or found.kind is Kind.BEGIN:
                 last = max(last, found.number)
                 yield found

@@ -12,19 +12,8 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import records, tables
+from adaptdrive.recording import records, session, tables
 from adaptdrive.recording.segments import Segment, closed_segments, segments
-from adaptdrive.recording.session import (
-    CONFIG_FILE,
-    NO_SESSION,
-    PARTS,
-    TABLES,
-    SessionInfo,
-    TableName,
-    has_any,
-    read_info,
-    session_directories,
-)
 from adaptdrive.util.errors import RecordingError, reason_of
 from adaptdrive.util.files import read_regular
 
@@ -50,7 +39,7 @@ class Session:
     """
 
     path: Path
-    info: SessionInfo
+    info: session.SessionInfo
     config_text: str
     events: tuple[records.EventRow, ...]
     commands: tuple[records.CommandRow, ...]
@@ -59,17 +48,17 @@ class Session:
     @cached_property
     def ticks(self) -> pa.Table:
         """Fast ticks, all of them in memory."""
-        return self._table(TableName.TICKS)
+        return self._table(session.TableName.TICKS)
 
     @cached_property
     def slow(self) -> pa.Table:
         """Slow steps."""
-        return self._table(TableName.SLOW)
+        return self._table(session.TableName.SLOW)
 
     @cached_property
     def sensors(self) -> pa.Table:
         """Values of the sensor buses."""
-        return self._table(TableName.SENSORS)
+        return self._table(session.TableName.SENSORS)
 
     def batches(self, table: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
         """Yield the rows of a table a batch at a time.
@@ -106,7 +95,7 @@ class Session:
     @property
     def last_tick(self) -> datetime | None:
         """Time of the last recorded tick, None where that is not recorded."""
-        ends = self.ends(TableName.TICKS, ("utc",))
+        ends = self.ends(session.TableName.TICKS, ("utc",))
         found: datetime | None = ends and ends[1].column("utc")[-1].as_py()
         return found
 
@@ -138,10 +127,10 @@ def session_notes(
         RecordingError: They are damaged.
     """
     try:
-        found = segments(directory, read_info(directory))
+        found = segments(directory, session.read_info(directory))
     except RecordingError:
         found = closed_segments(directory)
-    notes: dict[str, list[Any]] = {TableName.EVENTS: [], TableName.COMMANDS: []}
+    notes: dict[str, list[Any]] = {session.TableName.EVENTS: [], session.TableName.COMMANDS: []}
     for segment in found:
         try:
             if segment.table in notes:
@@ -150,7 +139,7 @@ def session_notes(
             if damage is None:
                 raise
             damage.append(str(problem))
-    return tuple(notes[TableName.EVENTS]), tuple(notes[TableName.COMMANDS])
+    return tuple(notes[session.TableName.EVENTS]), tuple(notes[session.TableName.COMMANDS])
 
 
 def _notes(segment: Segment) -> list[Any]:
@@ -173,13 +162,13 @@ def read_session(path: Path) -> Session:
     Raises:
         RecordingError: There is no session, or its facts or configuration are damaged.
     """
-    info = read_info(path)
+    info = session.read_info(path)
     damage: list[str] = []
     events, commands = session_notes(path, damage)
     return Session(
         path=path,
         info=info,
-        config_text=_read_text(path / CONFIG_FILE),
+        config_text=_read_text(path / session.CONFIG_FILE),
         events=events,
         commands=commands,
         damage="; ".join([*damage, _INCOMPLETE]) if damage else "",
@@ -208,12 +197,12 @@ def find_session(name: str | None, sessions: Path) -> Path:
         RecordingError: There is none.
     """
     if name is None:
-        *_, last = (None, *session_directories(sessions))
+        *_, last = (None, *session.session_directories(sessions))
         if last is None:
-            raise RecordingError(sessions, NO_SESSION)
+            raise RecordingError(sessions, session.NO_SESSION)
         return last
     for directory in (Path(name), sessions / name):
-        if has_any(directory, PARTS):
+        if session.has_any(directory, session.PARTS):
             return directory if directory.name.strip(".") else directory.resolve()
     raise RecordingError(name, f"no such session, neither as a path nor in {sessions}")
 
@@ -242,26 +231,26 @@ class Verification:
         return not self.problems and not self.missing_ticks
 
 
-def verify(session: Session) -> Verification:
+def verify(recorded: Session) -> Verification:
     """Read all of a session, a batch at a time.
 
     Args:
-        session: The session.
+        recorded: The session.
     """
     problems: list[str] = []
-    count = _Count(session.info.first_sequence)
-    for segment in segments(session.path, session.info):
+    count = _Count(recorded.info.first_sequence)
+    for segment in segments(recorded.path, recorded.info):
         try:
-            for batch in segment.rows(tables.table_schema(segment.table, session.info), problems):
+            for batch in segment.rows(tables.table_schema(segment.table, recorded.info), problems):
                 count.take(segment, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
-    info, rows = session.info, count.rows
+    info, rows = recorded.info, count.rows
     problems += [*_missing(info, rows), *info.losses]
     # a whole file that is gone leaves no gap in the running numbers
-    gone = info.rows.get(TableName.TICKS, 0) - rows.get(TableName.TICKS, 0)
+    gone = info.rows.get(session.TableName.TICKS, 0) - rows.get(session.TableName.TICKS, 0)
     missing = max(count.missing_ticks, info.dropped.ticks, gone)
-    shown = {table: rows[table] for table in TABLES if table in rows}
+    shown = {table: rows[table] for table in session.TABLES if table in rows}
     return Verification(shown, missing, tuple(dict.fromkeys(problems)))
 
 
@@ -294,17 +283,17 @@ class _Count:
         if first <= self.last.get(table, -math.inf):
             raise RecordingError(segment.path, "its rows are not later than those before them")
         self.last[table] = last
-        if table == TableName.TICKS:
+        if table == session.TableName.TICKS:
             self.missing_ticks += last + 1 - self.next_sequence - batch.num_rows
             self.next_sequence = last + 1
         self.rows[table] = self.rows.get(table, 0) + batch.num_rows
 
 
-def _missing(info: SessionInfo, rows: Mapping[str, int]) -> Iterator[str]:
+def _missing(info: session.SessionInfo, rows: Mapping[str, int]) -> Iterator[str]:
     """Yield what is missing but ticks, which are counted on their own."""
     for table, number in info.rows.items():
         missing = number - rows.get(table, 0)
-        if table != TableName.TICKS and missing > 0:
+        if table != session.TableName.TICKS and missing > 0:
             yield f"{missing} of {number} rows of the table {table} are missing"
     for kind, number in {"slow steps": info.dropped.slow, "events": info.dropped.events}.items():
         if number:

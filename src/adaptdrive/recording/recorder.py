@@ -14,20 +14,10 @@ from typing import Any
 import msgspec
 
 from adaptdrive.recording import journal, journal_files, records, session, writer
-from adaptdrive.runtime.reports import (
-    CommandReport,
-    DriveReport,
-    Event,
-    Hub,
-    LoadReport,
-    Report,
-    SensorSample,
-    Severity,
-    TickReport,
-)
+from adaptdrive.runtime import reports
 from adaptdrive.util.clock import in_thread
 
-# The archiver as the control process sees it: started when it is due, heard line by line.
+# The archiver as the control process sees it: started when it is due, its output read by line.
 
 _RETRY_S = 60.0
 """Pause of the archiver after a failure."""
@@ -42,24 +32,26 @@ class Archiving:
 
     def __init__(
         self,
-        place: journal.Place,
+        log: Path,
+        sessions: Path | None,
         header: records.Header,
-        report: Callable[[Severity, str], None],
+        report: Callable[[reports.Severity, str], None],
         pace: journal.RecordingPace,
     ) -> None:
         """Start nothing yet.
 
         Args:
-            place: Folders; without one of sessions there is nothing to do.
+            log: Folder of the log.
+            sessions: Folder of all sessions; without one there is nothing to do.
             header: The session that is recorded.
             report: Takes events, in the event loop.
             pace: Intervals of the recorder.
         """
         self.directory: Path | None = None
-        self._sessions = place.sessions
+        self._sessions = sessions
         self._header = header
         program = [sys.executable, "-P", "-m", "adaptdrive.recording.archiver"]
-        self._command = [*program, str(place.log), str(pace.trip_s)]
+        self._command = [*program, str(log), str(pace.trip_s)]
         self._report = report
         self._pace = pace
         self._due = asyncio.Event()
@@ -81,12 +73,12 @@ class Archiving:
 
     async def run(self) -> None:
         """Run it until cancelled."""
-        said = ""
+        reported = ""
         while True:
             problem = await self.once()
-            if problem and problem != said:
-                self._report(Severity.ALARM, f"sessions are not written: {problem}")
-            said = problem
+            if problem and problem != reported:
+                self._report(reports.Severity.ALARM, f"sessions are not written: {problem}")
+            reported = problem
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_RETRY_S if problem else None):
                     await self._due.wait()
@@ -103,13 +95,13 @@ class Archiving:
         """
         loop = asyncio.get_running_loop()
 
-        def tell(severity: Severity, detail: str) -> None:
+        def notify(severity: reports.Severity, detail: str) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(self._report, severity, detail)
 
         def run() -> str:
             self._pace.start_thread()
-            return _run([*self._command, *words], tell)
+            return _run([*self._command, *words], notify)
 
         try:
             return await asyncio.wrap_future(in_thread(run, "archiver"))
@@ -117,7 +109,7 @@ class Archiving:
             return str(problem)
 
 
-def _run(command: Sequence[str], tell: Callable[[Severity, str], None]) -> str:
+def _run(command: Sequence[str], notify: Callable[[reports.Severity, str], None]) -> str:
     with subprocess.Popen(  # noqa: S603 - this program itself
         command,
         stdin=subprocess.DEVNULL,
@@ -128,11 +120,11 @@ def _run(command: Sequence[str], tell: Callable[[Severity, str], None]) -> str:
     ) as process:
         for line in process.stdout or ():
             with contextlib.suppress(msgspec.DecodeError):
-                tell(*msgspec.json.decode(line, type=tuple[Severity, str]))
-        said = b"" if process.stderr is None else process.stderr.read()
+                notify(*msgspec.json.decode(line, type=tuple[reports.Severity, str]))
+        reported = b"" if process.stderr is None else process.stderr.read()
     if process.returncode == 0:
         return ""
-    lines = said.decode(errors="replace").strip().splitlines()
+    lines = reported.decode(errors="replace").strip().splitlines()
     return lines[-1] if lines else f"the archiver ended with status {process.returncode}"
 
 
@@ -158,7 +150,7 @@ _COUNTED_S = 10.0
 class Recorder:
     """Records one session until cancelled.
 
-    Ticks and slow steps go out every `flush_s`, an event as soon as it is heard of. Trouble with
+    Ticks and slow steps go out every `flush_s`, an event as soon as it comes. Trouble with
     the recording is reported and changes nothing else.
 
     Attributes:
@@ -167,9 +159,10 @@ class Recorder:
 
     def __init__(  # noqa: PLR0913, PLR0917 - it joins the feed to the log
         self,
-        place: journal.Place,
+        log: Path,
+        sessions: Path | None,
         header: records.Header,
-        hub: Hub,
+        hub: reports.Hub,
         clock: journal.Clock,
         pace: journal.RecordingPace = journal.DEFAULT_PACE,
         recalled: journal_files.Recalled = journal_files.Recalled(),  # noqa: B008 - frozen
@@ -177,7 +170,8 @@ class Recorder:
         """Prepare to record.
 
         Args:
-            place: Folders.
+            log: Folder of the log.
+            sessions: Folder of all sessions, None where none is recorded.
             header: Facts about the session.
             hub: Where what is recorded comes from, and the recorder's own events go; a queue for
                 each kind, so that ticks never push out an event.
@@ -186,29 +180,29 @@ class Recorder:
             recalled: What an earlier run has left in the log.
         """
         self.complete = True
-        self._place = place
-        header = place.seen_in(header)
-        reports = max(1000, round(_RATE_Hz * pace.flush_s))
-        self._ticks = hub.subscribe(TickReport, size=reports)
-        self._slow = hub.subscribe(LoadReport, size=reports)
-        self._sensors = hub.subscribe(SensorSample, DriveReport, size=reports)
-        self._events = hub.subscribe(Event, CommandReport, size=_EVENTS_HELD)
+        self._sessions = sessions
+        header = journal.with_folders(header, log, sessions)
+        held = max(1000, round(_RATE_Hz * pace.flush_s))
+        self._ticks = hub.subscribe(reports.TickReport, size=held)
+        self._slow = hub.subscribe(reports.LoadReport, size=held)
+        self._sensors = hub.subscribe(reports.SensorSample, reports.DriveReport, size=held)
+        self._events = hub.subscribe(reports.Event, reports.CommandReport, size=_EVENTS_HELD)
         self._publish = hub.publish
         self._clock = clock
         self._pace = pace
-        self._archiving = Archiving(place, header, self._report, pace)
+        self._archiving = Archiving(log, sessions, header, self._report, pace)
         self._log = journal.Log(
-            place.log,
+            log,
             header,
             recalled,
             clock,
-            hear=self._hear,
+            on_status=self._on_status,
             begin_rows=self._archiving.make_session,
             start_thread=pace.start_thread,
             backlog_bytes=pace.backlog_bytes,
         )
         self._begun = False
-        self._waiting: deque[TickReport] = deque()
+        self._waiting: deque[reports.TickReport] = deque()
         self._numbers = itertools.count(1)
         self._reported_loss = self._overflow = session.Dropped()
         self._stalled = False
@@ -243,7 +237,7 @@ class Recorder:
         try:
             self._log.start()
         except RuntimeError as problem:
-            self._report(Severity.ALARM, f"{UNBEGUN}: {problem}")
+            self._report(reports.Severity.ALARM, f"{UNBEGUN}: {problem}")
         try:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._feed_for_ever(), name="recorder-feed")
@@ -263,7 +257,7 @@ class Recorder:
         await self._log.kept(self._pace.keep_s if patience_s is None else patience_s)
 
     async def _archive(self, begin: asyncio.Event | None) -> None:
-        if self._place.sessions is None:
+        if self._sessions is None:
             return
         if begin is not None:
             await begin.wait()
@@ -284,37 +278,40 @@ class Recorder:
                 await self._gather()
                 self._count()
 
-    def _note(self, reports: Iterable[Report]) -> None:
+    def _note(self, noted: Iterable[reports.Report]) -> None:
         now_s, wall_s = self._clock()
         utc = datetime.fromtimestamp(wall_s, UTC)
-        for report in reports:
-            if isinstance(report, Event | CommandReport):
+        for report in noted:
+            if isinstance(report, reports.Event | reports.CommandReport):
                 row = records.note_row(report, utc, now_s, next(self._numbers))
-                kind = records.Kind.EVENT if isinstance(report, Event) else records.Kind.COMMAND
+                is_event = isinstance(report, reports.Event)
+                kind = records.Kind.EVENT if is_event else records.Kind.COMMAND
                 self._log.append(kind, msgspec.msgpack.encode(row))
-            if isinstance(report, Event) and report.kind == journal_files.TRIP:
+            if isinstance(report, reports.Event) and report.kind == journal_files.TRIP:
                 self._archiving.due(self._pace.trip_s + 0.1)  # once its record is complete
 
     async def _gather(self) -> None:
         """Turn queued reports into columns and rows; cancelled half-way, it loses none."""
-        if self._place.sessions is None:
+        if self._sessions is None:
             for queue in (self._slow, self._sensors, self._ticks):
                 queue.drain()
             return
-        slow = [records.slow_row(r) for r in self._slow.drain() if isinstance(r, LoadReport)]
+        slow = [
+            records.slow_row(r) for r in self._slow.drain() if isinstance(r, reports.LoadReport)
+        ]
         self._append_rows(records.Kind.SLOW, slow)
         sensors = (
             records.sensor_row(r)
             for r in self._sensors.drain()
-            if isinstance(r, SensorSample | DriveReport)
+            if isinstance(r, reports.SensorSample | reports.DriveReport)
         )
         self._append_rows(records.Kind.SENSORS, [row for row in sensors if len(row) > 1])
-        self._waiting += (r for r in self._ticks.drain() if isinstance(r, TickReport))
+        self._waiting += (r for r in self._ticks.drain() if isinstance(r, reports.TickReport))
         while self._waiting:
-            reports = [self._waiting.popleft() for _ in range(min(_SLICE, len(self._waiting)))]
-            self._last_tick = reports[-1].measurement.tick
-            packed = msgspec.msgpack.encode(records.packed_ticks(reports))
-            self._log.append(records.Kind.TICKS, packed, len(reports))
+            ticks = [self._waiting.popleft() for _ in range(min(_SLICE, len(self._waiting)))]
+            self._last_tick = ticks[-1].measurement.tick
+            packed = msgspec.msgpack.encode(records.packed_ticks(ticks))
+            self._log.append(records.Kind.TICKS, packed, len(ticks))
             await asyncio.sleep(0)
 
     def _append_rows(self, kind: records.Kind, rows: Sequence[dict[str, Any]]) -> None:
@@ -332,12 +329,12 @@ class Recorder:
             why = "the disk has stalled"
             if self._log.failing:
                 why = "no more ticks can wait until recording continues"
-            self._report(Severity.WARNING, f"{why}; ticks are lost")
+            self._report(reports.Severity.WARNING, f"{why}; ticks are lost")
         self._stalled = stalled
         new = dropped != self._reported_loss and (last or not stalled)
         if new:
             self._reported_loss = dropped
-            self._report(Severity.WARNING, f"not recorded so far: {dropped}")
+            self._report(reports.Severity.WARNING, f"not recorded so far: {dropped}")
         now_s = self._clock()[0]
         if new or last or now_s - self._counted_s >= _COUNTED_S:
             self._counted_s = now_s
@@ -348,13 +345,13 @@ class Recorder:
         await self._gather()
         self._note(self._events.drain())
         self._count(last=True)
-        self._note(self._events.drain())  # with the loss that this has told
+        self._note(self._events.drain())  # with the loss that this has reported
         self._log.append(records.Kind.END, b"")
         written = await self._log.close(part_s)
         self.complete = not self._begun or (written and self._archiving.directory is not None)
         if not self.complete:
             why = "; ".join(filter(None, self._log.problems.values())) or "the disk does not answer"
-            self._report(Severity.ALARM, f"the end of the session is not recorded: {why}")
+            self._report(reports.Severity.ALARM, f"the end of the session is not recorded: {why}")
         elif self._begun:
             await self._close_session(part_s)
 
@@ -367,19 +364,21 @@ class Recorder:
                     problem = await self._archiving.once("--no-figure")
         if problem:
             detail = f"the archiver, or the next start, completes the session's files: {problem}"
-            self._report(Severity.WARNING, detail)
+            self._report(reports.Severity.WARNING, detail)
 
-    def _hear(self, outcome: writer.LogNews) -> None:
+    def _on_status(self, outcome: writer.LogStatus) -> None:
         begun = self._archiving.directory is not None
         for what, problem in outcome.problems.items():
             if problem and what == writer.SYNC:
-                self._report(Severity.WARNING, f"a power cut may take what is written: {problem}")
+                self._report(
+                    reports.Severity.WARNING, f"a power cut may take what is written: {problem}"
+                )
             elif problem:
-                self._report(Severity.ALARM, f"{STOPPED if begun else UNBEGUN}: {problem}")
+                self._report(reports.Severity.ALARM, f"{STOPPED if begun else UNBEGUN}: {problem}")
             elif what != writer.SYNC and not self._log.failing:
-                self._report(Severity.INFO, "recording continues")
+                self._report(reports.Severity.INFO, "recording continues")
         if outcome.part > 1:
             self._archiving.due()
 
-    def _report(self, severity: Severity, detail: str) -> None:
-        self._publish(Event(EVENT_KIND, severity, detail, self._last_tick))
+    def _report(self, severity: reports.Severity, detail: str) -> None:
+        self._publish(reports.Event(EVENT_KIND, severity, detail, self._last_tick))

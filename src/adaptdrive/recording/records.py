@@ -21,18 +21,7 @@ from typing import Any
 import msgspec
 
 from adaptdrive.recording.session import SessionInfo
-from adaptdrive.runtime.reports import (
-    MONOTONIC,
-    SLOW_COLUMNS,
-    TICK_COLUMNS,
-    CommandReport,
-    DriveReport,
-    Event,
-    LoadReport,
-    SensorSample,
-    Severity,
-    TickReport,
-)
+from adaptdrive.runtime import reports
 
 # Payloads of the log's records: rows of ticks, slow steps and sensors, events and commands.
 
@@ -51,25 +40,25 @@ class Ticks(msgspec.Struct, frozen=True):
     columns: dict[str, bytes | list[str]]
 
 
-def packed_ticks(reports: Sequence[TickReport]) -> Ticks:
+def packed_ticks(ticks: Sequence[reports.TickReport]) -> Ticks:
     """Return fast ticks as they are recorded; costs a few microseconds each."""
     columns: dict[str, bytes | list[str]] = {}
-    for column in TICK_COLUMNS:
-        code, values = _CODES.get(column.kind), map(column.read, reports)
+    for column in reports.TICK_COLUMNS:
+        code, values = _CODES.get(column.kind), map(column.read, ticks)
         columns[column.name] = array(code, values).tobytes() if code else list(values)
-    return Ticks(len(reports), columns)
+    return Ticks(len(ticks), columns)
 
 
 class EventRow(msgspec.Struct, frozen=True):
     """One event as it is recorded.
 
     Attributes:
-        time: When it was heard of, UTC.
+        time: When it was reported, UTC.
         tick: Fast tick at which it happened.
         kind: Machine-readable name.
         severity: How much it matters.
         detail: One sentence.
-        monotonic_s: When it was heard of.
+        monotonic_s: When it was reported, monotonic.
         number: Running number in the session, from 1.
     """
 
@@ -82,9 +71,9 @@ class EventRow(msgspec.Struct, frozen=True):
     number: int
 
     @property
-    def event(self) -> Event:
+    def event(self) -> reports.Event:
         """The event as it was reported."""
-        return Event(self.kind, Severity(self.severity), self.detail, self.tick)
+        return reports.Event(self.kind, reports.Severity(self.severity), self.detail, self.tick)
 
 
 class CommandRow(msgspec.Struct, frozen=True):
@@ -144,9 +133,9 @@ class Header(msgspec.Struct, frozen=True):
     keep: Keep = Keep()
 
 
-def slow_row(report: LoadReport) -> dict[str, Any]:
+def slow_row(report: reports.LoadReport) -> dict[str, Any]:
     """Return one slow step as it is recorded: its columns by name."""
-    return {column.name: _plain(column.read(report)) for column in SLOW_COLUMNS}
+    return {column.name: _plain(column.read(report)) for column in reports.SLOW_COLUMNS}
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a column holds
@@ -156,10 +145,10 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a column holds
     return [{"name": name, "value": one.value, "std": one.std} for name, one in value.items()]
 
 
-def sensor_row(report: DriveReport | SensorSample) -> dict[str, float]:
+def sensor_row(report: reports.DriveReport | reports.SensorSample) -> dict[str, float]:
     """Return the values of the sensor buses and their ages, by name of their column."""
-    values = {MONOTONIC: report.time_s}
-    if isinstance(report, SensorSample):
+    values = {reports.MONOTONIC: report.time_s}
+    if isinstance(report, reports.SensorSample):
         values.update(report.values)
         values.update((f"{name}.age_s", age_s) for name, age_s in report.age_s.items())
         return values
@@ -171,10 +160,10 @@ def sensor_row(report: DriveReport | SensorSample) -> dict[str, float]:
 
 
 def note_row(
-    report: Event | CommandReport, time: datetime, monotonic_s: float, number: int
+    report: reports.Event | reports.CommandReport, time: datetime, monotonic_s: float, number: int
 ) -> EventRow | CommandRow:
     """Return the row of one event or operator command with the time of its report."""
-    kind = EventRow if isinstance(report, Event) else CommandRow
+    kind = EventRow if isinstance(report, reports.Event) else CommandRow
     return kind(time=time, monotonic_s=monotonic_s, number=number, **asdict(report))
 
 
@@ -234,22 +223,6 @@ class Record:
     rows: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Loss:
-    """Bytes of a segment that hold no sound frame.
-
-    Attributes:
-        begin: First of them.
-        end: First byte after them.
-    """
-
-    begin: int
-    end: int
-
-    def __str__(self) -> str:
-        return f"bytes {self.begin} to {self.end} cannot be read"
-
-
 def framed(record: Record) -> bytes:
     """Return a record as it is in a segment."""
     inner = _INNER.pack(record.number, record.monotonic_s, record.wall_s, record.kind)
@@ -257,8 +230,8 @@ def framed(record: Record) -> bytes:
     return _OUTER.pack(_MARK, len(inner) + len(record.payload), checksum) + inner + record.payload
 
 
-def read_frames(content: bytes) -> Iterator[Record | Loss]:
-    """Yield the records of a segment, and each part of it that holds none.
+def read_frames(content: bytes) -> Iterator[Record | tuple[int, int]]:
+    """Yield the records of a segment, and each part without one: its first byte and its end.
 
     Args:
         content: The segment, which may break off anywhere.
@@ -268,7 +241,7 @@ def read_frames(content: bytes) -> Iterator[Record | Loss]:
         record, end = _frame(content, place)
         if record is None:
             end = _next_sound(content, place + 1)
-            yield Loss(place, end)
+            yield place, end
         else:
             yield record
         place = end

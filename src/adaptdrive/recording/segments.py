@@ -28,8 +28,7 @@ import pyarrow as pa
 from adaptdrive.recording import journal_files, session
 from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Keep, Kind, Record, Ticks
 from adaptdrive.recording.tables import read_parquet, rows_batch, ticks_batch, write_parquet
-from adaptdrive.runtime.reports import MONOTONIC
-from adaptdrive.runtime.statistics import BINS, bin_of
+from adaptdrive.runtime.reports import BINS, MONOTONIC, bin_of
 from adaptdrive.util.errors import NOT_JSON, RecordingError
 
 # Segments of a session's tables: Parquet files, and after them what is in the log only.

@@ -34,14 +34,14 @@ Job = tuple[int | None, int | None]
 """A file (None to end), and the records but rows that the log has by now (None to close it)."""
 
 
-class LogNews(msgspec.Struct, frozen=True):
+class LogStatus(msgspec.Struct, frozen=True):
     """Reports of the threads to the event loop.
 
     Attributes:
-        synced: Records other than rows that the disk keeps by now, None for no news of them.
+        synced: Records other than rows that the disk keeps by now, None for no report of them.
         problems: Why nothing, no rows, or nothing that outlasts a power cut is written, by name;
             an empty text where it is again.
-        part: Segment of the session that has begun, 0 for no news.
+        part: Segment of the session that has begun, 0 for none.
         written: Whether all is written, and nothing more will be.
         ended: Whether the disk keeps all of it, too, and the file is closed.
     """
@@ -53,17 +53,17 @@ class LogNews(msgspec.Struct, frozen=True):
     ended: bool = False
 
 
-def sync_for_ever(jobs: SimpleQueue[Job], tell: Callable[[LogNews], None]) -> None:
+def sync_for_ever(jobs: SimpleQueue[Job], notify: Callable[[LogStatus], None]) -> None:
     """Have the disk keep files of the log, each with all that was written to it before.
 
     Args:
         jobs: What there is to do, until a job without a file.
-        tell: Takes what there is to report.
+        notify: Takes what there is to report.
     """
     while True:
         descriptor, notes = jobs.get()
         if descriptor is None:
-            tell(LogNews(notes, ended=True))
+            notify(LogStatus(notes, ended=True))
             return
         if notes is None or jobs.empty():  # a later sync of this file serves those before it
             problem = ""
@@ -71,7 +71,7 @@ def sync_for_ever(jobs: SimpleQueue[Job], tell: Callable[[LogNews], None]) -> No
                 os.fdatasync(descriptor)
             except OSError as failure:
                 problem = str(failure)
-            tell(LogNews(notes, {SYNC: problem}))
+            notify(LogStatus(notes, {SYNC: problem}))
         if notes is None:
             with contextlib.suppress(OSError):
                 os.close(descriptor)
@@ -109,11 +109,6 @@ def release(folder: Path) -> None:
     (folder / _FILE).unlink(missing_ok=True)
 
 
-def is_full(problem: BaseException) -> bool:
-    """Return whether an error means that the disk or a quota is full."""
-    return isinstance(problem, OSError) and problem.errno in {errno.ENOSPC, errno.EDQUOT}
-
-
 # The log as the thread that writes it sees it: files that are appended to.
 
 _LARGEST_FILE_BYTES = 4 << 20
@@ -145,7 +140,7 @@ class LogWriter:
         header: Header,
         recalled: Recalled,
         clock: Callable[[], tuple[float, float]],
-        tell: Callable[[LogNews], None],
+        notify: Callable[[LogStatus], None],
         begin_rows: Callable[[], None],
         start_thread: Callable[[], None],
     ) -> None:
@@ -156,7 +151,7 @@ class LogWriter:
             header: The session.
             recalled: What an earlier run has left.
             clock: Monotonic and wall time, in seconds.
-            tell: Takes what there is to report.
+            notify: Takes what there is to report.
             begin_rows: Prepares for rows, at once where that is done; may raise `OSError`.
             start_thread: What a thread does first.
         """
@@ -166,7 +161,7 @@ class LogWriter:
         self._folder = folder
         self._header = header
         self._clock = clock
-        self._tell = tell
+        self._notify = notify
         self._begin_rows = begin_rows
         self._start_thread = start_thread
         self._memory = LogMemory(recalled, clock()[0])
@@ -188,7 +183,7 @@ class LogWriter:
         Raises:
             RuntimeError: This process may have no further thread.
         """
-        for work in (self._write_for_ever, partial(sync_for_ever, self._syncs, self._tell)):
+        for work in (self._write_for_ever, partial(sync_for_ever, self._syncs, self._notify)):
             threading.Thread(target=self._begin, args=(work,), name="log", daemon=True).start()
         self.wake()
 
@@ -218,7 +213,7 @@ class LogWriter:
                 self._wakes.get(timeout=None if self._idle else _PAUSE_S)
             self._write_all()
         self._end_file()
-        self._tell(LogNews(written=True))
+        self._notify(LogStatus(written=True))
         self._syncs.put((None, self._notes_written))
 
     @property
@@ -236,7 +231,7 @@ class LogWriter:
             try:
                 self._append(self._taken)
             except OSError as problem:
-                if not is_full(problem):
+                if problem.errno not in {errno.ENOSPC, errno.EDQUOT}:
                     raise
                 release(self._folder)
                 self._append(self._taken)
@@ -289,7 +284,7 @@ class LogWriter:
                 self._part, self._part_began_s = self._part + 1, now_s
             self._begin_file()
             if due:
-                self._tell(LogNews(part=self._part))
+                self._notify(LogStatus(part=self._part))
 
     def _begin_file(self) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -334,7 +329,7 @@ class LogWriter:
             act()
         except Exception as problem:  # noqa: BLE001 - reported; nobody else would notice
             why = (isinstance(problem, OSError) and str(problem)) or repr(problem)
-        self._tell(LogNews(problems={what: why}))
+        self._notify(LogStatus(problems={what: why}))
         if why and self._closing.wait(_PAUSE_S):
             time.sleep(_PAUSE_S / 10.0)  # keep a broken disk from taking the processor
         return not why

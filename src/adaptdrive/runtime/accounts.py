@@ -1,7 +1,8 @@
 """Reports of a daemon, collected from its parts: to the hub on each change, and in one line."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 
 from adaptdrive.control.signals import Decision, Mode
@@ -114,7 +115,7 @@ def drive_report(
     sensors: tuple[reports.SensorReport, ...],
     now_s: float,
 ) -> reports.DriveReport:
-    """Measurement, command and the books of the fast loop; its windows of time begin anew.
+    """Measurement, command and the counts of the fast loop; its windows of time begin anew.
 
     Args:
         fast: The fast loop.
@@ -126,13 +127,13 @@ def drive_report(
         measurement=fast.measurement,
         age_s=now_s - fast.reading.oldest_s if fast.reading else math.nan,
         command=fast.command,
-        ticks=fast.counts.ticks,
-        missed=fast.counts.missed,
-        held=fast.counts.held,
+        ticks=fast.ticks,
+        missed=fast.missed,
+        held=fast.held,
         limited=fast.guard.limited,
         lateness_us=fast.lateness.take(),
         turnaround_us=fast.turnaround.take(),
-        bus={**_counts(bus), "withheld_commands": bus.withheld_commands + fast.counts.withheld},
+        bus={**_counts(bus), "withheld_commands": bus.withheld_commands + fast.withheld},
         tick_us=fast.tick_time.take(),
         sensors=sensors,
         histograms={
@@ -178,6 +179,113 @@ def sensor_sample(buses: Sequence[SensorBus], now_s: float) -> reports.SensorSam
     return reports.SensorSample(
         now_s, values, {column: now_s - bus.taken_s[n] for column, bus, n in found}
     )
+
+
+# The share of its frames that a port has to refuse, over a window of time.
+#
+# A lost or disturbed frame now and then is what the age of the values is for. A large share of them
+# for long is a mistake in the configuration, a second sender or a bad cable. It can go unnoticed:
+# where every other frame is refused, no value ever grows old.
+
+WINDOW_S = 5.0
+"""Longer than a burst of noise, shorter than the time to damage a load."""
+
+_LEAST_FRAMES = 20
+"""Frames in a window from which on a share is judged: one of them is half of the share noted."""
+
+_NOTED_SHARE = 0.1
+"""Share that is reported; a bus in order refuses less than one frame in a thousand."""
+
+_FORGOTTEN_SHARE = 0.05
+"""Share below which the next one is reported again."""
+
+_CAUSES = {
+    "wrong_checksum": "is data_id, data_id_mode or the algorithm of [bus.integrity] another one, "
+    "does a second sender use the id, or is the cable disturbed?",
+    "wrong_length": "does the DBC, the EDS or the register map describe another version?",
+    "counter_stuck": "does the sender hang, or does a gateway repeat its frames?",
+    "out_of_range": "is a scale, an offset or a range wrong, or a sensor broken?",
+    "exceptions": "does the device have these registers, and does it take commands (remote mode)?",
+    "timeouts": "are the baud rate, the device id and the cable right, and the time-out long "
+    "enough?",
+}
+
+
+class RefusedShare:
+    """Measures the share of one port."""
+
+    def __init__(self, name: str, limit: float) -> None:
+        """Start without a count.
+
+        Args:
+            name: Name of the port in reports.
+            limit: Share that must not be reached while the drive is energised, 0 for any.
+        """
+        self._name = name
+        self._limit = limit
+        self._marks: deque[tuple[float, Mapping[str, int]]] = deque()
+        self._noted = False
+        self.cause: str | None = None
+
+    def add(self, now_s: float, counts: Mapping[str, int]) -> str | None:
+        """Take the counts of the port, and judge its share anew.
+
+        Args:
+            now_s: Monotonic time.
+            counts: Its statistics by name.
+
+        Returns:
+            What is to be reported, None for nothing new.
+        """
+        marks = self._marks
+        marks.append((now_s, counts))
+        while len(marks) > 1 and now_s - marks[1][0] >= WINDOW_S:
+            marks.popleft()
+        since_s, first = marks[0]
+        grown = {name: counts[name] - first[name] for name in counts}
+        judged = _judged(grown)
+        if now_s - since_s < WINDOW_S or judged < _LEAST_FRAMES:
+            self.cause = None
+            return None
+        refused = _refused(grown)
+        share = min(1.0, sum(refused.values()) / judged)
+        text = self._text(share, judged, refused)
+        trips = self._limit and share >= self._limit
+        self.cause = f"refused frames: {text}, limit {self._limit:.0%}" if trips else None
+        noted, least = self._noted, _FORGOTTEN_SHARE if self._noted else _NOTED_SHARE
+        self._noted = share >= least
+        return text if self._noted and not noted else None
+
+    def _text(self, share: float, judged: int, refused: Mapping[str, int]) -> str:
+        reason = max(refused, key=lambda name: refused[name])
+        return (
+            f"{self._name}: {share:.0%} of the last {judged} frames were refused, most for "
+            f"{reason} ({refused[reason]}): {_CAUSES[reason]} `adaptdrive probe` shows them"
+        )
+
+
+def _judged(grown: Mapping[str, int]) -> int:
+    """Return the frames that were meant for this port; for one that polls, its requests.
+
+    A port that receives nothing refuses nothing: its values age.
+    """
+    asked = grown["exceptions"] + grown["timeouts"]
+    if not asked:
+        return grown["received"] - grown["foreign"]
+    answered = grown["received"] + grown["exceptions"]
+    return answered + grown["timeouts"] if answered else 0
+
+
+def _refused(grown: Mapping[str, int]) -> dict[str, int]:
+    """Return the frames that were refused, by reason."""
+    refused = {name: grown[name] for name in _CAUSES}
+    # a disturbed reply on a serial line is a missing one, too
+    disturbed = refused["wrong_checksum"] + refused["wrong_length"]
+    refused["timeouts"] = max(0, refused["timeouts"] - disturbed)
+    return refused
+
+
+# Announcements of changes.
 
 
 class Announcer:

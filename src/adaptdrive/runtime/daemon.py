@@ -13,7 +13,6 @@ from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
 from adaptdrive.runtime import (
     accounts,
     fast_loop,
-    interlocks,
     reports,
     requests,
     state_machine,
@@ -23,103 +22,11 @@ from adaptdrive.runtime.settings import DaemonSettings
 from adaptdrive.util.clock import TickTimer
 from adaptdrive.util.errors import RefusedError
 
-# Safe commands outside of ticks: on each stop, and repeatedly when the daemon ends.
-
 _STOP_GAP_S = 0.004
 """Least time between the safe commands of a flood of stops: half a tick, for the bus's sake."""
 
-
-class StopSender:
-    """Brings one drive into its safe state."""
-
-    def __init__(
-        self, machine: state_machine.Machine, fast: fast_loop.FastLoop, clock: Callable[[], float]
-    ) -> None:
-        """Send nothing yet.
-
-        Args:
-            machine: The state machine.
-            fast: Sends the commands.
-            clock: Monotonic clock in seconds.
-        """
-        self._machine = machine
-        self._fast = fast
-        self._clock = clock
-        self._stopped_s = -math.inf
-
-    def stop(self) -> None:
-        """Send only safe commands from now on, and the first one at once."""
-        self._machine.disable()
-        self._fast.send_safe()
-
-    def stop_again(self) -> None:
-        """Do the same for one of many requests; a flood of them does not fill the bus."""
-        now_s = self._clock()
-        if self._machine.energised or now_s - self._stopped_s >= _STOP_GAP_S:
-            self.stop()
-            self._stopped_s = now_s
-
-    async def await_stop(self) -> None:
-        """Send safe commands until the drive confirms its stop, or has had the time to."""
-        end_s = self._clock() + self._fast.stop_limit_s + FAREWELL_GAP_S
-        for number in itertools.count():
-            late = self._clock() > end_s  # judged once more then, however long this process slept
-            self._fast.send_safe()
-            ended = late or self._machine.state is not reports.State.STOPPING
-            if ended and number >= FAREWELLS:
-                break
-            await asyncio.sleep(FAREWELL_GAP_S)
-
-    async def say_farewell(self) -> None:
-        """Stop the drive more than once: a frame can be lost."""
-        for _ in range(FAREWELLS):
-            self.stop()
-            await asyncio.sleep(FAREWELL_GAP_S)
-
-
-# The slow loop: a task that turns snapshots into decisions between two ticks.
-
 _WAITING_AT_MOST = 3
 """Snapshots that may wait for a decision; the drive trips at the next one."""
-
-
-class SlowLoop:
-    """Decides on every snapshot, in order, outside the tick that took it."""
-
-    def __init__(
-        self, decide: Callable[[Snapshot], Decision], deliver: Callable[[Snapshot, Decision], None]
-    ) -> None:
-        """Join the slow half of the controller to the fast loop.
-
-        Args:
-            decide: Makes a decision of a snapshot: the slow half of the controller.
-            deliver: Where each decision goes, with the snapshot it was made of.
-        """
-        self._decide = decide
-        self._deliver = deliver
-        self._snapshots: asyncio.Queue[Snapshot] = asyncio.Queue(maxsize=_WAITING_AT_MOST)
-
-    def offer(self, snapshot: Snapshot) -> bool:
-        """Hand over a snapshot; False when the slow loop has fallen hopelessly behind."""
-        try:
-            self._snapshots.put_nowait(snapshot)
-        except asyncio.QueueFull:
-            return False
-        return True
-
-    def forget(self) -> None:
-        """Drop what waits: the drive has left the run that the snapshots belong to."""
-        while not self._snapshots.empty():
-            self._snapshots.get_nowait()
-
-    async def run(self) -> None:
-        """Decide until cancelled."""
-        while True:
-            snapshot = await self._snapshots.get()
-            self._deliver(snapshot, self._decide(snapshot))
-
-
-# The daemon of one drive: its tasks, their ownership, and their reports.
 
 
 class Daemon:
@@ -170,12 +77,13 @@ class Daemon:
         self._manager = manager
         self._machine = state_machine.Machine(settings.machine, settings.pole)
         self._fast = fast_loop.FastLoop(port, controller, self._machine, settings.fast, self)
-        self._slow = SlowLoop(controller.decide, self._fast.deliver)
+        self._decide = controller.decide
+        self._snapshots: asyncio.Queue[Snapshot] = asyncio.Queue(maxsize=_WAITING_AT_MOST)
         self._timer: TickTimer | None = None
         self._support: tick_support.TickSupport | None = None
         self._failure: asyncio.Future[None] | None = None
-        self._stopper = StopSender(self._machine, self._fast, clock)
-        self._refused = interlocks.RefusedShares(settings.refused_share)
+        self._stopped_s = -math.inf
+        self._refused: dict[str, accounts.RefusedShare] = {}
         self._announcer = accounts.Announcer(self._machine, self._fast, hub, manager, recorded)
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -201,7 +109,7 @@ class Daemon:
                     await self._work(stop)
                 finally:
                     self._announcer.shutting_down = True
-                    await self._stopper.say_farewell()
+                    await self._send_last_stops()
                 serving.cancel()
         finally:
             self._timer.close()
@@ -212,7 +120,7 @@ class Daemon:
         """Everything that needs the port; it ends before the port does."""
         async with asyncio.TaskGroup() as tasks:
             working = [
-                tasks.create_task(self._slow.run(), name="slow loop"),
+                tasks.create_task(self._decide_for_ever(), name="slow loop"),
                 tasks.create_task(self._report(), name="reports"),
                 tasks.create_task(self._watch_failure(), name="failure"),
             ]
@@ -258,12 +166,39 @@ class Daemon:
     def stop(self) -> reports.State:
         """Bring the drive into its safe state at once, whatever it is doing.
 
+        A flood of stops does not fill the bus.
+
         Returns:
             The state after it.
         """
-        self._stopper.stop_again()
+        now_s = self._clock()
+        if self._machine.energised or now_s - self._stopped_s >= _STOP_GAP_S:
+            self._send_stop()
+            self._stopped_s = now_s
         self._announcer.publish_state()
         return self._machine.state
+
+    def _send_stop(self) -> None:
+        """Send only safe commands from now on, and the first one at once."""
+        self._machine.disable()
+        self._fast.send_safe()
+
+    async def _await_stop(self) -> None:
+        """Send safe commands until the drive confirms its stop, or has had the time to."""
+        end_s = self._clock() + self._fast.stop_limit_s + FAREWELL_GAP_S
+        for number in itertools.count():
+            late = self._clock() > end_s  # judged once more then, however long this process slept
+            self._fast.send_safe()
+            ended = late or self._machine.state is not reports.State.STOPPING
+            if ended and number >= FAREWELLS:
+                break
+            await asyncio.sleep(FAREWELL_GAP_S)
+
+    async def _send_last_stops(self) -> None:
+        """Stop the drive more than once: a frame can be lost."""
+        for _ in range(FAREWELLS):
+            self._send_stop()
+            await asyncio.sleep(FAREWELL_GAP_S)
 
     async def execute(self, request: requests.Request) -> reports.State:
         """Carry out an operator's request between two ticks.
@@ -279,7 +214,8 @@ class Daemon:
             await self._port.reset_fault()
         fast, mode = self._fast, self._machine.mode
         output = fast.reading.output if fast.reading is not None else float("nan")
-        cause = fast.cause or self._refused.cause
+        starts = isinstance(request, requests.Enable | requests.Reset)  # no other one is refused
+        cause = (fast.cause or self._refused_cause) if starts else None
         voltage_V = fast.command.boost_reference_V
         self._machine.carry_out(request, fast.tick, output, cause, voltage_V)
         if self._machine.commanded_off:
@@ -338,8 +274,17 @@ class Daemon:
             self._support.ticked(report, idle=not self._announcer.published.enabled)
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
-        """Queue a snapshot for the slow loop."""
-        return self._slow.offer(snapshot)
+        """Queue a snapshot for the slow loop; False when that has fallen hopelessly behind."""
+        if self._snapshots.full():
+            return False
+        self._snapshots.put_nowait(snapshot)
+        return True
+
+    async def _decide_for_ever(self) -> None:
+        """Decide on every snapshot, in order, outside the tick that took it."""
+        while True:
+            snapshot = await self._snapshots.get()
+            self._fast.deliver(snapshot, self._decide(snapshot))
 
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         """Report a decision that took effect, and a change of controller."""
@@ -351,7 +296,7 @@ class Daemon:
             self._fast.send_safe()
         elif decision.complete:  # the load has what it needs: a safe state without a trip
             self._announcer.publish_event("complete", reports.Severity.INFO, "charging is complete")
-            self._stopper.stop()
+            self._send_stop()
         self._announcer.publish_state()
 
     def not_stopped(self, detail: str) -> None:
@@ -362,7 +307,8 @@ class Daemon:
         """Discard what was decided: it is valid for one run only."""
         self._announcer.decision = None
         self._machine.forget_reach()
-        self._slow.forget()
+        while not self._snapshots.empty():
+            self._snapshots.get_nowait()
 
     def _warn(self, kind: str, detail: str) -> None:
         self._announcer.publish_event(kind, reports.Severity.WARNING, detail)
@@ -376,20 +322,33 @@ class Daemon:
     async def _report(self) -> None:
         while True:
             await asyncio.sleep(self._settings.report_s)
-            books = accounts.drive_report(
+            report = accounts.drive_report(
                 self._fast, self._port.statistics, self._sensors(), self._clock()
             )
-            self._hub.publish(books)
-            self._watch_refusals(books)
+            self._hub.publish(report)
+            self._watch_refusals(report)
             self._announcer.publish_state()
             self._announcer.update_manager()
 
-    def _watch_refusals(self, books: reports.DriveReport) -> None:
+    def _watch_refusals(self, report: reports.DriveReport) -> None:
         """Report a large share of refused frames, and trip where that is configured."""
-        for detail in self._refused.add(books):
-            self._warn("refused", detail)
-        if self._refused.cause is not None and self._machine.energised:
-            self.trip(self._refused.cause)
+        ports = {"drive": report.bus} | {one.name: one.bus for one in report.sensors}
+        for name, counts in ports.items():
+            share = self._refused.setdefault(
+                name, accounts.RefusedShare(name, self._settings.refused_share)
+            )
+            detail = share.add(report.time_s, counts)
+            if detail is not None:
+                self._warn("refused", detail)
+        cause = self._refused_cause
+        if cause is not None and self._machine.energised:
+            self.trip(cause)
+
+    @property
+    def _refused_cause(self) -> str | None:
+        """Return the first port whose share of refused frames forbids to energise the drive."""
+        causes = (share.cause for share in self._refused.values())
+        return next((cause for cause in causes if cause is not None), None)
 
     async def _shut_down(self) -> None:
         """Bring the drive to zero, until it confirms; a frame can be lost, so more than once."""
@@ -397,5 +356,5 @@ class Daemon:
         if not self._another_follows:
             self._manager.stopping()
         self.stop()
-        await self._stopper.await_stop()
+        await self._await_stop()
         self._announcer.publish_state()

@@ -5,30 +5,60 @@ values; the frame, if it still comes, then replaces those values and makes no se
 goes wrong, every tick sends a command, and without a reason to do otherwise it is the safe one.
 
 Within a tick the command comes first. What can wait until it is on the wire (the timer, the slow
-loop, the watchdog, the books and the report) comes after it.
+loop, the watchdog, the counts and the report) comes after it.
 """
 
 import math
+from collections import deque
 from typing import Final
 
 from adaptdrive.control import signals
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.devices.port import Port, Reading, assuming
-from adaptdrive.runtime import (
-    interlock_board,
-    reports,
-    state_machine,
-    statistics,
-    stopping,
-    timebase,
-)
+from adaptdrive.runtime import interlocks, reports, state_machine, stopping, timebase
 from adaptdrive.runtime.capacitor import CapacitorBalance
-from adaptdrive.runtime.interlocks import Guard
-from adaptdrive.runtime.settings import FastLoopSettings, LoopSurroundings, TickCounts
+from adaptdrive.runtime.settings import FastLoopSettings, LoopSurroundings
 
 _OFF: Final[signals.Stage] = signals.Stage.OFF  # found at once by compiled code
 _PRECHARGE: Final[signals.Stage] = signals.Stage.PRECHARGE
 _RUN: Final[signals.Stage] = signals.Stage.RUN
+
+
+_LONGEST = 4096
+"""Times kept between two reports: 34 s at 120 Hz."""
+
+
+class TimeWindow:
+    """Collects times: gives their quantiles once, and counts them for ever."""
+
+    def __init__(self) -> None:
+        self._times_us: deque[float] = deque(maxlen=_LONGEST)
+        self._counts = [0] * reports.BINS
+
+    @property
+    def histogram(self) -> tuple[int, ...]:
+        """Counts of all times so far, by bin."""
+        counts = self._counts.copy()
+        for time_us in self._times_us:
+            counts[reports.bin_of(time_us)] += 1
+        return tuple(counts)
+
+    def add(self, time_us: float) -> None:
+        """Take in one time in microseconds; it is counted later, outside the tick."""
+        times = self._times_us
+        if len(times) == _LONGEST:
+            self._counts[reports.bin_of(times[0])] += 1
+        times.append(time_us)
+
+    def take(self) -> reports.Quantiles:
+        """Quantiles of the times since the last call; NaN when there were none."""
+        self._counts = list(self.histogram)
+        times = sorted(self._times_us)
+        self._times_us.clear()
+        if not times:
+            return reports.NO_TIMES
+        last = len(times) - 1
+        return reports.Quantiles(times[round(0.50 * last)], times[round(0.99 * last)], times[last])
 
 
 class FastLoop:
@@ -41,7 +71,10 @@ class FastLoop:
         measurement: That of the latest tick.
         command: Last command that was given to the port.
         guard: Holds the commands to their limits.
-        counts: Counts of ticks and commands.
+        ticks: Ticks run.
+        missed: Half cycles that passed without a tick.
+        held: Stand-in ticks.
+        withheld: Commands that were not given to the port: the drive must report first.
         lateness: Times from due to begun.
         turnaround: Times from a frame to its command.
         tick_time: Times that ticks took.
@@ -68,17 +101,17 @@ class FastLoop:
         self._schedule = Schedule(controller, settings.latency_ticks)
         self._machine = machine
         timing = settings.timing
-        tick_s, stride = timing.half_cycle_s, timing.ticks_per_reading
+        self._stride = timing.ticks_per_reading
         self._half_cycles = timebase.HalfCycles(
-            port.counter_modulus, tick_s, stride, timing.stale_s
+            port.counter_modulus, timing.half_cycle_s, self._stride, timing.stale_s
         )
-        self.guard = Guard(settings.command)
+        self.guard = interlocks.Guard(settings.command)
         capacitor = settings.capacitor
         self._capacitor = None if capacitor is None else CapacitorBalance(capacitor)
         self._settings = settings
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
-        self._interlocks = interlock_board.InterlockBoard(settings, port, self._half_cycles)
+        self._interlocks = interlocks.InterlockBoard(settings, port, self._half_cycles)
         self._stopping = stopping.Stopping(port, timing, machine, surroundings.not_stopped)
         self._order: signals.Order | None = None
         self._wanted = signals.SAFE_COMMAND
@@ -90,14 +123,14 @@ class FastLoop:
         self.reading: Reading | None = None
         self.measurement: signals.Measurement | None = None
         self.command = signals.SAFE_COMMAND
-        self.counts = TickCounts()
-        self.lateness = statistics.TimeWindow()
-        self.turnaround = statistics.TimeWindow()
-        self.tick_time = statistics.TimeWindow()
+        self.ticks = self.missed = self.held = self.withheld = 0
+        self.lateness = TimeWindow()
+        self.turnaround = TimeWindow()
+        self.tick_time = TimeWindow()
 
     @property
     def cause(self) -> str | None:
-        """The interlock that is active now; the complaint of the port comes first.
+        """The interlock that is active now; the fault of the port comes first.
 
         A drive that is commanded off and has its bridge on must not be enabled or reset.
         """
@@ -163,7 +196,7 @@ class FastLoop:
             self._watch_between_ticks(now_s)
             self._judge(deadline_s, now_s)
             return
-        self.counts.held += 1
+        self.held += 1
         tick = self._half_cycles.following(self.tick, skipped)
         self._run(tick, deadline_s, now_s, fresh=False)
 
@@ -198,7 +231,7 @@ class FastLoop:
     @property
     def stop(self) -> reports.StopWord:
         """Confirmation of the stop by the drive."""
-        return self._stopping.word
+        return self._stopping.status
 
     def _send(self, command: signals.Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
@@ -231,7 +264,9 @@ class FastLoop:
         ended_s = self._surroundings.now_s()
         self._hand_over_snapshot()
         self._judge(min(due_s, self._deadline_s), ended_s)
-        self._count(passed)
+        self.ticks += 1
+        if passed:  # the readings that should have had a tick since the last
+            self.missed += passed // self._stride - 1
         self._keep_time(due_s, began_s, ended_s, fresh=fresh)
 
     def _watch_capacitor(self, ticks: int) -> None:
@@ -253,12 +288,6 @@ class FastLoop:
         if snapshot is not None and not self._surroundings.snapshot_taken(snapshot):
             self._machine.latch("slow loop: no decision for three slow periods")
             self.send_safe()
-
-    def _count(self, passed: int) -> None:
-        """Count a tick, and the readings that should have had one since the last."""
-        self.counts.ticks += 1
-        if passed:
-            self.counts.missed += passed // self._settings.timing.ticks_per_reading - 1
 
     def _keep_time(self, due_s: float, began_s: float, ended_s: float, *, fresh: bool) -> None:
         lateness_us, tick_us = (began_s - due_s) * 1e6, (ended_s - began_s) * 1e6
@@ -284,24 +313,24 @@ class FastLoop:
         self._surroundings.ticked(report)
 
     def _watch_interlocks(self, now_s: float) -> None:
-        machine, reading, interlocks = self._machine, self.reading, self._interlocks
+        machine, reading, board = self._machine, self.reading, self._interlocks
         stage = machine.stage
         if stage is _OFF or (stage is _PRECHARGE and not self.command.bridge):
             self._stopping.judge(reading, now_s)
         else:
             self._stopping.release(reading, bridge=self.command.bridge)
         if not machine.energised:
-            interlocks.look(now_s)
+            board.look(now_s)
             return
         running, bridge = stage is _RUN, self.command.bridge
-        cause = interlocks.running_cause(reading, now_s, running=running, bridge=bridge)
+        cause = board.running_cause(reading, now_s, running=running, bridge=bridge)
         if cause is not None:
             machine.latch(cause)
             self._stopping.watch.command(now_s)
         else:
-            doubt = interlocks.rate_doubt(now_s)
+            unknown_rate = board.unknown_rate(now_s)
             voltage_V = math.nan if reading is None else reading.boost_voltage_V
-            machine.advance(self.tick, voltage_V, doubt=doubt, now_s=now_s)
+            machine.advance(self.tick, voltage_V, unknown_rate=unknown_rate, now_s=now_s)
             if stage is _OFF and machine.stage is not _OFF:
                 self._stopping.start()
 
@@ -335,7 +364,7 @@ class FastLoop:
             return
         if command.bridge and self._interlocks.awaits_bridge(self._surroundings.now_s()):
             self._waits = True
-            self.counts.withheld += 1
+            self.withheld += 1
             return
         self._send(command)
         if self._overslept(sent=command.bridge):  # between that look at the clock and the bus
@@ -347,10 +376,10 @@ class FastLoop:
         Args:
             sent: Whether a command that energises may have been sent after that time.
         """
-        machine, interlocks, now_s = self._machine, self._interlocks, self._surroundings.now_s()
+        machine, board, now_s = self._machine, self._interlocks, self._surroundings.now_s()
         if not machine.energised:
             return False
-        cause = interlocks.gap_cause(now_s) or (interlocks.blind_cause(now_s) if sent else None)
+        cause = board.gap_cause(now_s) or (board.late_command_cause(now_s) if sent else None)
         if cause is not None:
             machine.latch(cause)
         return cause is not None

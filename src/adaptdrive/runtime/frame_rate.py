@@ -147,7 +147,7 @@ class FrameRate:
 
     def _problem(self, counted: _Ends | None, sent: _Ends) -> str | None:
         if counted is None:
-            fits = not _is_fast(*sent)
+            fits = sent[1][0] >= sent[0][0] or _fits(*sent)  # lost readings are no sign
         else:
             fits = _fits(*counted) or (not self._counted and _fits(*sent))
         thin = sum(self._thin) > _THIN_SHARE * len(self._thin)
@@ -181,11 +181,6 @@ def _ends(levels: _Levels) -> _Ends | None:
 def _fits(early: _Least, late: _Least) -> bool:
     """Return whether the configured rate explains how late two readings were."""
     return abs(late[0] - early[0]) <= _TOLERANCE * (late[1] - early[1]) + _JITTER_TICKS
-
-
-def _is_fast(early: _Least, late: _Least) -> bool:
-    """Return whether more readings came than the configured rate sends; lost ones are no sign."""
-    return late[0] < early[0] and not _fits(early, late)
 
 
 def _share(early: _Least, late: _Least) -> float:

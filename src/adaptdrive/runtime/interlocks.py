@@ -2,117 +2,21 @@
 
 Each check gives the cause of a trip in words, or None. A trip is latched by the state machine;
 `reset` is refused while a cause is still there.
-
-A lost or disturbed frame now and then is what the age of the values is for. A large share of them
-for long is a mistake in the configuration, a second sender or a bad cable. It can go unnoticed:
-where every other frame is refused, no value ever grows old.
 """
 
-from __future__ import annotations
-
 import math
-from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable
 
 from adaptdrive.config.bus import MEASURED
-from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.faults import describe_fault
-from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.reports import DriveReport
-from adaptdrive.util.quantity import BOOST, Given
+from adaptdrive.devices.port import Port, Reading
+from adaptdrive.runtime.frame_rate import verdict_ticks
+from adaptdrive.runtime.settings import CommandLimits, FastLoopSettings, Limits
+from adaptdrive.runtime.stopping import BridgeWatch
+from adaptdrive.runtime.timebase import HalfCycles
 
-# Interlocks: what must hold while the drive is energised.
-
-# Interlocks: what must hold while the drive is energised.
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Trip levels.
-
-    Attributes:
-        boost_voltage_max_V: Over-voltage.
-        output_max: Highest output.
-        output_unit: Unit of the output, for the text of the trip.
-        output_name: Name of the output, as above.
-        output_min: Lowest output.
-        absent: Quantities that nobody measures.
-        given: Name and unit of what the drive gives, for the text of the trip.
-    """
-
-    boost_voltage_max_V: float
-    output_max: float
-    output_unit: str
-    output_name: str = "output"
-    output_min: float = -math.inf
-    absent: frozenset[str] = frozenset()
-    given: Given = BOOST
-
-
-@dataclass(frozen=True, slots=True)
-class OutputModel:
-    """Model of the load by which a watch judges its output.
-
-    Attributes:
-        output_unit: Unit of the output, for the text of the trip.
-        gain: Change of the output at rest per unit of the input.
-        input_gain: u = gain · v_bst^exponent.
-        input_exponent: 1 or 2.
-        lags_s: Time constants between input and output.
-        output_name: Name of the output, as above.
-        factor: Multiple of a lag with which a stage may rise, and part of it with which it may
-            fall.
-        by_power: Whether the input is the power over the boost voltage, and stores nothing.
-    """
-
-    output_unit: str
-    gain: float
-    input_gain: float
-    input_exponent: int
-    lags_s: tuple[float, ...]
-    output_name: str = field(default="output", kw_only=True)
-    factor: float = field(default=1.0, kw_only=True)
-    by_power: bool = field(default=False, kw_only=True)
-
-    def input(self, reading: Reading) -> float:
-        """Return the input u at a reading."""
-        if self.by_power:
-            return reading.load_power_W / max(reading.boost_voltage_V, 1.0)
-        return to_input(reading.boost_voltage_V, self.input_gain, self.input_exponent)
-
-    def pass_on(self, stages: list[float], level: float, period_s: float) -> float:
-        """Pass a level through the chain of lags; return the lowest that may come out of it.
-
-        Args:
-            stages: Output of each lag; overwritten.
-            level: Input of the first one.
-            period_s: Time for which it has been there.
-        """
-        falls = 0.0 if self.by_power else 1.0 / self.factor
-        for number, lag_s in enumerate(self.lags_s):
-            stage = stages[number]
-            slow_s = lag_s * (self.factor if level > stage else falls)
-            if slow_s > 0.0:
-                level = stage - (level - stage) * math.expm1(-period_s / slow_s)
-            stages[number] = level
-        return level
-
-
-class Watch(Protocol):
-    """Compares the readings of a running drive with each other, one after the other."""
-
-    def forget(self) -> None:
-        """Begin anew: the drive is not running."""
-
-    def find_cause(self, reading: Reading) -> str | None:
-        """Return the cause of a trip, None for none.
-
-        Args:
-            reading: The newest, again where there is no newer one.
-        """
+# Limits of one reading.
 
 
 def find_cause(
@@ -194,156 +98,151 @@ def _not_finite(reading: Reading, absent: frozenset[str]) -> str | None:
     return next((name for name in odd if name not in absent), None)
 
 
-# The share of its frames that a port has to refuse, over a window of time.
+# All interlocks of one drive at a tick: the first cause counts.
 
-WINDOW_S = 5.0
-"""Longer than a burst of noise, shorter than the time to damage a load."""
+_PAUSE_READINGS = 3.0
+"""Readings without an evaluation after which this process did not run: counts jump by as many."""
 
-_LEAST_FRAMES = 20
-"""Frames in a window from which on a share is judged: one of them is half of the share noted."""
-
-_NOTED_SHARE = 0.1
-"""Share that is reported; a bus in order refuses less than one frame in a thousand."""
-
-_FORGOTTEN_SHARE = 0.05
-"""Share below which the next one is reported again."""
-
-_CAUSES = {
-    "wrong_checksum": "is data_id, data_id_mode or the algorithm of [bus.integrity] another one, "
-    "does a second sender use the id, or is the cable disturbed?",
-    "wrong_length": "does the DBC, the EDS or the register map describe another version?",
-    "counter_stuck": "does the sender hang, or does a gateway repeat its frames?",
-    "out_of_range": "is a scale, an offset or a range wrong, or a sensor broken?",
-    "exceptions": "does the device have these registers, and does it take commands (remote mode)?",
-    "timeouts": "are the baud rate, the device id and the cable right, and the time-out long "
-    "enough?",
-}
+_PRIORITY = "give the daemon priority by realtime.priority: docs/proof/realtime.md"
 
 
-class RefusedShares:
-    """Measures the shares of the drive's port and of the separate sensor buses."""
+class InterlockBoard:
+    """The interlocks of a drive, and the time since they were last evaluated."""
 
-    def __init__(self, limit: float) -> None:
-        """Start without a count.
+    def __init__(self, settings: FastLoopSettings, port: Port, half_cycles: HalfCycles) -> None:
+        """Evaluate nothing yet.
 
         Args:
-            limit: Share that must not be reached while the drive is energised, 0 for any.
+            settings: Trip levels, watches over the output and times of the drive.
+            port: The drive.
+            half_cycles: Its time base: the rate of its frames, unless this process decides it, and
+                its half-cycle counter.
         """
-        self._limit = limit
-        self._ports: dict[str, RefusedShare] = {}
+        timing, queued = settings.timing, settings.drive_clocks
+        reported, cycle_s = port.stop_slack_s is not None, port.bridge_cycle_s
+        self._port = port
+        self._limits = settings.limits
+        self._watches = [build() for build in settings.watches]
+        self._rate = half_cycles.rate if queued else None
+        self._counts = half_cycles.counts
+        self._bridge = BridgeWatch(timing, reported=reported, cycle_s=cycle_s, queued=queued)
+        self._watched_s = math.inf
+        self._pause_s, self._paused_s = 0.0, -math.inf
+        self._least_pause_s = _PAUSE_READINGS * timing.reading_s
+        self._judged_over_s = verdict_ticks(timing.ticks_per_reading) * timing.half_cycle_s
+        self._stale_s = timing.stale_s
+        self._gap_limit_s = timing.overslept_s
 
-    def add(self, books: DriveReport) -> list[str]:
-        """Take the counts of every port, and return what is to be reported."""
-        ports = {"drive": books.bus} | {one.name: one.bus for one in books.sensors}
-        found = [self._port(name).add(books.time_s, counts) for name, counts in ports.items()]
-        return [text for text in found if text is not None]
-
-    @property
-    def cause(self) -> str | None:
-        """Reason not to energise the drive, None for no reason."""
-        causes = (port.cause for port in self._ports.values())
-        return next((cause for cause in causes if cause is not None), None)
-
-    def _port(self, name: str) -> RefusedShare:
-        return self._ports.setdefault(name, RefusedShare(name, self._limit))
-
-
-class RefusedShare:
-    """Measures the share of one port."""
-
-    def __init__(self, name: str, limit: float) -> None:
-        """Start without a count.
-
-        Args:
-            name: Name of the port in reports.
-            limit: Share that must not be reached while the drive is energised, 0 for any.
-        """
-        self._name = name
-        self._limit = limit
-        self._marks: deque[tuple[float, Mapping[str, int]]] = deque()
-        self._noted = False
-        self.cause: str | None = None
-
-    def add(self, now_s: float, counts: Mapping[str, int]) -> str | None:
-        """Take the counts of the port, and judge its share anew.
+    def unknown_rate(self, now_s: float) -> str | None:
+        """Return why the drive's rate is not known, at which it is not energised; None once it is.
 
         Args:
             now_s: Monotonic time.
-            counts: Its statistics by name.
-
-        Returns:
-            What is to be reported, None for nothing new.
         """
-        marks = self._marks
-        marks.append((now_s, counts))
-        while len(marks) > 1 and now_s - marks[1][0] >= WINDOW_S:
-            marks.popleft()
-        since_s, first = marks[0]
-        grown = {name: counts[name] - first[name] for name in counts}
-        judged = _judged(grown)
-        if now_s - since_s < WINDOW_S or judged < _LEAST_FRAMES:
-            self.cause = None
+        if self._rate is None or self._rate.judged:
             return None
-        refused = _refused(grown)
-        share = min(1.0, sum(refused.values()) / judged)
-        text = self._text(share, judged, refused)
-        trips = self._limit and share >= self._limit
-        self.cause = f"refused frames: {text}, limit {self._limit:.0%}" if trips else None
-        noted, least = self._noted, _FORGOTTEN_SHARE if self._noted else _NOTED_SHARE
-        self._noted = share >= least
-        return text if self._noted and not noted else None
-
-    def _text(self, share: float, judged: int, refused: Mapping[str, int]) -> str:
-        reason = max(refused, key=lambda name: refused[name])
-        return (
-            f"{self._name}: {share:.0%} of the last {judged} frames were refused, most for "
-            f"{reason} ({refused[reason]}): {_CAUSES[reason]} `adaptdrive probe` shows them"
+        return self._busy(now_s) or (
+            "the drive's half-cycle counter jumps again and again, or its readings are too few: "
+            "look for a gateway that repeats or loses frames, and at signals.counter"
         )
 
+    def awaits_bridge(self, now_s: float) -> bool:
+        """Return whether nothing that energises may be sent before the drive has reported again."""
+        return self._counts.may_have_restarted or self._bridge.must_report(now_s - self._watched_s)
 
-def _judged(grown: Mapping[str, int]) -> int:
-    """Return the frames that were meant for this port; for one that polls, its requests.
+    def look(self, now_s: float) -> None:
+        """Note an evaluation, and the longest time of late in which this process did not run."""
+        pause_s = now_s - self._watched_s
+        if pause_s > self._least_pause_s and (pause_s > self._pause_s or not self._busy(now_s)):
+            self._pause_s, self._paused_s = pause_s, now_s
+        self._watched_s = now_s
 
-    A port that receives nothing refuses nothing: its values age.
-    """
-    asked = grown["exceptions"] + grown["timeouts"]
-    if not asked:
-        return grown["received"] - grown["foreign"]
-    heard = grown["received"] + grown["exceptions"]
-    return heard + grown["timeouts"] if heard else 0
+    def standing_cause(self, reading: Reading | None, now_s: float) -> str | None:
+        """Return the interlock that is active in any state; the drive's protocol comes first."""
+        cause = self._port.complaint or find_cause(
+            reading, now_s, self._limits, self._stale_s, self._port.explain_age
+        )
+        if cause is not None or self._rate is None:
+            return cause
+        standing_s, limit_s = self._rate.standing_s, self._stale_s
+        if standing_s <= limit_s:
+            wrong, busy = self._rate.cause, self._busy(now_s)
+            return f"{wrong}; {busy}" if wrong and busy else wrong
+        return (  # the readings may be one reading, repeated
+            f"half-cycle counter: the drive's count has stood for {standing_s * 1e3:.0f} ms while "
+            f"frames come, limit {limit_s * 1e3:g} ms: its control hangs, or its last frame is "
+            "repeated"
+        )
 
+    def _busy(self, now_s: float) -> str:
+        """Return that this process did not run while the rate was judged, empty where it did."""
+        if now_s - self._paused_s > self._judged_over_s:
+            return ""
+        return (
+            f"this machine was busy: the daemon did not run for {self._pause_s * 1e3:.0f} ms, and "
+            f"readings come late or are lost meanwhile; {_PRIORITY}"
+        )
 
-def _refused(grown: Mapping[str, int]) -> dict[str, int]:
-    """Return the frames that were refused, by reason."""
-    refused = {name: grown[name] for name in _CAUSES}
-    # a disturbed reply on a serial line is a missing one, too
-    disturbed = refused["wrong_checksum"] + refused["wrong_length"]
-    refused["timeouts"] = max(0, refused["timeouts"] - disturbed)
-    return refused
+    def running_cause(
+        self, reading: Reading | None, now_s: float, *, running: bool, bridge: bool
+    ) -> str | None:
+        """Evaluate every interlock of an energised drive.
+
+        Args:
+            reading: The newest reading, None before the first.
+            now_s: Monotonic time.
+            running: Whether the drive runs; while it starts, its bridge may be reported late.
+            bridge: Whether the last command had the bridge on.
+        """
+        unwatched_s, gap_cause = now_s - self._watched_s, self.gap_cause(now_s)
+        self.look(now_s)
+        cause = gap_cause or self.standing_cause(reading, now_s)
+        if cause is not None or reading is None:  # without a reading there is always a cause
+            return cause
+        cause = self._bridge.find_cause(
+            reading, commanded=bridge, due=running, unwatched_s=unwatched_s, now_s=now_s
+        ) or self._counts.find_cause(commanded=bridge)
+        return cause or self._implausible(reading, running=running)
+
+    def gap_cause(self, now_s: float) -> str | None:
+        """Return the cause of a trip when this process did not run for long until now."""
+        unwatched_s = now_s - self._watched_s
+        if unwatched_s <= self._gap_limit_s:
+            return None
+        return (
+            f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
+            f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; set "
+            f"interlocks.stale_s (now {self._stale_s:g}) to {2.0 * unwatched_s:.2g} where "
+            f"the drive's own time-out allows it, or {_PRIORITY}"
+        )
+
+    def late_command_cause(self, now_s: float) -> str | None:
+        """Return the cause of a trip when a drive that may have stopped was just driven on.
+
+        This process did not run between its last look at the drive and the bus, and the next report
+        shows the bridge on in either case.
+        """
+        unwatched_s = now_s - self._watched_s
+        if not self._bridge.hides_stop(unwatched_s):
+            return None
+        return (
+            f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms while "
+            "it sent a command: the drive may have stopped by itself and been switched on again; "
+            f"{_PRIORITY}"
+        )
+
+    def _implausible(self, reading: Reading, *, running: bool) -> str | None:
+        """Return why the output cannot be that of the load, although its sensor still sends."""
+        cause: str | None = None
+        for watch in self._watches:
+            if running:
+                cause = cause or watch.find_cause(reading)
+            else:
+                watch.forget()
+        return cause
 
 
 # The last look at a command before the wire: finite, in range, not jumping.
-
-
-@dataclass(frozen=True, slots=True)
-class CommandLimits:
-    """Limits of commands.
-
-    Attributes:
-        current_scale_min_S: Lowest k.
-        current_scale_max_S: Highest k.
-        current_scale_slew_S: Largest change of k from one tick to the next.
-        boost_reference_max_V: Highest V_c.
-        boost_reference_min_V: Lowest V_c where that is negative; else 0, the safe command's.
-        given: Name and unit of V_c, for texts.
-    """
-
-    current_scale_min_S: float
-    current_scale_max_S: float
-    current_scale_slew_S: float
-    boost_reference_max_V: float
-    boost_reference_min_V: float = 0.0
-    given: Given = BOOST
 
 
 class Guard:

@@ -32,10 +32,75 @@ that the load moves is watched by itself.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol
 
+from adaptdrive.control.loads.load import to_input
 from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.interlocks import OutputModel
+
+
+@dataclass(frozen=True, slots=True)
+class OutputModel:
+    """Model of the load by which a watch judges its output.
+
+    Attributes:
+        output_unit: Unit of the output, for the text of the trip.
+        gain: Change of the output at rest per unit of the input.
+        input_gain: u = gain · v_bst^exponent.
+        input_exponent: 1 or 2.
+        lags_s: Time constants between input and output.
+        output_name: Name of the output, as above.
+        factor: Multiple of a lag with which a stage may rise, and part of it with which it may
+            fall.
+        by_power: Whether the input is the power over the boost voltage, and stores nothing.
+    """
+
+    output_unit: str
+    gain: float
+    input_gain: float
+    input_exponent: int
+    lags_s: tuple[float, ...]
+    output_name: str = field(default="output", kw_only=True)
+    factor: float = field(default=1.0, kw_only=True)
+    by_power: bool = field(default=False, kw_only=True)
+
+    def input(self, reading: Reading) -> float:
+        """Return the input u at a reading."""
+        if self.by_power:
+            return reading.load_power_W / max(reading.boost_voltage_V, 1.0)
+        return to_input(reading.boost_voltage_V, self.input_gain, self.input_exponent)
+
+    def pass_on(self, stages: list[float], level: float, period_s: float) -> float:
+        """Pass a level through the chain of lags; return the lowest that may come out of it.
+
+        Args:
+            stages: Output of each lag; overwritten.
+            level: Input of the first one.
+            period_s: Time for which it has been there.
+        """
+        falls = 0.0 if self.by_power else 1.0 / self.factor
+        for number, lag_s in enumerate(self.lags_s):
+            stage = stages[number]
+            slow_s = lag_s * (self.factor if level > stage else falls)
+            if slow_s > 0.0:
+                level = stage - (level - stage) * math.expm1(-period_s / slow_s)
+            stages[number] = level
+        return level
+
+
+class Watch(Protocol):
+    """Compares the readings of a running drive with each other, one after the other."""
+
+    def forget(self) -> None:
+        """Begin anew: the drive is not running."""
+
+    def find_cause(self, reading: Reading) -> str | None:
+        """Return the cause of a trip, None for none.
+
+        Args:
+            reading: The newest, again where there is no newer one.
+        """
+
 
 # An output that is lower than any load of the kind would have it after what it was fed with.
 

@@ -115,6 +115,20 @@ class Quantiles:
 
 NO_TIMES = Quantiles(math.nan, math.nan, math.nan)
 
+BINS = 17
+"""Bins of a histogram of times: powers of two from below 1 us to 32,768 us and more.
+
+One late tick in a night is seen in it when every report of that minute has long been overwritten.
+"""
+
+_LARGEST_US = 1e9
+"""Longest time that is counted as it is, 1,000 s, so that infinite ones have a bin."""
+
+
+def bin_of(time_us: float) -> int:
+    """Return the bin of a time in microseconds; anything below 1 us is in the first."""
+    return min(int(min(max(0.0, time_us), _LARGEST_US)).bit_length(), BINS - 1)
+
 
 @dataclass(frozen=True, slots=True)
 class SensorReport:
@@ -284,8 +298,8 @@ SLOW_COLUMNS = signals.columns_of(LoadReport)
 T = TypeVar("T")
 
 
-class Bounded(Generic[T]):
-    """A queue between two tasks; the oldest goes when it is full.
+class Queue(Generic[T]):
+    """A bounded queue between two tasks; the oldest item goes when it is full.
 
     Attributes:
         dropped: Items that went because the queue was full.
@@ -316,15 +330,30 @@ class Bounded(Generic[T]):
         self._items.clear()
         return taken
 
-
-class Subscription(Bounded[Report]):
-    """One subscriber's queue."""
-
-    async def take(self) -> Sequence[Report]:
-        """Wait until there is at least one report, then take all there are."""
+    async def take(self) -> Sequence[T]:
+        """Wait until there is at least one item, then take all there are."""
         await self._filled.wait()
         return self.drain()
 
+    async def oldest(self) -> T:
+        """Wait for an item; it stays in the queue."""
+        await self._filled.wait()
+        return self._items[0]
+
+    async def take_oldest(self) -> T:
+        """Wait for the oldest item and take it."""
+        item = await self.oldest()
+        self._remove_oldest()
+        return item
+
+    def _remove_oldest(self) -> None:
+        self._items.popleft()
+        if not self._items:
+            self._filled.clear()
+
+
+Subscription = Queue[Report]
+"""One subscriber's queue."""
 
 Keep = Callable[[], Awaitable[None]]
 """Waits until all that was published is in a file, for a short bounded time at most."""

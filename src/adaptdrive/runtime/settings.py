@@ -9,7 +9,7 @@ from adaptdrive.config.services import Realtime
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
-from adaptdrive.runtime import interlocks, reports
+from adaptdrive.runtime import plausibility, reports
 from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import BOOST, Given
@@ -61,7 +61,7 @@ class ManualVoltage:
 # Limits of an operator's requests, and the refusals of values outside them.
 
 _LONGEST_HOLD_S = 86_400.0
-"""A day, as for the times of supervision in the configuration; no limit at all has its own word."""
+"""A day, as for the times of supervision in the configuration; None is no limit at all."""
 
 FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
@@ -198,21 +198,48 @@ class MachineLimits:
 # Settings of the runtime of one drive, and the interface of its fast loop to the rest.
 
 
-@dataclass(slots=True)
-class TickCounts:
-    """Counts since the start.
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Trip levels.
 
     Attributes:
-        ticks: Ticks run.
-        missed: Half cycles that passed without a tick.
-        held: Stand-in ticks.
-        withheld: Commands that were not given to the port: the drive must report first.
+        boost_voltage_max_V: Over-voltage.
+        output_max: Highest output.
+        output_unit: Unit of the output, for the text of the trip.
+        output_name: Name of the output, as above.
+        output_min: Lowest output.
+        absent: Quantities that nobody measures.
+        given: Name and unit of what the drive gives, for the text of the trip.
     """
 
-    ticks: int = 0
-    missed: int = 0
-    held: int = 0
-    withheld: int = 0
+    boost_voltage_max_V: float
+    output_max: float
+    output_unit: str
+    output_name: str = "output"
+    output_min: float = -math.inf
+    absent: frozenset[str] = frozenset()
+    given: Given = BOOST
+
+
+@dataclass(frozen=True, slots=True)
+class CommandLimits:
+    """Limits of commands.
+
+    Attributes:
+        current_scale_min_S: Lowest k.
+        current_scale_max_S: Highest k.
+        current_scale_slew_S: Largest change of k from one tick to the next.
+        boost_reference_max_V: Highest V_c.
+        boost_reference_min_V: Lowest V_c where that is negative; else 0, the safe command's.
+        given: Name and unit of V_c, for texts.
+    """
+
+    current_scale_min_S: float
+    current_scale_max_S: float
+    current_scale_slew_S: float
+    boost_reference_max_V: float
+    boost_reference_min_V: float = 0.0
+    given: Given = BOOST
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,13 +258,13 @@ class FastLoopSettings:
         capacitor: The boost capacitor that this process charges, None where the drive does.
     """
 
-    limits: interlocks.Limits
-    command: interlocks.CommandLimits
+    limits: Limits
+    command: CommandLimits
     timing: Timing
     latency_ticks: int
     late_fraction: float
     timer_standin: bool
-    watches: tuple[Callable[[], interlocks.Watch], ...] = ()
+    watches: tuple[Callable[[], plausibility.Watch], ...] = ()
     drive_clocks: bool = True
     capacitor: CapacitorLimits | None = None
 

@@ -246,7 +246,7 @@ class Machine:
         """Start the drive, with the present output as set-point; no effect while it is energised.
 
         In mode manual it coasts until a voltage is asked for: a program that dies before that
-        leaves nothing energised. So does a load of which nobody knows what V_c does to it, until a
+        leaves nothing energised. So does a load of which it is unknown what V_c does to it, until a
         set-point is asked for.
 
         Args:
@@ -300,7 +300,12 @@ class Machine:
         self.state = State.STANDBY if self.stopped else State.STOPPING
 
     def advance(
-        self, tick: int, boost_voltage_V: float, *, doubt: str | None = None, now_s: float = 0.0
+        self,
+        tick: int,
+        boost_voltage_V: float,
+        *,
+        unknown_rate: str | None = None,
+        now_s: float = 0.0,
     ) -> None:
         """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
 
@@ -310,7 +315,8 @@ class Machine:
         Args:
             tick: Present tick.
             boost_voltage_V: Boost voltage.
-            doubt: Why the drive's rate is not known, None once it is: then the precharge begins.
+            unknown_rate: Why the drive's rate is not known, None once it is: then the precharge
+                begins.
             now_s: Monotonic time, by which an unknown rate is awaited.
         """
         if self.state is _RUNNING and self.mode is _MANUAL:
@@ -320,23 +326,23 @@ class Machine:
         if self.state is not _STARTING:
             return
         if not self._precharging:
-            self._precharging, self._since_tick = doubt is None, tick
-            if doubt is not None:
-                self._await_rate(doubt, now_s)
+            self._precharging, self._since_tick = unknown_rate is None, tick
+            if unknown_rate is not None:
+                self._await_rate(unknown_rate, now_s)
         elif self._limits.is_reached(boost_voltage_V):
             self.state = State.RUNNING
             self.manual = replace(self.manual, since_tick=tick)  # nobody could renew it meanwhile
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(self._limits.precharge_cause(boost_voltage_V))
 
-    def _await_rate(self, doubt: str, now_s: float) -> None:
+    def _await_rate(self, unknown_rate: str, now_s: float) -> None:
         """Trip once the rate has been unknown for too long, or its operator may be lost."""
         self._awaited_s = min(self._awaited_s, now_s)
         waited_s, limit_s = now_s - self._awaited_s, self._limits.rate_s
         if self.mode is _MANUAL and self.manual.hold_s is not None:
             limit_s = min(limit_s, self.manual.hold_s)
         if waited_s > limit_s:
-            self.latch(f"frame rate: not known {waited_s:.3g} s after the start: {doubt}")
+            self.latch(f"frame rate: not known {waited_s:.3g} s after the start: {unknown_rate}")
 
     def forget_reach(self) -> None:
         """Go by the nominal model again: what a run found may not hold in the next one."""
@@ -348,7 +354,7 @@ class Machine:
         if self.state is State.STOPPING:
             self.state = State.STANDBY
 
-    def doubt_stop(self) -> None:
+    def withdraw_stop(self) -> None:
         """Note that the drive is not off: it is to be stopped."""
         self.stopped = False
         if self.state is State.STANDBY:

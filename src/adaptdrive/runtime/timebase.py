@@ -1,19 +1,19 @@
 """The time base: the half line cycle of a frame, by its time and by the drive's own count.
 
-A count that keeps step with the one that is believed is believed in its place, if it is a newer
+A count that keeps step with the one that is accepted is accepted in its place, if it is a newer
 one: it is that of the drive as it was, whatever was lost and however often it has wrapped. One that
-does not is believed once those after it have kept step with it, and not with the one before.
+does not is accepted once those after it have kept step with it, and not with the one before.
 
 A drive that has started anew must not be driven on. It may do so so quickly that no reading is
 missed for long, and the commands of that time have switched it on again before its first report.
-Its count then begins at 0. One that may have done so is in doubt. If the frames after it keep step
+Its count then begins at 0. One that may have done so is suspect. If the frames after it keep step
 with that from before, it was late, or repeated; frames that waited come at once and are soon over.
-If they keep step with the doubtful one alone, the drive has started anew.
+If they keep step with the suspect one alone, the drive has started anew.
 
 A drive that hangs, or a gateway, may repeat its last frame for ever, or several of them in turn:
 these advance from one to the next, and back. A count that stands, or is behind the newest one, is
 therefore that of an old frame. One that has leapt back must keep step for longer than a reading may
-be old, before it is believed.
+be old, before it is accepted.
 
 A tick is identified by the drive's own counter, unwrapped. A counter that jumps by more or less
 than time allows (the drive was restarted, or its frames were lost for long) is anchored anew: its
@@ -44,10 +44,10 @@ _BEGUN_TICKS = 2 * SLACK_TICKS
 """The same of a count that began at 0 after the frame before, which may have been late itself."""
 
 _PACE_TICKS = 1.0
-"""Difference within which the frames after a doubtful one keep step with it."""
+"""Difference within which the frames after a suspect one keep step with it."""
 
 _SURE_TICKS = 2.5
-"""Half cycles after a doubtful frame at which frames that had waited are over."""
+"""Half cycles after a suspect frame at which frames that had waited are over."""
 
 _OLDER_SHARE = 0.25
 """Share of its range by which a repeated count is older than the newest, at the most."""
@@ -79,17 +79,17 @@ class CounterWatch:
         self._back_ticks = max(_BACK_TICKS, _BACK_SHARE * stale_s / tick_s - 0.5)
         self._seen_s = -math.inf
         self._newest: _Count = (0, -math.inf)
-        self._believed: _Count | None = None
-        self._doubted: _Count | None = None
+        self._accepted: _Count | None = None
+        self._suspect: _Count | None = None
         self._stray: _Count | None = None
         self._cause: str | None = None
 
     @property
-    def in_doubt(self) -> bool:
+    def may_have_restarted(self) -> bool:
         """True while the drive may have started anew."""
-        return self._doubted is not None or self._cause is not None
+        return self._suspect is not None or self._cause is not None
 
-    def see(self, counter: int | None, arrival_s: float, tick_s: float) -> bool:
+    def add(self, counter: int | None, arrival_s: float, tick_s: float) -> bool:
         """Take the count of a reading; return whether it is an old one.
 
         Args:
@@ -101,9 +101,9 @@ class CounterWatch:
             return False
         self._tick_s = tick_s
         count, quiet = (counter, arrival_s), (arrival_s - self._seen_s) / tick_s
-        self._seen_s, before = arrival_s, self._believed
+        self._seen_s, before = arrival_s, self._accepted
         self._judge(count)
-        if self._believed != before:
+        if self._accepted != before:
             return False
         if self._is_behind(count) and quiet < 0.5 * self._modulus:  # else it may have come round
             return True
@@ -120,40 +120,40 @@ class CounterWatch:
         """
         if not commanded:
             self._cause = None
-            if self._doubted is not None:
-                self._believe(self._doubted)
+            if self._suspect is not None:
+                self._accept(self._suspect)
         return self._cause
 
     def _judge(self, count: _Count) -> None:
-        """Believe a count that keeps step, or that has kept step with one that did not."""
-        believed, doubted, stray = self._believed, self._doubted, self._stray
-        if believed is None:
-            self._believe(count)
-        elif self._off(believed, count) <= SLACK_TICKS:
+        """Accept a count that keeps step, or that has kept step with one that did not."""
+        accepted, suspect, stray = self._accepted, self._suspect, self._stray
+        if accepted is None:
+            self._accept(count)
+        elif self._off(accepted, count) <= SLACK_TICKS:
             if not self._is_behind(count):
-                self._believe(count)
-        elif doubted is not None and self._off(doubted, count) <= _PACE_TICKS:
-            if self._passed(doubted, count) >= _SURE_TICKS:
-                self._note_restart(believed, doubted)
-                self._believe(count)
-        elif count[0] <= self._passed(believed, count) + _BEGUN_TICKS:
-            self._doubted, self._stray = count, None
+                self._accept(count)
+        elif suspect is not None and self._off(suspect, count) <= _PACE_TICKS:
+            if self._passed(suspect, count) >= _SURE_TICKS:
+                self._note_restart(accepted, suspect)
+                self._accept(count)
+        elif count[0] <= self._passed(accepted, count) + _BEGUN_TICKS:
+            self._suspect, self._stray = count, None
         elif stray is not None and self._off(stray, count) <= _PACE_TICKS:
             sure_ticks = self._back_ticks if self._is_behind(stray) else _SURE_TICKS
             if self._passed(stray, count) >= sure_ticks:
-                self._believe(count)
+                self._accept(count)
         else:
             self._stray = count
 
-    def _believe(self, count: _Count) -> None:
+    def _accept(self, count: _Count) -> None:
         """Compare the counts after this one with it alone."""
-        self._believed = self._newest = count
-        self._doubted = self._stray = None
+        self._accepted = self._newest = count
+        self._suspect = self._stray = None
 
     def _is_behind(self, count: _Count) -> bool:
         """Return whether a count is that of an older frame than the newest, or the same again."""
         limit = _OLDER_SHARE * self._modulus
-        if self._doubted is not None:  # it may be that of a drive that has started anew
+        if self._suspect is not None:  # it may be that of a drive that has started anew
             limit = min(limit, _BEGUN_TICKS + 1)
         return (self._newest[0] - count[0]) % self._modulus < limit
 
@@ -245,7 +245,7 @@ class HalfCycles:
         """
         steps = self._steps(counter, arrival_s)
         stood_in = latest_tick > self._frame_tick
-        repeated = self.counts.see(counter, arrival_s, self.tick_period_s)
+        repeated = self.counts.add(counter, arrival_s, self.tick_period_s)
         self.rate.add(arrival_s, steps, stood_in=stood_in, repeated=repeated)
         if steps is None:
             tick, self._grid_s = self.following(latest_tick), arrival_s

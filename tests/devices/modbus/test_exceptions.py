@@ -9,7 +9,7 @@ import pytest
 from adaptdrive.config.polled import Register
 from adaptdrive.devices.modbus.frames import explain_exception
 from adaptdrive.devices.polled.registers import Block, Exchange, Table, plan_blocks
-from adaptdrive.runtime.trips import remedy
+from adaptdrive.mqtt.contract import remedy
 
 
 def block(table: Table, gap: int = 0, *, single: bool = False) -> Block:

@@ -16,8 +16,9 @@ from unittest.mock import ANY
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND
-from adaptdrive.runtime.interlocks import Limits, find_cause
-from adaptdrive.runtime.trips import remedy
+from adaptdrive.mqtt.contract import remedy
+from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.runtime.settings import Limits
 from tests.devices import memory
 from tests.devices.bench import until
 from tests.devices.modbus.bench import (

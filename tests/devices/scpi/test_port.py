@@ -15,7 +15,7 @@ from adaptdrive.app.ports import build_port
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.port import Port
-from adaptdrive.runtime.trips import remedy
+from adaptdrive.mqtt.contract import remedy
 from tests.devices import memory
 from tests.devices.bench import Ear, until
 

@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 
 from adaptdrive.app.reload import log_events
-from adaptdrive.recording.journal import Place, RecordingPace
+from adaptdrive.recording.journal import RecordingPace
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.reports import Event, Hub, Severity
@@ -33,8 +33,8 @@ async def publish(hub: Hub) -> None:
 async def main(sessions: Path) -> None:
     hub = Hub()
     pace = RecordingPace(flush_s=0.1, keep_s=60.0)
-    place = Place(sessions.with_name("motor.log"), sessions)
-    recorder = Recorder(place, Header(INFO, ""), hub, clock, pace)
+    log = sessions.with_name("motor.log")
+    recorder = Recorder(log, sessions, Header(INFO, ""), hub, clock, pace)
     hub.kept = recorder.kept
     events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.recording.journal import Place, RecordingPace
+from adaptdrive.recording.journal import RecordingPace
 from adaptdrive.recording.reader import Session, read_session, verify
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header
@@ -192,10 +192,10 @@ async def record_trip(sessions: Path, filler: Path | None = None) -> Path:
     """Record a trip about as fast as a drive, on a disk that a file fills; the session."""
     hub, published = Hub(), 0
     told, heard = hub.subscribe(Event, size=100), list[str]()
-    place = Place(sessions.with_name("motor.log"), sessions)
+    log = sessions.with_name("motor.log")
     clock = lambda: (time.monotonic(), time.time())  # noqa: E731
     pace = RecordingPace(flush_s=0.05, close_s=PATIENCE_S, trip_s=0.5)
-    recorder = Recorder(place, Header(INFO, ""), hub, clock, pace)
+    recorder = Recorder(log, sessions, Header(INFO, ""), hub, clock, pace)
     running = asyncio.create_task(recorder.run())
     async with asyncio.timeout(PATIENCE_S):
         while "the record of the trip is in" not in "".join(heard):

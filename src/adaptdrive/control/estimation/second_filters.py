@@ -13,7 +13,7 @@ swings is neither: its residuals are coloured, and dynamics that fit them come o
 
     y = rᵀθ + e       bias[k + 1] = bias[k] + w       σ_w = 30 σ_e
 
-the noise of the model is integrated noise (Clarke, Mohtadi and Tuffs, Automatica 23, 1987,
+the noise of the model is incremental noise (Clarke, Mohtadi and Tuffs, Automatica 23, 1987,
 doi:10.1016/0005-1098(87)90087-2), and only changes from sample to sample teach the dynamics. Such
 an estimate withstands any slow disturbance, and learns less from each sample than one whose bias
 rests. Which of the two describes the drive is seen from how well they predict:
