@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from adaptdrive.app.settings import controller_settings, tick_s
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.cli.options import Integer, read_address
 from adaptdrive.config import file, root, services
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
@@ -254,7 +254,7 @@ def _holds_output(configuration: root.Configuration) -> bool:
 
 
 def _lag_s(configuration: root.Configuration) -> float:
-    return controller_settings(configuration).rates.lag_ticks * tick_s(configuration)
+    return controller_settings(configuration).rates.lag_ticks * configuration.drive.half_cycle_s
 
 
 def report(event: str, **data: object) -> None:

@@ -12,7 +12,7 @@ from typing import Protocol
 import polars as pl
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, tick_s
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
@@ -150,7 +150,7 @@ def run_loop(
     controller = Controller(settings, load, begin.prior)
     schedule = Schedule(controller, configuration.load.latency_ticks)
     boost = BoostStage(configuration, begin.boost_voltage_V)
-    half_cycle_s, stride = tick_s(configuration), configuration.bus.ticks_per_reading
+    half_cycle_s, stride = configuration.drive.half_cycle_s, configuration.bus.ticks_per_reading
     line_V, period_s = configuration.drive.line_voltage_V, half_cycle_s * stride
     plant = at_own_step(plant)
     output, power_W = advanced(plant, boost.voltage_V, period_s, 0)
@@ -297,14 +297,14 @@ def simulated(
     Raises:
         IdentificationError: A set-point, or a value that the plant returns, is not finite.
     """
-    reading_s = tick_s(configuration) * configuration.bus.ticks_per_reading
+    reading_s = configuration.timing.reading_s
     pole = configuration.load.pole
 
     def order(number: int) -> signals.Order:
         return signals.Order(signals.Stage.RUN, _finite(setpoint, number * reading_s), mode, pole)
 
     record = run_loop(configuration, plant, order, round(duration_s / reading_s))
-    slow = _slow(record, tick_s(configuration))
+    slow = _slow(record, configuration.drive.half_cycle_s)
     return Simulation(_ticks(record), slow, record.fault, configuration)
 
 

@@ -153,7 +153,7 @@ def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The λ filters and the slow period suit the load."""
     mean_s = load.lag_s / load.order
     lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
-    least_s = _LEAST_READINGS * configuration.bus.ticks_per_reading * settings.tick_s(configuration)
+    least_s = _LEAST_READINGS * configuration.timing.reading_s
     shortest_s, longest_s = mean_s / _MOST_PERIODS, mean_s / _LEAST_PERIODS
     for place, value_s, low_s, high_s in (
         ("estimator.tau_lambda_s", lambda_s, _LEAST_LAMBDA * mean_s, _MOST_LAMBDA * mean_s),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.app import loads, ports
-from adaptdrive.app.settings import controller_settings, tick_s
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, file, polled
 from adaptdrive.config.load import AnyLoad, BatterySection
 from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
@@ -197,7 +197,7 @@ def _capacitor_flaws(configuration: Configuration) -> Iterator[Flaw]:
         problem += f"{limits.boost_reference_min_V:g} V with {power_W:.4g} W"
         yield Flaw(place, f"{problem}; interlocks.precharge_timeout_s = {patience_s:g}")
     held_J = 0.5 * capacitance_F * limits.boost_reference_max_V**2
-    taken_J = limits.load_power_max_W * tick_s(configuration)
+    taken_J = limits.load_power_max_W * configuration.drive.half_cycle_s
     if held_J < taken_J:
         problem = f"{capacitance_F:g} F holds {held_J:.3g} J at {limits.boost_reference_max_V:g} V"
         yield Flaw(

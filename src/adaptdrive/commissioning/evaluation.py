@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from adaptdrive.analysis.closed_loop import LoopStart, run_loop
 from adaptdrive.analysis.excerpts import IdentifiedPlant, Quality, period_means, quality_of
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import tick_s
 from adaptdrive.commissioning.course import Outcome, Samples
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config.root import Configuration
@@ -237,7 +236,7 @@ def predict(
 
     after = max(_PERIODS_AFTER, math.ceil(_SETTLED / (1.0 - section.pole)))
     count = (_PERIODS_BEFORE + after) * samples
-    period_s = tick_s(configuration) * configuration.bus.ticks_per_reading
+    period_s = configuration.timing.reading_s
     plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), _power(configuration))
     record = run_loop(configuration, plant, order, count, LoopStart(boost_voltage_V=rest_V))
     output = period_means(np.array(record.output), samples)

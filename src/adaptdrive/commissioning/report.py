@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from adaptdrive.analysis import closed_loop, load_report, style
 from adaptdrive.analysis.figure import as_png
-from adaptdrive.app import examine, loads, settings
+from adaptdrive.app import examine, loads
 from adaptdrive.commissioning import course, evaluation
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.proposal import Proposal, propose
@@ -172,7 +172,7 @@ class _Rig:
 
     def __init__(self, plant: closed_loop.Plant, configuration: Configuration) -> None:
         self._plant = closed_loop.at_own_step(plant)
-        self._step_s = settings.tick_s(configuration) * configuration.bus.ticks_per_reading
+        self._step_s = configuration.timing.reading_s
         self._count = max(1, round(_SAMPLE_S / self._step_s))
         self._share = -math.expm1(-self._step_s / _LAG_S)
         self._taken = 0
