@@ -4,6 +4,7 @@ An example describes one load behind one bus. The bus of one and the load of ano
 configurations that no example shows; every one of them passes `check` as it stands.
 """
 
+import json
 import math
 import re
 import tomllib
@@ -12,7 +13,6 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
-from adaptdrive.app.described import quoted
 from adaptdrive.config import services
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.section import si_unit
@@ -171,6 +171,11 @@ def _with(text: str, key: str, value: str, remark: str) -> str:
     """Return a text in which a key has another value, with a remark."""
     line = f"{key} = {value:<{24 - len(key)}}# {remark}"
     return re.sub(rf"(?m)^{key} = .*$", line, text)
+
+
+def quoted(text: str) -> str:
+    """Return a text as TOML writes it, whatever its characters are."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _read(file: str, folder: str) -> bytes:

@@ -5,17 +5,17 @@ from collections.abc import Callable, Sequence
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
 from adaptdrive import __version__
-from adaptdrive.cli.standard_files import UNUSABLE, complain
+from adaptdrive.cli import UNUSABLE, print_error
 from adaptdrive.runtime.requests import REQUESTS, Request
 
 _COMMANDS = {
-    "init": ("start", "Write a first configuration for a load and a bus."),
+    "init": ("configuration", "Write a first configuration for a load and a bus."),
     "start": ("desk", "Run a drive on a desk: its daemon, a broker, the panel, and the view."),
     "run": ("run", "Run the daemon for one drive until a signal stops it."),
     "check": ("configuration", "Validate a configuration; list every error with its place."),
     "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),
     "probe": ("probe", "Show decoded measurements from the bus; command nothing."),
-    "replay": ("replay", "Run the controller again on a recorded session."),
+    "replay": ("sessions", "Run the controller again on a recorded session."),
     "events": ("sessions", "Show the events of a recorded session."),
     "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
     "identify": ("analysis", "Identify the load from a session or a CSV file, with error bars."),
@@ -50,7 +50,7 @@ def understood(app: App, words: Sequence[str] | None = None) -> Callable[[], obj
             return app(words)
         except CycloptsError as problem:
             program = app.name[0]
-            return complain(program, _misuse(program, problem), UNUSABLE)
+            return print_error(program, _misuse(program, problem), UNUSABLE)
 
     return carry_out
 

@@ -241,10 +241,6 @@ _ONE_REPORT = threading.Lock()
 """Reports are drawn one by one: each takes a processor for seconds."""
 
 
-class PanelError(AdaptdriveError):
-    """The panel cannot be served."""
-
-
 class PanelHandler(SimpleHTTPRequestHandler):
     """Serves the files of the panel and reports; lists no folder and writes no log."""
 
@@ -315,14 +311,14 @@ def panel_server(port: int) -> PanelServer:
         port: TCP port, 0 for a free one.
 
     Raises:
-        PanelError: The port is in use.
+        AdaptdriveError: The port is in use.
     """
     try:
         return PanelServer(
             ("127.0.0.1", port), functools.partial(PanelHandler, directory=str(FOLDER))
         )
     except OSError as problem:
-        raise PanelError(f"port {port}: {problem}; choose another --port") from problem
+        raise AdaptdriveError(f"port {port}: {problem}; choose another --port") from problem
 
 
 def panel_address(port: int, broker: str) -> str:
