@@ -20,8 +20,8 @@ from tests.recording.material import INFO, make_batch, record_messages
 
 COMPUTATIONS = {
     "plot": "adaptdrive.analysis.figure.draw_session",
-    "identify": "adaptdrive.analysis.record_load.identify_any",
-    "whatif": "adaptdrive.analysis.record_load.identify_any",
+    "identify": "adaptdrive.identification.identify.identify_any",
+    "whatif": "adaptdrive.identification.identify.identify_any",
 }
 FORMS = ["csv", "parquet", "mat", "mdf4", "mcap"]
 ROOM = 1000

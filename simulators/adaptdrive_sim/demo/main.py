@@ -20,7 +20,7 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.processes.owned import ProcessDiedError
+from adaptdrive.processes import ProcessDiedError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import SessionMark, write_marks
 from adaptdrive.tui import main, terminal

@@ -62,17 +62,9 @@ class LoopRecord:
     fault: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class LoopStart:
-    """State in which a closed loop starts.
-
-    Attributes:
-        boost_voltage_V: v_bst; the lowest V_c when None.
-        prior: Parameters that an earlier run trusted, in the order of `Load.names`; None for none.
-    """
-
-    boost_voltage_V: float | None = None
-    prior: tuple[float, ...] | None = None
+LoopStart = tuple[float | None, tuple[float, ...] | None]
+"""v_bst in V at the start, the lowest V_c when None; and the parameters that an earlier run
+trusted, in the order of `Load.names`."""
 
 
 class BoostStage:
@@ -131,7 +123,7 @@ def run_loop(
     plant: Plant,
     order: Callable[[int], signals.Order],
     readings: int,
-    start: LoopStart | None = None,
+    start: LoopStart = (None, None),
 ) -> LoopRecord:
     """Run the controller of a configuration on a plant.
 
@@ -140,16 +132,16 @@ def run_loop(
         plant: The plant.
         order: The order at each reading, by its number.
         readings: Number of readings of the drive.
-        start: Where it starts; at the lowest V_c when left out.
+        start: Where it starts; at the lowest V_c with nothing learnt when left out.
 
     Raises:
         IdentificationError: The plant returns a value that is not finite.
     """
-    begin, record = start or LoopStart(), LoopRecord()
+    record, (start_V, prior) = LoopRecord(), start
     settings, load = controller_settings(configuration), build_load(configuration)
-    controller = Controller(settings, load, begin.prior)
+    controller = Controller(settings, load, prior)
     schedule = Schedule(controller, configuration.load.latency_ticks)
-    boost = BoostStage(configuration, begin.boost_voltage_V)
+    boost = BoostStage(configuration, start_V)
     half_cycle_s, stride = configuration.drive.half_cycle_s, configuration.bus.ticks_per_reading
     line_V, period_s = configuration.drive.line_voltage_V, half_cycle_s * stride
     plant = at_own_step(plant)

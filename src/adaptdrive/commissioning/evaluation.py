@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.analysis.closed_loop import LoopStart, run_loop
+from adaptdrive.analysis.closed_loop import run_loop
 from adaptdrive.analysis.excerpts import IdentifiedPlant, Quality, period_means, quality_of
 from adaptdrive.app.loads import build_load
 from adaptdrive.commissioning.course import Outcome, Samples
@@ -238,7 +238,7 @@ def predict(
     count = (_PERIODS_BEFORE + after) * samples
     period_s = configuration.timing.reading_s
     plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), _power(configuration))
-    record = run_loop(configuration, plant, order, count, LoopStart(boost_voltage_V=rest_V))
+    record = run_loop(configuration, plant, order, count, (rest_V, None))
     output = period_means(np.array(record.output), samples)
     volts = period_means(np.array(record.boost_voltage_V), samples)
     reference = np.where(np.arange(len(output)) < _PERIODS_BEFORE, rest, rest + move)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from adaptdrive.analysis import closed_loop, load_report, style
+from adaptdrive.analysis import closed_loop, record_load, style
 from adaptdrive.analysis.figure import as_png
 from adaptdrive.app import examine, loads
 from adaptdrive.commissioning import course, evaluation
@@ -60,8 +60,8 @@ def _checks(found: Commissioned) -> Iterator[str]:
         f"test            {given.symbol} {outcome.low_V:.4g}…{given.text(outcome.high_V)} from "
         f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
     )
-    yield from load_report.checks(load, unit)
-    yield from load_report.warnings(load)
+    yield from record_load.checks(load, unit)
+    yield from record_load.warnings(load)
 
 
 def _settings(found: Commissioned) -> Iterator[str]:
