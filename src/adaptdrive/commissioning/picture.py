@@ -14,8 +14,8 @@ from rich.table import Table
 from rich.text import Text
 
 from adaptdrive.commissioning import client, course
+from adaptdrive.commissioning.course import Target
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.commissioning.target import Target
 from adaptdrive.tui import record, terminal, view
 from adaptdrive.util.errors import CommissionError
 

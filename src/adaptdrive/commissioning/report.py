@@ -12,9 +12,9 @@ from adaptdrive.analysis import closed_loop, record_load, style
 from adaptdrive.analysis.figure import as_png
 from adaptdrive.app import examine, loads
 from adaptdrive.commissioning import course, evaluation
+from adaptdrive.commissioning.course import build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.proposal import Proposal, propose
-from adaptdrive.commissioning.target import build_target
 from adaptdrive.config.file import read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.identification.result import IdentifiedLoad

@@ -19,8 +19,8 @@ from tomlkit.exceptions import TOMLKitError
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.process import LockedError, locked
 from adaptdrive.commissioning import client, evaluation, picture, report
+from adaptdrive.commissioning.course import build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.commissioning.target import build_target
 from adaptdrive.config import root, services
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, read_status, send_command
