@@ -18,7 +18,7 @@ from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive.util.files import replace_result
 
 if TYPE_CHECKING:
-    from adaptdrive.commissioning.report import Commissioned
+    from adaptdrive.commissioning.evaluation import Commissioned
 
 
 # Commands that make something of a recorded session: a figure, or a file for another program.
@@ -205,7 +205,6 @@ def _find(name: str | None) -> Path:
 
 _HERE = options.Contact()
 _PLACES = (Path(), Path("/etc/adaptdrive"))
-_STANDBY_S = 5.0
 _LARGEST_MOVE = 30.0
 
 
@@ -250,19 +249,19 @@ def commission(  # noqa: PLR0913 - the words of the command line
     """
     path = _configuration(drive, config)
     with options.needing("analysis"):
-        from adaptdrive.commissioning import report, run  # noqa: PLC0415 - it is large
-    wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
+        from adaptdrive.commissioning import evaluation, proposal, run  # noqa: PLC0415 - large
+    wanted = run.CommissionRequest(path, move / 100.0, patience)
     if not yes and not _agreed(run.announcement(wanted, drive)):
         return 1
     options.refuse_unwritable(into)
     contact = replace(contact, config=path)
     with run.alone(drive, contact.settings):
         if write or apply:
-            run.refuse_unwritable(path)
+            proposal.refuse_unwritable(path)
         commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
-        print(report.as_text(commissioned))
+        print(evaluation.as_text(commissioned))
         figure = into / "commission.png"
-        replace_result(figure, report.draw(commissioned))
+        replace_result(figure, evaluation.draw(commissioned))
         print(f"\n{figure}")
         if commissioned.refusal and not (write or apply):
             return 0

@@ -1,142 +1,25 @@
-"""Commissioning from the first look at the sensors to the file with new values."""
+"""Commissioning of a drive, or of a plant of the user, from the first look to the new settings."""
 
 import asyncio
+import math
 import os
-import re
-import shutil
-import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import chain, count
 from pathlib import Path
-from typing import Any
 
-import tomlkit
-from tomlkit.exceptions import TOMLKitError
-
+from adaptdrive.analysis import closed_loop
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.process import LockedError, locked
-from adaptdrive.commissioning import client, evaluation, picture, report
-from adaptdrive.commissioning.course import build_target
+from adaptdrive.commissioning import client, evaluation, picture, proposal
+from adaptdrive.commissioning.course import Samples, build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config import root, services
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, read_status, send_command
 from adaptdrive.tui.terminal import ended_once, tell, whole
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
-
-# A measured load put to use: the file with new values, taken by the running daemon.
-
-# The configuration file with new values: other comments stay, and the old file is kept.
-
-ORIGIN = "by adaptdrive commission"
-
-
-def with_values(path: Path, text: str, values: Mapping[str, float | int]) -> str:
-    """Return a TOML document with new values, in its order.
-
-    A comment with a figure after a value that changes goes: it describes the old value.
-
-    Args:
-        path: The file that it is from.
-        text: The document.
-        values: New values by dotted key; a missing table is made.
-
-    Raises:
-        ConfigurationError: The document cannot be changed: its tables are too scattered.
-    """
-    try:
-        document = tomlkit.parse(text)
-    except TOMLKitError as problem:  # of some documents that are valid, too
-        flaw = f"cannot be changed: {problem}; write the parts of each table one after another"
-        raise ConfigurationError(path, [Flaw("file", flaw)]) from problem
-    for key, value in values.items():
-        *tables, name = key.split(".")
-        table: Any = document
-        for part in tables:
-            table = table.setdefault(part, tomlkit.table())
-        old = table.get(name)
-        if old != value:
-            stays = old is not None and not re.search(r"\d", old.trivia.comment)
-            table[name] = value if stays else tomlkit.item(value).comment(ORIGIN)
-    return tomlkit.dumps(document)
-
-
-def write_values(path: Path, text: str) -> Path:
-    """Replace a file at once, after a copy of it was made; its owner and its rights stay.
-
-    Args:
-        path: The file; where it is a symbolic link, the file that the link leads to is replaced.
-        text: Its new content.
-
-    Returns:
-        The copy.
-
-    Raises:
-        ConfigurationError: The file or its copy cannot be written, or its owner cannot be kept.
-    """
-    try:
-        file = path.resolve(strict=True)
-        backup = _free_backup(file)
-        _replace(backup, file.read_bytes(), like=file)
-        _replace(file, text.encode("utf-8"), like=file)
-    except OSError as problem:
-        raise _unwritable(path, problem) from problem
-    return backup
-
-
-def _free_backup(file: Path) -> Path:
-    """Return the path of a copy: what an earlier copy holds may be nowhere else."""
-    names = (f"{file.name}.bak{number}" for number in chain([""], count(2)))
-    return next(path for path in map(file.with_name, names) if not os.path.lexists(path))
-
-
-def refuse_unwritable(path: Path) -> None:
-    """Make sure that a file can be changed and replaced; it is as before.
-
-    Raises:
-        ConfigurationError: It cannot.
-    """
-    with_values(path, read_text(path), {})
-    try:
-        file = path.resolve(strict=True)
-        _written(file, file.read_bytes(), like=file).unlink()
-    except OSError as problem:
-        raise _unwritable(path, problem) from problem
-
-
-def _unwritable(path: Path, problem: OSError) -> ConfigurationError:
-    return ConfigurationError(path, [Flaw("file", f"cannot be written: {problem}")])
-
-
-def _replace(file: Path, content: bytes, like: Path) -> None:
-    """Replace a file by one with the owner, group and rights of another."""
-    new = _written(file, content, like)
-    try:
-        new.replace(file)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
-
-
-def _written(file: Path, content: bytes, like: Path) -> Path:
-    """Write a file next to another, with the owner, group and rights of a third, and return it."""
-    handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            owner = like.stat()
-            os.fchown(stream.fileno(), owner.st_uid, owner.st_gid)
-            shutil.copystat(like, name)  # access control lists, too
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-    except OSError:
-        Path(name).unlink(missing_ok=True)
-        raise
-    return Path(name)
-
 
 # A measured load put to use: the running daemon takes the file, and adaptive control begins.
 
@@ -246,6 +129,9 @@ async def _in_force(broker: services.Mqtt, drive: str, timeout_s: float) -> None
 
 # Commissioning from the first look at the sensors to the proposal.
 
+_WATCHED_S = 5.0
+"""Time for which the sensors are watched with the drive off."""
+
 
 @dataclass(frozen=True, slots=True)
 class CommissionRequest:
@@ -255,13 +141,11 @@ class CommissionRequest:
         path: Configuration of the drive.
         move_share: Movement of the output as a share of the set-point range.
         patience_s: Shortest wait for a response; that of the kind of load when None.
-        standby_s: Time for which the sensors are watched with the drive off.
     """
 
     path: Path
     move_share: float
     patience_s: float | None
-    standby_s: float
 
 
 @contextmanager
@@ -303,7 +187,7 @@ def announcement(wanted: CommissionRequest, drive: str) -> str:
 
 async def commission(
     wanted: CommissionRequest, drive: str, broker: services.Mqtt, timeout_s: float
-) -> report.Commissioned:
+) -> evaluation.Commissioned:
     """Run the experiment on a drive and evaluate it.
 
     Args:
@@ -319,11 +203,11 @@ async def commission(
     configuration = _configuration_of(drive, text, wanted.path)
     target = build_target(configuration, wanted.move_share, wanted.patience_s)
     guide = client.Guide(broker, drive, timeout_s)
-    standby = await guide.watch_standby(wanted.standby_s)
+    standby = await guide.watch_standby(_WATCHED_S)
     sensor = evaluation.judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
     await picture.carry_out(guide, experiment, picture.Picture(drive, target))
-    return report.judged(sensor, experiment, configuration, text, wanted.path)
+    return evaluation.judged(sensor, experiment, configuration, text, wanted.path)
 
 
 def _configuration_of(drive: str, text: str, path: Path) -> root.Configuration:
@@ -335,7 +219,7 @@ def _configuration_of(drive: str, text: str, path: Path) -> root.Configuration:
     return configuration
 
 
-def write(path: Path, commissioned: report.Commissioned) -> tuple[Path, str]:
+def write(path: Path, commissioned: evaluation.Commissioned) -> tuple[Path, str]:
     """Write the proposed settings to the configuration.
 
     Returns:
@@ -350,13 +234,78 @@ def write(path: Path, commissioned: report.Commissioned) -> tuple[Path, str]:
         raise CommissionError(f"{path} stays as it is: {commissioned.refusal}")
     text = read_text(path)
     parse_configuration(text, path)
-    proposed = with_values(path, text, commissioned.proposal.values)
+    proposed = proposal.with_values(path, text, commissioned.proposal.values)
     examine_text(proposed, path)
-    return write_values(path, proposed), digest_of(proposed)
+    return proposal.write_values(path, proposed), digest_of(proposed)
 
 
-def reached(commissioned: report.Commissioned) -> float:
+def reached(commissioned: evaluation.Commissioned) -> float:
     """Return an output to hold next: one that the experiment has led the load to."""
     outcome, load = commissioned.outcome, commissioned.before.load
     reached = float(f"{outcome.rest + outcome.moved:.4g}")
     return min(max(reached, load.reference_min), load.reference_max)
+
+
+# The experiment on a plant of the user, in virtual time.
+
+_SAMPLE_S = 0.1
+"""Time between two samples, as between two messages of the daemon."""
+
+_LAG_S = 0.075
+"""Lag of the boost voltage behind V_c."""
+
+_LONGEST_RUN_S = 30.0 * 86400.0
+
+
+class _Rig:
+    """A plant behind a boost stage, sampled as telemetry is."""
+
+    def __init__(self, plant: closed_loop.Plant, configuration: root.Configuration) -> None:
+        self._plant = closed_loop.at_own_step(plant)
+        self._step_s = configuration.timing.reading_s
+        self._count = max(1, round(_SAMPLE_S / self._step_s))
+        self._share = -math.expm1(-self._step_s / _LAG_S)
+        self._taken = 0
+        self.time_s = 0.0
+        self.boost_V = max(configuration.drive.limits.boost_reference_min_V, 0.0)
+
+    def sample(self, wanted_V: float) -> tuple[float, float, float]:
+        """Advance by a sample under V_c; return its time, boost voltage and output."""
+        output = 0.0
+        for _ in range(self._count):
+            before_V = self.boost_V
+            self.boost_V += self._share * (wanted_V - before_V)
+            mean_V = 0.5 * (before_V + self.boost_V)
+            output, _ = closed_loop.advanced(self._plant, mean_V, self._step_s, self._taken)
+            self._taken += 1
+        self.time_s = self._taken * self._step_s
+        return self.time_s, self.boost_V, output
+
+
+def commission_plant(
+    path: Path, plant: closed_loop.Plant, move_share: float, patience_s: float | None
+) -> evaluation.Commissioned:
+    """Run the experiment on a plant and evaluate it.
+
+    Args:
+        path: Configuration with the limits of the drive and of the output.
+        plant: The plant.
+        move_share: Movement of the output as a share of the set-point range.
+        patience_s: Shortest wait for a response; that of the kind of load when None.
+
+    Raises:
+        AdaptdriveError: The experiment cannot continue, or does not show the load.
+    """
+    text = read_text(path)
+    configuration = examine_text(text, path)
+    target = build_target(configuration, move_share, patience_s)
+    rig, standby = _Rig(plant, configuration), Samples()
+    while rig.time_s < _WATCHED_S:
+        standby.append(*rig.sample(target.low_V))
+    sensor = evaluation.judge_sensor(standby, configuration, target.move)
+    experiment = LoadExperiment(target)
+    while not experiment.done:
+        experiment.take(*rig.sample(experiment.course.voltage_V))
+        if rig.time_s > _LONGEST_RUN_S:
+            raise CommissionError("the experiment does not end within 30 days")
+    return evaluation.judged(sensor, experiment, configuration, text, path)
