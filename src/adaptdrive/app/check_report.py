@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from adaptdrive.app import loads, ports
-from adaptdrive.app.advice import advice
+from adaptdrive.app.examine import advice
 from adaptdrive.app.settings import capacitor_limits, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command

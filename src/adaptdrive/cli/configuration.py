@@ -7,7 +7,6 @@ import shlex
 import sys
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -66,14 +65,16 @@ def init(  # noqa: PLR0913 - one parameter for each option
     if device is not None:
         own = dbc or eds
         _refuse_two(bus, dbc and eds)
-        first = starter.of_device(load, device, drive, _place(own, directory) if own else None)
+        text, files = starter.of_device(
+            load, device, drive, _place(own, directory) if own else None
+        )
     else:
         known = _refuse_misfits(bus, dbc, eds)
         part = _described(load, directory, dbc, eds, ask=_way_to_choose(yes=yes))
-        first = starter.compose(load, known, drive, part)
+        text, files = starter.compose(load, known, drive, part)
     if sys.stdin.isatty() and not yes:
-        first = replace(first, text=starter.answered(first.text, _values(first.text)))
-    path = _write(first, directory, drive)
+        text = starter.answered(text, _values(text))
+    path = _write((text, files), directory, drive)
     return _name_next_steps(path, _check(path))
 
 
@@ -259,9 +260,7 @@ def _write(first: starter.Starter, directory: Path, drive: str) -> Path:
     """Write the files of a configuration; refuse to replace any."""
     path = directory / f"{drive}.toml"
     try:
-        files = {path: first.text.encode()}
-        if first.description is not None:
-            files[directory / first.description] = first.content
+        files = {path: first[0].encode()} | {directory / n: one for n, one in first[1].items()}
         directory.mkdir(parents=True, exist_ok=True)
         for file, content in files.items():
             if os.path.lexists(file) and (file == path or file.read_bytes() != content):
@@ -331,7 +330,7 @@ def _warn(config: Path, text: object) -> None:
 
 def _advise(config: Path, text: str) -> None:
     """Print the warnings, also where values that contradict each other are refused after them."""
-    from adaptdrive.app.advice import advice  # noqa: PLC0415
+    from adaptdrive.app.examine import advice  # noqa: PLC0415
 
     findings = find_flaws(text, config)
     if not findings.flaws:
