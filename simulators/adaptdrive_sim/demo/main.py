@@ -25,7 +25,7 @@ from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import SessionMark, write_marks
 from adaptdrive.tui import main, terminal
 from adaptdrive.tui.record import CONTROLLERS, plot
-from adaptdrive.tui.view import DIM, Surroundings, figure, flow, rows, screen
+from adaptdrive.tui.view import DIM, ViewExtras, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, first_error
@@ -80,7 +80,7 @@ class DemoView:
     def screen(self, size: tuple[int, int]) -> Layout:
         """Return the whole screen for a terminal of some width and height."""
         drop = "d disk" if "disks" in self._record.truth else "d disturb"
-        around = Surroundings(
+        around = ViewExtras(
             keys=[drop if key == "d disk" else key for key in KEYS],
             lead=self._lead(size[0]),
             tables=dict([story_table(self._record)]),

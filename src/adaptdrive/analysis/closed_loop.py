@@ -297,7 +297,9 @@ def simulated(
 
     record = run_loop(configuration, plant, order, round(duration_s / reading_s))
     slow = _slow(record, configuration.drive.half_cycle_s)
-    return Simulation(_ticks(record), slow, record.fault, configuration)
+    names = ("time_s", "reference", "output", "boost_voltage_V", "load_power_W")
+    ticks = pl.DataFrame({name: getattr(record, name) for name in names})
+    return Simulation(ticks, slow, record.fault, configuration)
 
 
 def _finite(setpoint: Callable[[float], float], time_s: float) -> float:
@@ -305,11 +307,6 @@ def _finite(setpoint: Callable[[float], float], time_s: float) -> float:
     if not math.isfinite(wanted):
         raise IdentificationError(f"the set-point at {time_s:g} s is {wanted}")
     return wanted
-
-
-def _ticks(record: LoopRecord) -> pl.DataFrame:
-    names = ("time_s", "reference", "output", "boost_voltage_V", "load_power_W")
-    return pl.DataFrame({name: getattr(record, name) for name in names})
 
 
 def _slow(record: LoopRecord, half_cycle_s: float) -> pl.DataFrame:

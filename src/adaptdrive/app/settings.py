@@ -9,12 +9,7 @@ from adaptdrive.app import loads
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration, consistency
 from adaptdrive.config.bus import CanBus, CanOpenBus
-from adaptdrive.config.load import (
-    ERROR_SHARE,
-    FORGETTING,
-    NOISE_SHARE,
-    MotorSection,
-)
+from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
 from adaptdrive.control import signals, thresholds, voltage_loop
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors

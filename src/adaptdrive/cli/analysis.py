@@ -249,16 +249,16 @@ def commission(  # noqa: PLR0913 - the words of the command line
     """
     path = _configuration(drive, config)
     with options.needing("analysis"):
-        from adaptdrive.commissioning import evaluation, proposal, run  # noqa: PLC0415 - large
-    wanted = run.CommissionRequest(path, move / 100.0, patience)
-    if not yes and not _agreed(run.announcement(wanted, drive)):
+        from adaptdrive.commissioning import client, evaluation, proposal, run  # noqa: PLC0415
+    if not yes and not _agreed(run.announcement(path, drive, move / 100.0, patience)):
         return 1
     options.refuse_unwritable(into)
     contact = replace(contact, config=path)
     with run.alone(drive, contact.settings):
         if write or apply:
             proposal.refuse_unwritable(path)
-        commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
+        guide = client.Guide(contact.settings, drive, contact.timeout)
+        commissioned = asyncio.run(run.commission(path, guide, move / 100.0, patience))
         print(evaluation.as_text(commissioned))
         figure = into / "commission.png"
         replace_result(figure, evaluation.draw(commissioned))

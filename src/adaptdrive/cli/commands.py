@@ -6,7 +6,7 @@ from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensErr
 
 from adaptdrive import __version__
 from adaptdrive.cli import UNUSABLE, print_error
-from adaptdrive.runtime.requests import REQUESTS, Request
+from adaptdrive.runtime.requests import REQUESTS
 
 _COMMANDS = {
     "init": ("configuration", "Write a first configuration for a load and a bus."),
@@ -91,7 +91,8 @@ def build_app() -> App:
         app.command(path, name=name, help=purpose, usage=_usage(name))
     for verb, request in REQUESTS.items():
         path = f"adaptdrive.cli.operate:{verb}"
-        app.command(path, name=verb, help=_first_line(request), usage=_usage(verb))
+        purpose = (request.__doc__ or "").partition("\n")[0]
+        app.command(path, name=verb, help=purpose, usage=_usage(verb))
     app.command("adaptdrive.cli.operate:list_drives", name="list", help=_LIST)
     app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
     app.register_install_completion_command(
@@ -103,7 +104,3 @@ def build_app() -> App:
 def _usage(command: str) -> str | None:
     arguments = _ARGUMENTS.get(command)
     return arguments and f"Usage: adaptdrive {command} [OPTIONS] {arguments}"
-
-
-def _first_line(request: type[Request]) -> str:
-    return (request.__doc__ or "").partition("\n")[0]

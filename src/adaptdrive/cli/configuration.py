@@ -70,7 +70,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
         )
     else:
         known = _refuse_misfits(bus, dbc, eds)
-        part = _described(load, directory, dbc, eds, ask=_way_to_choose(yes=yes))
+        part = _described(load, directory, dbc, eds, ask=None if yes else sys.stdin.isatty())
         text, files = starter.compose(load, known, drive, part)
     if sys.stdin.isatty() and not yes:
         text = starter.answered(text, _values(text))
@@ -147,11 +147,6 @@ def _described(
             _place(eds, directory), _choose(load, found, _OF_THE_PROFILE, ask=ask)
         )
     return None
-
-
-def _way_to_choose(*, yes: bool) -> bool | None:
-    """Return whether each signal is asked for; None to refuse a doubt."""
-    return None if yes else sys.stdin.isatty()
 
 
 def _place(file: Path, directory: Path) -> str:

@@ -160,7 +160,7 @@ class _Desk:
     async def show(self) -> bool:
         """Show the drive; return whether its load is to be measured."""
         from adaptdrive.tui.main import watch  # noqa: PLC0415 - it is large
-        from adaptdrive.tui.view import KEYS, Surroundings, faint  # noqa: PLC0415
+        from adaptdrive.tui.view import KEYS, ViewExtras, faint  # noqa: PLC0415
 
         asked = asyncio.Event()
 
@@ -173,7 +173,7 @@ class _Desk:
             await asked.wait()
 
         keys = (*KEYS[:-1], f"{COMMISSION_KEY} commission", KEYS[-1])
-        around = Surroundings(keys, faint(self._said), takes=takes)
+        around = ViewExtras(keys, faint(self._said), takes=takes)
         services = [self._processes.watch(), until_asked()]
         settings, timeout_s = self._contact.settings, self._contact.timeout
         await watch(settings, self._drive, timeout_s, around, services)

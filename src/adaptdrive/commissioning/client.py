@@ -158,6 +158,7 @@ class Guide:
     """Commands one drive for an experiment.
 
     Attributes:
+        drive: Its name.
         unstopped: Why the stop at the end is not confirmed; empty where it is.
     """
 
@@ -170,7 +171,7 @@ class Guide:
             timeout_s: Longest wait for a reply.
         """
         self._broker = broker
-        self._drive = drive
+        self.drive = drive
         self._timeout_s = timeout_s
         self.unstopped = ""
         self._wanted_V = math.nan
@@ -188,7 +189,7 @@ class Guide:
         """
         await self._standby()
         samples = Samples()
-        async with aclosing(fast_readings(self._broker, self._drive)) as readings:
+        async with aclosing(fast_readings(self._broker, self.drive)) as readings:
             async for one in readings:
                 samples.append(one.measured_s, one.boost_voltage_V, one.output)
                 if one.measured_s - samples.times_s[0] >= duration_s:
@@ -240,7 +241,7 @@ class Guide:
         self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
     ) -> None:
         """Take readings until the experiment is complete."""
-        async with aclosing(fast_readings(self._broker, self._drive)) as readings:
+        async with aclosing(fast_readings(self._broker, self.drive)) as readings:
             async for one in readings:
                 if not one.bridge:
                     raise CommissionError(await self._end())
@@ -272,12 +273,12 @@ class Guide:
             if state["state"] not in _ENERGISED:
                 raise CommissionError(await self._end())
             if now() > end_s:
-                raise CommissionError(f"{self._drive} is not running {_START_S:g} s after enable")
+                raise CommissionError(f"{self.drive} is not running {_START_S:g} s after enable")
             await asyncio.sleep(_POLL_S)
 
     async def _end(self) -> str:
         """Return why the drive is off."""
-        return _end(self._drive, await self._state())
+        return _end(self.drive, await self._state())
 
     async def _leave(self, mode: str) -> None:
         """Bring the drive into its safe state, and its mode back."""
@@ -287,7 +288,7 @@ class Guide:
         except (AdaptdriveError, TimeoutError) as problem:
             why = str(problem) or f"no reply within {HOLD_S:g} s"
             self.unstopped = (
-                f"the stop is unanswered ({why}): where {self._drive} is energised, it trips "
+                f"the stop is unanswered ({why}): where {self.drive} is energised, it trips "
                 f"within {HOLD_S:g} s of its last voltage. Look at it, and disable it"
             )
             return
@@ -299,27 +300,25 @@ class Guide:
         state = await self._state()
         if state.get("state") != "standby":
             raise CommissionError(
-                f"{self._drive} is {state.get('state')}: commissioning begins in standby; "
-                f"adaptdrive disable {self._drive}, or reset"
+                f"{self.drive} is {state.get('state')}: commissioning begins in standby; "
+                f"adaptdrive disable {self.drive}, or reset"
             )
         return state
 
     async def _state(self) -> dict[str, Any]:
-        status = await read_status(self._broker, self._drive, self._timeout_s)
+        status = await read_status(self._broker, self.drive, self._timeout_s)
         if not status.online or status.state is None:
-            raise NoAnswerError(self._drive, "it is not online")
+            raise NoAnswerError(self.drive, "it is not online")
         return status.state
 
     async def _ask(self, verb: str, value: object = None, **fields: object) -> None:
-        reply = await send_command(
-            self._broker, self._drive, verb, value, self._timeout_s, **fields
-        )
+        reply = await send_command(self._broker, self.drive, verb, value, self._timeout_s, **fields)
         if reply.accepted:
             return
         state = await self._state()
         if verb == "voltage" and state.get("state") not in _ENERGISED:
-            raise CommissionError(_end(self._drive, state))
-        raise CommissionError(f"{self._drive} refused {verb}: {reply.reason}")
+            raise CommissionError(_end(self.drive, state))
+        raise CommissionError(f"{self.drive} refused {verb}: {reply.reason}")
 
 
 def _end(drive: str, state: dict[str, Any]) -> str:

@@ -211,7 +211,10 @@ class Climb:
             if raised_V >= target.high_V:
                 raise self._no_response(moved, raised_V)
             growth = _SLOW_GROWTH if self._retreats else _GROWTH
-            step = max(step, self._allowed(growth * step))
+            larger = growth * step  # as far as the credible loads allow; a battery's current jumps
+            if target.onset is None:
+                larger = self.bounds.largest_step(larger)
+            step = max(step, larger)
         raise CommissionError(
             f"{_LONGEST_CLIMB} steps of {target.given.symbol} did not show one that moves "
             f"{target.name} by {target.move:.3g} {target.unit}: ask for a longer wait with "
@@ -236,10 +239,6 @@ class Climb:
         if course.target.onset is None and moved > course.margin(_SEEN):
             wait_s = max(_RESPONSES * self._time_to_rest(), _LEAST_WAIT * course.target.patience_s)
             course.wait_s = min(course.wait_s, wait_s)
-
-    def _allowed(self, step: float) -> float:
-        """Return the largest step that the credible loads allow; a battery's current jumps."""
-        return step if self._course.target.onset is not None else self.bounds.largest_step(step)
 
     def _respond(self, voltage_V: float) -> Steps[float]:
         """Raise V_c and wait for rest; the movement is returned, early where it is too large."""

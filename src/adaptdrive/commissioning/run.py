@@ -1,12 +1,12 @@
 """Commissioning of a drive, or of a plant of the user, from the first look to the new settings."""
 
 import asyncio
+import functools
 import math
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from adaptdrive.analysis import closed_loop
@@ -17,7 +17,8 @@ from adaptdrive.commissioning.course import Samples, build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config import root, services
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
-from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, read_status, send_command
+from adaptdrive.mqtt.client import LIVE_S, DriveStatus, NoAnswerError, read_status, send_command
+from adaptdrive.mqtt.contract import Reply
 from adaptdrive.tui.terminal import ended_once, tell, whole
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
@@ -27,6 +28,9 @@ LONGEST_S = 60.0
 """Longest time for the daemon to begin another run, and for the drive to run in it."""
 
 _GAP_S = 0.3
+
+Send = Callable[..., Awaitable[Reply]]
+"""Sends a command to a drive: verb, value and further fields."""
 
 
 async def put_to_use(
@@ -48,23 +52,27 @@ async def put_to_use(
         AdaptdriveError: The daemon refuses, or the drive does not run; it is off then.
     """
     began_s = time.monotonic()
-    await _once(broker, drive, "reload", None, timeout_s, measured=digest)
+    send = functools.partial(send_command, broker, drive, timeout_s=timeout_s)
+    read = functools.partial(read_status, broker, drive, timeout_s)
+    _require_accepted(drive, "reload", await send("reload", None, measured=digest))
     with ended_once():
         try:
-            await _accepted(broker, drive, "mode", "adaptive", timeout_s)  # it energises nothing
-            await _measuring(broker, drive, timeout_s)
-            await _once(broker, drive, "enable", None, timeout_s)  # a repeat could undo a stop
-            await _accepted(broker, drive, "setpoint", setpoint, timeout_s)
-            await _in_force(broker, drive, timeout_s)
+            # the mode energises nothing
+            await _until_none(drive, lambda: _refusal(send, "mode", "adaptive"))
+            await _until_none(drive, lambda: _lack_of_measurement(read))
+            # a repeat could undo a stop
+            _require_accepted(drive, "enable", await send("enable", None))
+            await _until_none(drive, lambda: _refusal(send, "setpoint", setpoint))
+            await _until_none(drive, lambda: _lack_of_control(drive, read))
         except BaseException:
-            await whole(_stop(broker, drive, timeout_s), complete=True)
+            await whole(_stop(drive, send), complete=True)
             raise
     return time.monotonic() - began_s
 
 
-async def _stop(broker: services.Mqtt, drive: str, timeout_s: float) -> None:
+async def _stop(drive: str, send: Send) -> None:
     try:
-        await send_command(broker, drive, "disable", None, timeout_s)
+        await send("disable", None)
     except NoAnswerError as silence:
         tell(
             f"the stop is unanswered ({silence.problem}): {drive} may run in mode adaptive; look "
@@ -72,80 +80,51 @@ async def _stop(broker: services.Mqtt, drive: str, timeout_s: float) -> None:
         )
 
 
-async def _once(
-    broker: services.Mqtt, drive: str, verb: str, value: object, timeout_s: float, **more: object
-) -> None:
-    """Send a command, and end where it is refused."""
-    reply = await send_command(broker, drive, verb, value, timeout_s, **more)
+def _require_accepted(drive: str, verb: str, reply: Reply) -> None:
     if not reply.accepted:
         raise CommissionError(f"{drive} refused {verb}: {reply.reason}")
 
 
-async def _measuring(broker: services.Mqtt, drive: str, timeout_s: float) -> None:
-    """Wait until the new run has a measurement, without which it refuses `enable`."""
+async def _until_none(drive: str, look: Callable[[], Awaitable[str]]) -> None:
+    """Wait until there is no problem any more: the daemon begins another run."""
     end_s = time.monotonic() + LONGEST_S
-    while True:
-        status = await read_status(broker, drive, timeout_s)
-        age_s = status.telemetry.get("drive", {}).get("age_s")
-        if status.live and age_s is not None and age_s < LIVE_S:
-            return
+    while problem := await look():
         if time.monotonic() > end_s:
-            raise CommissionError(f"{drive} has no measurement after {LONGEST_S:g} s")
+            raise CommissionError(f"{drive} {problem}")
         await asyncio.sleep(_GAP_S)
 
 
-async def _accepted(
-    broker: services.Mqtt, drive: str, verb: str, value: object, timeout_s: float
-) -> None:
-    """Send a command until it is accepted: the daemon begins another run."""
-    end_s = time.monotonic() + LONGEST_S
-    while True:
-        try:
-            reply = await send_command(broker, drive, verb, value, timeout_s)
-        except NoAnswerError as silence:
-            why = silence.problem
-        else:
-            if reply.accepted:
-                return
-            why = reply.reason
-        if time.monotonic() > end_s:
-            raise CommissionError(f"{drive} refused {verb} for {LONGEST_S:g} s: {why}")
-        await asyncio.sleep(_GAP_S)
+async def _refusal(send: Send, verb: str, value: object) -> str:
+    """Send a command; return why it is not carried out, empty where it is accepted."""
+    try:
+        reply = await send(verb, value)
+    except NoAnswerError as silence:
+        return f"refused {verb} for {LONGEST_S:g} s: {silence.problem}"
+    return "" if reply.accepted else f"refused {verb} for {LONGEST_S:g} s: {reply.reason}"
 
 
-async def _in_force(broker: services.Mqtt, drive: str, timeout_s: float) -> None:
-    """Wait until the adaptive controller runs the drive."""
-    end_s = time.monotonic() + LONGEST_S
-    while True:
-        state = (await read_status(broker, drive, timeout_s)).state or {}
-        if state.get("controller") == "adaptive" and state.get("state") == "running":
-            return
-        if state.get("trip"):
-            raise CommissionError(f"{drive} is {state.get('state')}: {state['trip']}")
-        if time.monotonic() > end_s:
-            raise CommissionError(f"{drive} is not in adaptive control: {state.get('reason')}")
-        await asyncio.sleep(_GAP_S)
+async def _lack_of_measurement(read: Callable[[], Awaitable[DriveStatus]]) -> str:
+    """Return whether the new run has no measurement yet, without which it refuses `enable`."""
+    status = await read()
+    age_s = status.telemetry.get("drive", {}).get("age_s")
+    measured = status.live and age_s is not None and age_s < LIVE_S
+    return "" if measured else f"has no measurement after {LONGEST_S:g} s"
+
+
+async def _lack_of_control(drive: str, read: Callable[[], Awaitable[DriveStatus]]) -> str:
+    """Return why the adaptive controller does not run the drive yet."""
+    state = (await read()).state or {}
+    if state.get("controller") == "adaptive" and state.get("state") == "running":
+        return ""
+    if state.get("trip"):
+        raise CommissionError(f"{drive} is {state.get('state')}: {state['trip']}")
+    return f"is not in adaptive control: {state.get('reason')}"
 
 
 # Commissioning from the first look at the sensors to the proposal.
 
 _WATCHED_S = 5.0
 """Time for which the sensors are watched with the drive off."""
-
-
-@dataclass(frozen=True, slots=True)
-class CommissionRequest:
-    """An experiment as it was asked for.
-
-    Attributes:
-        path: Configuration of the drive.
-        move_share: Movement of the output as a share of the set-point range.
-        patience_s: Shortest wait for a response; that of the kind of load when None.
-    """
-
-    path: Path
-    move_share: float
-    patience_s: float | None
 
 
 @contextmanager
@@ -167,14 +146,14 @@ def alone(drive: str, broker: services.Mqtt) -> Iterator[None]:
         raise CommissionError(f"{drive} is already commissioned by {problem.holder}") from None
 
 
-def announcement(wanted: CommissionRequest, drive: str) -> str:
-    """Return what the experiment will do.
+def announcement(path: Path, drive: str, move_share: float, patience_s: float | None) -> str:
+    """Return what the experiment will do; arguments as of `commission`.
 
     Raises:
         ConfigurationError: The configuration is not valid, or that of another drive.
     """
-    configuration = _configuration_of(drive, read_text(wanted.path), wanted.path)
-    target = build_target(configuration, wanted.move_share, wanted.patience_s)
+    configuration = _configuration_of(drive, read_text(path), path)
+    target = build_target(configuration, move_share, patience_s)
     given, onset = target.given, "" if target.onset is None else ", until a current flows,"
     return (
         f"{drive} is enabled in mode manual. {given.symbol} rises from "
@@ -186,28 +165,27 @@ def announcement(wanted: CommissionRequest, drive: str) -> str:
 
 
 async def commission(
-    wanted: CommissionRequest, drive: str, broker: services.Mqtt, timeout_s: float
+    path: Path, guide: client.Guide, move_share: float, patience_s: float | None
 ) -> evaluation.Commissioned:
     """Run the experiment on a drive and evaluate it.
 
     Args:
-        wanted: What was asked for.
-        drive: Name of the drive.
-        broker: The broker.
-        timeout_s: Longest wait for a reply.
+        path: Configuration of the drive.
+        guide: Commands the drive.
+        move_share: Movement of the output as a share of the set-point range.
+        patience_s: Shortest wait for a response; that of the kind of load when None.
 
     Raises:
         AdaptdriveError: The drive refused or tripped, or the load cannot be identified.
     """
-    text = read_text(wanted.path)
-    configuration = _configuration_of(drive, text, wanted.path)
-    target = build_target(configuration, wanted.move_share, wanted.patience_s)
-    guide = client.Guide(broker, drive, timeout_s)
+    text = read_text(path)
+    configuration = _configuration_of(guide.drive, text, path)
+    target = build_target(configuration, move_share, patience_s)
     standby = await guide.watch_standby(_WATCHED_S)
     sensor = evaluation.judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
-    await picture.carry_out(guide, experiment, picture.Picture(drive, target))
-    return evaluation.judged(sensor, experiment, configuration, text, wanted.path)
+    await picture.carry_out(guide, experiment, picture.Picture(guide.drive, target))
+    return evaluation.judged(sensor, experiment, configuration, text, path)
 
 
 def _configuration_of(drive: str, text: str, path: Path) -> root.Configuration:

@@ -131,8 +131,6 @@ def _require_data(excerpts: Sequence[excerpt.Excerpt], count: int, block: int, p
 _SHOWN = 3.0
 """Dead time over its deviation above which the record shows it."""
 
-_STEP = 1e-6
-
 
 def proposed_model(identified: result.IdentifiedLoad, section: AnyLoad) -> dict[str, Estimate]:
     """Return the keys of `[load.model]` that a record determines; the others stay.
@@ -216,11 +214,6 @@ def _mapped(
 ) -> tuple[Array, Array]:
     """Return a function of the parameters, and its deviations to first order."""
     values = np.array([one.value for one in identified.parameters.values()])
-    slopes = np.column_stack(
-        [
-            (function(values + step) - function(values - step)) / (2.0 * step.sum())
-            for step in np.diag(_STEP * values)
-        ]
-    )
+    slopes = result.slopes_of(function, values, values)
     spread = slopes @ identified.covariance @ slopes.T
     return function(values), np.sqrt(np.diag(spread))

@@ -182,7 +182,7 @@ def result_of(
         denominator=tuple(denominator.tolist()),
         input_offset=Estimate(float(offset[0]), math.sqrt(offset_spread[0, 0])),
         delay_s=problem.delay * sample_s,
-        delay_std_s=_delay_deviation(effects, fitted) * sample_s,
+        delay_std_s=float(np.linalg.norm(effects[-1])) * sample_s if problem.parts[0].lead else 0.0,
         simulated_parameters=_parameters(load, simulation, _effects(simulation))[0],
         noise=tuple(problem.noise.tolist()),
         noise_std=math.sqrt(_variance(fitted)),
@@ -233,11 +233,6 @@ def _effects(fitted: Solution) -> Array:
     return np.asarray(math.sqrt(variance) * wider[:, None] * coloured)
 
 
-def _delay_deviation(effects: Array, fitted: Solution) -> float:
-    """Return the standard deviation of the dead time, in samples."""
-    return float(np.linalg.norm(effects[-1])) if fitted.problem.parts[0].lead else 0.0
-
-
 def _coloured(fitted: Solution, factors: Array) -> Array:
     """Return the factors with which white errors have the effect of errors of the colour of e.
 
@@ -265,15 +260,24 @@ def _mapped(
     """Return a function of the fitted parameters, and its covariance to first order."""
     values = _values(solution)
     logarithms, weights = np.ones(len(solution.logarithms)), np.abs(solution.weights)
-    steps = _STEP * np.concatenate((logarithms, np.where(weights == 0.0, 1.0, weights)))
-    slopes = np.column_stack(
-        [
-            (function(values + step) - function(values - step)) / (2.0 * step.sum())
-            for step in np.diag(steps)
-        ]
-    )
-    acting = slopes @ effects[: len(values)]
+    steps = np.concatenate((logarithms, np.where(weights == 0.0, 1.0, weights)))
+    acting = slopes_of(function, values, steps) @ effects[: len(values)]
     return function(values), acting @ acting.T
+
+
+def slopes_of(function: Callable[[Array], Array], values: Array, scales: Array) -> Array:
+    """Return the derivatives of a function by central differences, a column for each value.
+
+    Args:
+        function: The function.
+        values: Where it is differentiated.
+        scales: Size of each value, of which a step is a millionth.
+    """
+    columns = [
+        (function(values + step) - function(values - step)) / (2.0 * step.sum())
+        for step in np.diag(_STEP * scales)
+    ]
+    return np.column_stack(columns)
 
 
 def _model(problem: Problem, fitted: Array) -> tuple[Array, Array]:
