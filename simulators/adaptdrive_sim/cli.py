@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 import adaptdrive
-from adaptdrive.cli import carry_out, commands, options, standard_files
+from adaptdrive.cli import FAILED, carry_out, commands, options, print_error
 from adaptdrive_sim.demo.story import DemoSettings
 from adaptdrive_sim.device import DeviceSettings, parse_address
 
@@ -28,8 +28,7 @@ ANSWER_s = 5.0
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
     try:
-        words, failed = sys.argv[1:], standard_files.FAILED
-        sys.exit(carry_out(app.name[0], commands.understood(app), words, unusable=failed))
+        sys.exit(carry_out(app.name[0], commands.understood(app), sys.argv[1:], unusable=FAILED))
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise
@@ -83,10 +82,9 @@ def disturb(
     except NoAnswerError as silence:
         late = isinstance(silence.__cause__, TimeoutError)
         text = f"no answer from {drive} at {broker}" if late else silence.problem
-        return standard_files.complain(app.name[0], text, NO_ANSWER)
+        return print_error(app.name[0], text, NO_ANSWER)
     if not reply.accepted:
-        text = f"refused: {reply.reason}"
-        return standard_files.complain(app.name[0], text, standard_files.FAILED)
+        return print_error(app.name[0], f"refused: {reply.reason}", FAILED)
     print(f"{drive}: {' '.join([action, *(f'{value:g}' for value in values)])}: done")
     return 0
 

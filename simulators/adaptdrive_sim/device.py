@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from adaptdrive.app.settings import controller_settings, tick_s
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.cli.options import Integer, read_address
 from adaptdrive.config import file, root, services
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
@@ -245,7 +245,9 @@ def build_world(configuration: root.Configuration, settings: DeviceSettings) -> 
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
     world = World(load_of(configuration, settings.disks), parameters)
     if _holds_output(configuration):
-        lag_s = controller_settings(configuration).rates.lag_ticks * tick_s(configuration)
+        lag_s = (
+            controller_settings(configuration).rates.lag_ticks * configuration.drive.half_cycle_s
+        )
         world.boost = HeldOutput(boost, lag_s)
     if settings.initial_voltage_V is not None:
         world.settle(settings.initial_voltage_V)

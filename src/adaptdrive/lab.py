@@ -21,7 +21,7 @@ from adaptdrive.util.errors import RefusedError
 if TYPE_CHECKING:  # they need libraries that `Drive` does without
     from adaptdrive.analysis.closed_loop import Plant, Simulation
     from adaptdrive.analysis.record_load import RecordLoad
-    from adaptdrive.commissioning.report import Commissioned
+    from adaptdrive.commissioning.evaluation import Commissioned
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,7 @@ def commission(
             the message.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.commissioning.report import commission_plant  # noqa: PLC0415 - see above
+    from adaptdrive.commissioning.run import commission_plant  # noqa: PLC0415 - see above
 
     return commission_plant(Path(config), plant, move, patience_s)
 

@@ -12,8 +12,7 @@ from pyarrow import parquet as pq
 
 from adaptdrive.cli import analysis
 from adaptdrive.cli.analysis import SessionView
-from adaptdrive.cli.replay import replay
-from adaptdrive.cli.sessions import events, show, verify
+from adaptdrive.cli.sessions import events, replay, show, verify
 from adaptdrive.lab import load_session
 from adaptdrive.recording.reader import read_session
 from adaptdrive.util.errors import RecordingError

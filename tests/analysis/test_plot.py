@@ -28,10 +28,9 @@ def test_a_curve_holds_every_extreme_of_its_time(session_path: Path) -> None:
     session = read_session(session_path)
     curves = read_curves(session, find_window(session, None, None))
     output = session.ticks["output"].to_numpy()[:-1]
-    envelope = curves.ticks["output"]
-    assert envelope.low.min() == output.min()
-    assert envelope.high.max() == output.max()
-    assert np.all(envelope.low <= envelope.high)
+    _, values = curves.ticks["output"]
+    assert (values.min(), values.max()) == (output.min(), output.max())
+    assert np.all(values[::2] <= values[1::2])
 
 
 def test_a_part_shows_that_part_only(session_path: Path) -> None:
@@ -39,7 +38,7 @@ def test_a_part_shows_that_part_only(session_path: Path) -> None:
     window = find_window(session, 10.0, 20.0)
     curves = read_curves(session, window)
     whole = session.ticks["output"].to_numpy()[1200:2400]
-    assert curves.ticks["output"].high.max() == whole.max()
+    assert curves.ticks["output"][1].max() == whole.max()
     assert len(curves.slow_s) == 10
     assert (window.started - session.info.started).total_seconds() == pytest.approx(10.0)
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter, lsim
 
 from adaptdrive.analysis.columns import columns_of_file, columns_of_table, quantity_of
-from adaptdrive.analysis.load_report import as_text
 from adaptdrive.analysis.record import RecordView, read_record
+from adaptdrive.analysis.record_load import as_text
 from adaptdrive.cli import main
 from adaptdrive.lab import RecordOptions, identify, load_session, simulate
 from adaptdrive.util.errors import IdentificationError
@@ -200,8 +200,10 @@ def test_the_unit_of_a_time_is_that_of_its_header(header: str, unit_s: float) ->
     columns = columns_of_table({header: [(began_s + one) / unit_s for one in wanted_s]})
     times_s = columns.times_s(header)
     assert times_s - times_s[0] == pytest.approx(wanted_s, abs=1e-4)
-    record = read_record(columns_of_table({header: wanted_s, "u": range(4), "y": range(4)}), ANY)
-    assert record.excerpts[0].period_s == pytest.approx(2.0 * unit_s)
+    ((_, part),) = read_record(
+        columns_of_table({header: wanted_s, "u": range(4), "y": range(4)}), ANY
+    )
+    assert part.period_s == pytest.approx(2.0 * unit_s)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from adaptdrive.app.advice import advice
+from adaptdrive.app.examine import advice
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, trip_limits
 from adaptdrive.config.consistency import consistency_flaws

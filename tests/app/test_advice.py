@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.advice import advice
-from adaptdrive.app.examine import implausible
+from adaptdrive.app.examine import advice, implausible
 from adaptdrive.config import load_configuration
 from tests.config.modbus_documents import parse
 

@@ -12,8 +12,7 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
-from adaptdrive.app.advice import advice
-from adaptdrive.app.examine import examine_text
+from adaptdrive.app.examine import advice, examine_text
 from adaptdrive.app.ports import build_port, bus_kind
 from adaptdrive.app.settings import daemon_settings, operator_profile, trip_limits
 from adaptdrive.cli.display import describe

@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
-from adaptdrive.cli.replay import controller_at_start, replay
+from adaptdrive.cli.sessions import controller_at_start, replay
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Stage

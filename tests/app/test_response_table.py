@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.app.check_report import response_table
-from adaptdrive.app.settings import response_limits
+from adaptdrive.app.loads import response_limits
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading

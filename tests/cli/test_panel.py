@@ -11,7 +11,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from adaptdrive.cli.desk import FOLDER, PanelError, panel_address, panel_server
+from adaptdrive.cli.desk import FOLDER, panel_address, panel_server
+from adaptdrive.util.errors import AdaptdriveError
 
 
 @pytest.fixture
@@ -62,7 +63,7 @@ def test_a_browser_that_goes_away_leaves_no_trace(
 
 
 def test_a_port_in_use_is_named(port: int) -> None:
-    with pytest.raises(PanelError, match=f"port {port}"):
+    with pytest.raises(AdaptdriveError, match=f"port {port}"):
         panel_server(port)
 
 

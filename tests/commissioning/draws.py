@@ -13,9 +13,8 @@ import numpy as np
 import tomlkit
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.commissioning.course import Phase
+from adaptdrive.commissioning.course import Phase, Target, build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.commissioning.target import Target, build_target
 from adaptdrive.config.root import Configuration
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.parameters import EXAMPLES, example_tables

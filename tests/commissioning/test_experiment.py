@@ -11,9 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptdrive.commissioning.course import Phase
+from adaptdrive.commissioning.course import Phase, Target
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.commissioning.target import Target
 from adaptdrive.util.errors import CommissionError
 from tests.commissioning.draws import KINDS, Rig, encoder_motor, finish
 from tests.commissioning.trials import BAND, trial, trial_of

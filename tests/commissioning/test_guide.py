@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from adaptdrive.commissioning.client import HOLD_S, Guide, fast_readings
-from adaptdrive.commissioning.course import Samples
+from adaptdrive.commissioning.course import Samples, build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.commissioning.target import build_target
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import DriveStatus, NoAnswerError

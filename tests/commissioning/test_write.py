@@ -18,9 +18,9 @@ import pytest
 from adaptdrive.analysis.excerpts import Quality
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
-from adaptdrive.commissioning.evaluation import Prediction
-from adaptdrive.commissioning.report import Commissioned
-from adaptdrive.commissioning.run import alone, refuse_unwritable, with_values, write, write_values
+from adaptdrive.commissioning.evaluation import Commissioned, Prediction
+from adaptdrive.commissioning.proposal import refuse_unwritable, with_values, write_values
+from adaptdrive.commissioning.run import alone, write
 from adaptdrive.config.services import Mqtt
 from adaptdrive.util.errors import CommissionError, ConfigurationError
 

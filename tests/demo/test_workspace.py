@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config.file import load_configuration
-from adaptdrive.processes.owned import Ports
+from adaptdrive.processes import Ports
 from adaptdrive_sim.demo.stages import RealStage
 from adaptdrive_sim.demo.story import DemoError, DemoSettings, read_story
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.advice import advice
-from adaptdrive.app.examine import load_examined
+from adaptdrive.app.examine import advice, load_examined
 from adaptdrive.app.starter import device_names, of_device
 from adaptdrive.cli import main
 from adaptdrive.config import load_configuration

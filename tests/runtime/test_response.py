@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptdrive.app.settings import response_limits
+from adaptdrive.app.loads import response_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.plausibility import Response, ResponseLimits
 from tests.devices.bench import EXAMPLES

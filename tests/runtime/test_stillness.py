@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from adaptdrive.app.settings import stillness_limits
+from adaptdrive.app.loads import stillness_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.plausibility import Stillness, StillnessLimits, StillnessWatch
 from tests.devices.bench import EXAMPLES

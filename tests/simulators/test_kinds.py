@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.cli import carry_out
+from adaptdrive.cli import FAILED, carry_out
 from adaptdrive.cli.commands import understood
-from adaptdrive.cli.standard_files import FAILED
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.util.errors import RefusedError

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.cli.replay import replay
+from adaptdrive.cli.sessions import replay
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Shape, Waveform
 from adaptdrive.pure import build_name

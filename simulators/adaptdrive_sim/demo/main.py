@@ -20,12 +20,12 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.processes.owned import ProcessDiedError
+from adaptdrive.processes import ProcessDiedError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import SessionMark, write_marks
 from adaptdrive.tui import main, terminal
 from adaptdrive.tui.record import CONTROLLERS, plot
-from adaptdrive.tui.view import DIM, Surroundings, figure, flow, rows, screen
+from adaptdrive.tui.view import DIM, ViewExtras, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, first_error
@@ -77,7 +77,7 @@ class DemoView:
     def screen(self, size: tuple[int, int]) -> Layout:
         """Return the whole screen for a terminal of some width and height."""
         drop = "d disk" if "disks" in self._record.truth else "d disturb"
-        around = Surroundings(
+        around = ViewExtras(
             keys=[drop if key == "d disk" else key for key in KEYS],
             lead=self._lead(size[0]),
             tables=dict([story_table(self._record)]),

@@ -27,7 +27,7 @@ from adaptdrive.cli.desk import panel_address
 from adaptdrive.config import bus, file, services
 from adaptdrive.mqtt import commands, contract
 from adaptdrive.mqtt.client import NoAnswerError
-from adaptdrive.processes.owned import BROKER, Child, Household, Ports
+from adaptdrive.processes import BROKER, Child, Ports, ProcessGroup
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.runtime import reports
 from adaptdrive.runtime.accounts import state_report
@@ -92,7 +92,7 @@ class RealStage:
         document["recording"] = {"directory": str(self.directory / "sessions")}
         self._write(document)
         state = {"STATE_DIRECTORY": str(self.directory / "state"), NAMESPACE: f"demo-{number}"}
-        self._household = Household({**os.environ, **state})
+        self._processes = ProcessGroup({**os.environ, **state})
         self._ask = over_mqtt(self._broker, self.drive_name, _ANSWER_s)
         self.places = {
             "folder": str(self.directory),
@@ -106,7 +106,7 @@ class RealStage:
         try:
             await self._start()
         except BaseException:
-            await self._household.stop()
+            await self._processes.stop()
             raise
         return self
 
@@ -114,7 +114,7 @@ class RealStage:
         """End the processes, and wait until the session is closed."""
         if problem is not None:
             await asyncio.sleep(AFTERMATH_s)
-        await self._household.stop()
+        await self._processes.stop()
         self.close()
         with suppress(TimeoutError, RecordingError):
             async with asyncio.timeout(SESSION_s):
@@ -158,13 +158,13 @@ class RealStage:
 
     def services(self, record: DemoRecord) -> list[Coroutine[Any, Any, None]]:
         """Return what runs during the story: the drive's messages, and a watch of processes."""
-        return [self._household.watch(), follow_drive(self._broker, record)]
+        return [self._processes.watch(), follow_drive(self._broker, record)]
 
     async def panel(self) -> str:
         """Serve the panel, and return its address."""
         websocket = f"ws://127.0.0.1:{self._websocket}/mqtt"
         page = ["panel", "--no-open", f"--port={self._page}", f"--broker={websocket}"]
-        if not self._household.has("panel"):
+        if not self._processes.has("panel"):
             panel = await self._start_process("panel", "adaptdrive.cli", page, "panel")
             await panel.until_listening(self._page)
         return panel_address(self._page, websocket)
@@ -184,7 +184,7 @@ class RealStage:
         await self._start_process("daemon", "adaptdrive.cli", ["run", configuration], "daemon")
 
     async def _start_process(self, name: str, module: str, words: list[str], log: str) -> Child:
-        return await self._household.start(name, module, words, self.directory / f"{log}.log")
+        return await self._processes.start(name, module, words, self.directory / f"{log}.log")
 
     def _write(self, document: dict[str, Any]) -> None:
         """Write the configuration and the messages that it names.

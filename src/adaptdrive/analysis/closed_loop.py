@@ -12,7 +12,7 @@ from typing import Protocol
 import polars as pl
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, tick_s
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
@@ -62,17 +62,9 @@ class LoopRecord:
     fault: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class LoopStart:
-    """State in which a closed loop starts.
-
-    Attributes:
-        boost_voltage_V: v_bst; the lowest V_c when None.
-        prior: Parameters that an earlier run trusted, in the order of `Load.names`; None for none.
-    """
-
-    boost_voltage_V: float | None = None
-    prior: tuple[float, ...] | None = None
+LoopStart = tuple[float | None, tuple[float, ...] | None]
+"""v_bst in V at the start, the lowest V_c when None; and the parameters that an earlier run
+trusted, in the order of `Load.names`."""
 
 
 class BoostStage:
@@ -131,7 +123,7 @@ def run_loop(
     plant: Plant,
     order: Callable[[int], signals.Order],
     readings: int,
-    start: LoopStart | None = None,
+    start: LoopStart = (None, None),
 ) -> LoopRecord:
     """Run the controller of a configuration on a plant.
 
@@ -140,17 +132,17 @@ def run_loop(
         plant: The plant.
         order: The order at each reading, by its number.
         readings: Number of readings of the drive.
-        start: Where it starts; at the lowest V_c when left out.
+        start: Where it starts; at the lowest V_c with nothing learnt when left out.
 
     Raises:
         IdentificationError: The plant returns a value that is not finite.
     """
-    begin, record = start or LoopStart(), LoopRecord()
+    record, (start_V, prior) = LoopRecord(), start
     settings, load = controller_settings(configuration), build_load(configuration)
-    controller = Controller(settings, load, begin.prior)
+    controller = Controller(settings, load, prior)
     schedule = Schedule(controller, configuration.load.latency_ticks)
-    boost = BoostStage(configuration, begin.boost_voltage_V)
-    half_cycle_s, stride = tick_s(configuration), configuration.bus.ticks_per_reading
+    boost = BoostStage(configuration, start_V)
+    half_cycle_s, stride = configuration.drive.half_cycle_s, configuration.bus.ticks_per_reading
     line_V, period_s = configuration.drive.line_voltage_V, half_cycle_s * stride
     plant = at_own_step(plant)
     output, power_W = advanced(plant, boost.voltage_V, period_s, 0)
@@ -297,15 +289,17 @@ def simulated(
     Raises:
         IdentificationError: A set-point, or a value that the plant returns, is not finite.
     """
-    reading_s = tick_s(configuration) * configuration.bus.ticks_per_reading
+    reading_s = configuration.timing.reading_s
     pole = configuration.load.pole
 
     def order(number: int) -> signals.Order:
         return signals.Order(signals.Stage.RUN, _finite(setpoint, number * reading_s), mode, pole)
 
     record = run_loop(configuration, plant, order, round(duration_s / reading_s))
-    slow = _slow(record, tick_s(configuration))
-    return Simulation(_ticks(record), slow, record.fault, configuration)
+    slow = _slow(record, configuration.drive.half_cycle_s)
+    names = ("time_s", "reference", "output", "boost_voltage_V", "load_power_W")
+    ticks = pl.DataFrame({name: getattr(record, name) for name in names})
+    return Simulation(ticks, slow, record.fault, configuration)
 
 
 def _finite(setpoint: Callable[[float], float], time_s: float) -> float:
@@ -313,11 +307,6 @@ def _finite(setpoint: Callable[[float], float], time_s: float) -> float:
     if not math.isfinite(wanted):
         raise IdentificationError(f"the set-point at {time_s:g} s is {wanted}")
     return wanted
-
-
-def _ticks(record: LoopRecord) -> pl.DataFrame:
-    names = ("time_s", "reference", "output", "boost_voltage_V", "load_power_W")
-    return pl.DataFrame({name: getattr(record, name) for name in names})
 
 
 def _slow(record: LoopRecord, half_cycle_s: float) -> pl.DataFrame:

@@ -47,40 +47,20 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True)
-class Envelope:
-    """Least and largest value of a quantity over time.
-
-    Attributes:
-        time_s: Time since the left edge.
-        low: Least values.
-        high: Largest values.
-    """
-
-    time_s: Array
-    low: Array
-    high: Array
-
-    @property
-    def line(self) -> tuple[Array, Array]:
-        """Both as one line, which fills what it cannot resolve."""
-        time_s = np.repeat(self.time_s, 2)
-        return time_s, np.column_stack((self.low, self.high)).ravel()
-
-
-@dataclass(frozen=True, slots=True)
 class Curves:
     """Data of the figure of a session.
 
     Attributes:
         window: Its part of the session.
-        ticks: Envelopes of fast quantities by column.
+        ticks: Fast quantities by column: times since the left edge, and values; the least and the
+            largest value of each time make one line, which fills what it cannot resolve.
         slow_s: Time of each slow step since the left edge.
         slow: Columns of slow steps.
         estimates: Value and standard deviation over time, by name.
     """
 
     window: Window
-    ticks: dict[str, Envelope]
+    ticks: dict[str, tuple[Array, Array]]
     slow_s: Array
     slow: dict[str, NDArray[np.generic]]
     estimates: dict[str, tuple[Array, Array]]
@@ -190,7 +170,7 @@ def _within(
 
 def _envelopes(
     session: Session, window: Window, clock: Callable[[pa.RecordBatch], Array]
-) -> dict[str, Envelope]:
+) -> dict[str, tuple[Array, Array]]:
     width_s = (window.end_s - window.begin_s) / _BINS
     low = {name: np.full(_BINS, np.inf) for name in _TICK_COLUMNS}
     high = {name: np.full(_BINS, -np.inf) for name in _TICK_COLUMNS}
@@ -202,10 +182,10 @@ def _envelopes(
             values = _numbers(batch, name)
             low[name][at] = np.minimum(low[name][at], np.minimum.reduceat(values, starts))
             high[name][at] = np.maximum(high[name][at], np.maximum.reduceat(values, starts))
-    centres_s = (np.arange(_BINS) + 0.5) * width_s
     filled = np.isfinite(low["output"])
+    time_s = np.repeat(((np.arange(_BINS) + 0.5) * width_s)[filled], 2)
     return {
-        name: Envelope(centres_s[filled], low[name][filled], high[name][filled])
+        name: (time_s, np.column_stack((low[name][filled], high[name][filled])).ravel())
         for name in _TICK_COLUMNS
     }
 

@@ -220,7 +220,8 @@ class IdentifiedPlant:
         del duration_s
         self._late.append(self._input(boost_voltage_V))
         load_input = self._late.popleft()
-        power_W = max(0.0, float(_power_terms(boost_voltage_V, self._output) @ self._power))
+        volts, output = boost_voltage_V, self._output
+        power_W = max(0.0, float(np.array([volts**2, volts, volts * output]) @ self._power))
         self._state = self._transition @ self._state + self._entry * load_input
         direct, slope = self._numerator[0], self._numerator[:0:-1]
         fed = load_input - self._denominator[:0:-1] @ self._state
@@ -265,10 +266,6 @@ def disturbed_plant(load: IdentifiedLoad, structure: Load, stretch: Stretch) -> 
     simulated = [plant.step(volt, stretch.period_s)[0] for volt in means.tolist()]
     made.disturbance = output - np.array(simulated)
     return made
-
-
-def _power_terms(volts: float, output: float) -> Array:
-    return np.array([volts**2, volts, volts * output])
 
 
 # Quality of control over a record: steps of the set-point, error, effort.

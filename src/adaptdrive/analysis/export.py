@@ -1,5 +1,6 @@
 """Sessions in the formats of other programs, and as tables without lists."""
 
+import functools
 import itertools
 import json
 import re
@@ -90,7 +91,10 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
     session = reader.read_session(path)
     if session.damage:
         warnings.warn(session.damage, stacklevel=3)
-    tables = {name: _table(session, name) for name in TABLES}
+    tables = {
+        name: pa.Table.from_batches(list(flat_batches(session, name)), flat_schema(session, name))
+        for name in TABLES
+    }
     units = {
         field.name: unit
         for table in tables.values()
@@ -101,10 +105,6 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
     tables["commands"] = _rows(session.commands)
     made = {name: _frame(table, frames) for name, table in tables.items()}
     return {"info": session.info, "units": units, **made}
-
-
-def _table(session: reader.Session, name: str) -> pa.Table:
-    return pa.Table.from_batches(list(flat_batches(session, name)), flat_schema(session, name))
 
 
 def _rows(rows: tuple[Any, ...]) -> pa.Table:
@@ -160,24 +160,22 @@ def _tables(session: reader.Session) -> Iterator[tuple[str, pa.Schema]]:
 
 
 def _write_csv(session: reader.Session, into: Path) -> list[Path]:
-    paths = []
-    for table, schema in _tables(session):
-        path = into / f"{session.path.name}_{table}.csv"
-        with open_file(path, "wb") as sink, csv.CSVWriter(sink, schema) as file:
-            for batch in flat_batches(session, table):
-                file.write_batch(batch.cast(schema))
-        paths.append(path)
-    return paths
+    return _write_tables(session, into, "csv", csv.CSVWriter)
 
 
 def _write_parquet(session: reader.Session, into: Path) -> list[Path]:
+    writer = functools.partial(pq.ParquetWriter, compression="zstd")
+    return _write_tables(session, into, "parquet", writer)
+
+
+def _write_tables(
+    session: reader.Session, into: Path, suffix: str, writer: Callable[..., Any]
+) -> list[Path]:
+    """Write a file for each table."""
     paths = []
     for table, schema in _tables(session):
-        path = into / f"{session.path.name}_{table}.parquet"
-        with (
-            open_file(path, "wb") as sink,
-            pq.ParquetWriter(sink, schema, compression="zstd") as file,
-        ):
+        path = into / f"{session.path.name}_{table}.{suffix}"
+        with open_file(path, "wb") as sink, writer(sink, schema) as file:
             for batch in flat_batches(session, table):
                 file.write_batch(batch.cast(schema))
         paths.append(path)

@@ -92,7 +92,7 @@ def as_png(figure: Figure) -> bytes:
 def _draw_output(axes: Axes, session: reader.Session, curves: Curves, scale_s: float) -> None:
     looks = {"reference": style.REFERENCE, "output": style.ADAPTIVE}
     for name, look in looks.items():
-        time_s, values = curves.ticks[name].line
+        time_s, values = curves.ticks[name]
         axes.plot(time_s / scale_s, values, label=name, **look)
     axes.set_title(f"{session.info.drive}: output and reference")
     axes.set_ylabel(
@@ -102,7 +102,7 @@ def _draw_output(axes: Axes, session: reader.Session, curves: Curves, scale_s: f
 
 
 def _draw_given(axes: Axes, given: quantity.Given, curves: Curves, scale_s: float) -> None:
-    time_s, boost_V = curves.ticks["boost_voltage_V"].line
+    time_s, boost_V = curves.ticks["boost_voltage_V"]
     axes.plot(time_s / scale_s, boost_V, label=given.name, **(style.FIXED | {"linewidth": 0.6}))
     if len(curves.slow_s):
         slow = curves.broken(curves.slow_s / scale_s)
@@ -129,19 +129,13 @@ def _draw_estimates(
         band = _SIGMAS * np.abs(std)
         axes.fill_between(time, value - band, value + band, color=colour, alpha=0.15, linewidth=0)
     axes.axhline(1.0, **style.TRUTH)
-    axes.set_ylim(*_limits([value / usual for value, usual in _known(load.names, nominal, curves)]))
+    usuals = zip(load.names, nominal, strict=True)
+    known = [curves.estimates[n][0] / usual for n, usual in usuals if n in curves.estimates]
+    axes.set_ylim(*_limits(known))
     axes.set_title(f"Estimates over nominal, with bands of {_SIGMAS:g} standard deviations")
     axes.set_ylabel("ratio")
     if curves.estimates:
         style.legend_above(axes, columns=3)
-
-
-def _known(
-    names: Sequence[str], nominal: Sequence[float], curves: Curves
-) -> Iterator[tuple[NDArray[np.float64], float]]:
-    for name, usual in zip(names, nominal, strict=True):
-        if name in curves.estimates:
-            yield curves.estimates[name][0], usual
 
 
 def _limits(series: list[NDArray[np.float64]]) -> tuple[float, float]:

@@ -61,29 +61,15 @@ class RecordView:
     held: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class InputOutputRecord:
-    """A record that a fit takes.
-
-    Attributes:
-        excerpts: Its parts without a gap.
-        begins_s: Time of the first sample of each since the first row.
-        input: Name of the input.
-        output: Name of the output.
-    """
-
-    excerpts: list[Excerpt]
-    begins_s: list[float]
-    input: str
-    output: str
-
-
-def read_record(columns: Columns, view: RecordView) -> InputOutputRecord:
-    """Return the record that columns contain.
+def read_record(columns: Columns, view: RecordView) -> list[tuple[float, Excerpt]]:
+    """Return the parts without a gap of the record that columns contain.
 
     Args:
         columns: The columns.
         view: Which of them, and which part.
+
+    Returns:
+        Time of the first sample since the first row, in s, and samples of each part.
 
     Raises:
         IdentificationError: A column is missing or cannot be guessed, a value is no number, the
@@ -100,7 +86,7 @@ def read_record(columns: Columns, view: RecordView) -> InputOutputRecord:
         raise IdentificationError(f"{columns.source}: {len(time_s)} rows are no record")
     period_s = view.sample_time_s or float(np.median(np.diff(time_s)))
     gaps = np.flatnonzero(np.diff(time_s) > _LONGEST_GAP * period_s) + 1
-    record = InputOutputRecord([], [], str(view.input), str(view.output))
+    parts = []
     for number, rows in enumerate(np.split(np.arange(len(time_s)), gaps)):
         even_s = time_s[rows[0]] + period_s * np.arange(
             1 + math.floor((time_s[rows[-1]] - time_s[rows[0]]) / period_s + 1e-6)
@@ -115,10 +101,9 @@ def read_record(columns: Columns, view: RecordView) -> InputOutputRecord:
         before = _before(view, volts, first, whole=number == 0)
         rested = number == first == 0 and view.before is not None
         part = Excerpt(volts[used], values[used], period_s, before, rested, view.held)
-        record.excerpts.append(part)
-        record.begins_s.append(float(even_s[first]))
-    _require_movement(columns, view, record)
-    return record
+        parts.append((float(even_s[first]), part))
+    _require_movement(columns, view, [part for _, part in parts])
+    return parts
 
 
 def _before(view: RecordView, inputs: Array, first: int, *, whole: bool) -> float | None:
@@ -196,15 +181,15 @@ def _named(columns: Columns, known: frozenset[str]) -> str | None:
     return None
 
 
-def _require_movement(columns: Columns, view: RecordView, record: InputOutputRecord) -> None:
+def _require_movement(columns: Columns, view: RecordView, parts: list[Excerpt]) -> None:
     """Make sure that the input changes, or has changed at the start."""
-    if not record.excerpts:
+    if not parts:
         raise IdentificationError(f"{columns.source}: has no rows from --from to --to")
-    levels = np.unique(np.concatenate([one.boost_voltage_V for one in record.excerpts]))
-    before = record.excerpts[0].before_V
+    levels = np.unique(np.concatenate([one.boost_voltage_V for one in parts]))
+    before = parts[0].before_V
     if len(levels) == 1 and before in (None, levels[0]):
         raise IdentificationError(
-            f"{columns.source}: column {record.input!r} is {levels[0]:.6g} in every row: where the "
+            f"{columns.source}: column {view.input!r} is {levels[0]:.6g} in every row: where the "
             "record begins with a step, give the input before it (--before)"
         )
     if view.output == view.input:

@@ -173,16 +173,15 @@ def _simulated(
 
 
 def _start(found: record_load.SessionLoad, stretch: excerpts.Stretch) -> closed_loop.LoopStart:
-    """Return the start of a run of the drive, with what the daemon had trusted by then."""
-    volts = float(stretch.columns["boost_voltage_V"][0])
+    """Return v_bst at the start of a run of the drive, and what the daemon had trusted by then."""
+    volts, prior = float(stretch.columns["boost_voltage_V"][0]), found.session.info.prior
     if stretch.begin_s <= found.configuration.load.period_s:
-        return closed_loop.LoopStart(volts, found.session.info.prior)
+        return volts, prior
     curves = read_curves(found.session, find_window(found.session, None, stretch.begin_s))
     accepted = np.flatnonzero(curves.slow.get("accepted", ()))
-    if not len(accepted):
-        return closed_loop.LoopStart(volts, found.session.info.prior)
-    values = (float(curves.estimates[name][0][accepted[-1]]) for name in found.nominal)
-    return closed_loop.LoopStart(volts, tuple(values))
+    if len(accepted):
+        prior = tuple(float(curves.estimates[name][0][accepted[-1]]) for name in found.nominal)
+    return volts, prior
 
 
 def _course(

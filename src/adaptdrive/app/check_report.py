@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from adaptdrive.app import ports
-from adaptdrive.app.advice import advice
-from adaptdrive.app.settings import capacitor_limits, daemon_settings, response_limits, tick_s
+from adaptdrive.app import loads, ports
+from adaptdrive.app.examine import advice
+from adaptdrive.app.settings import capacitor_limits, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.bus import Row
@@ -84,8 +84,8 @@ def tables(configuration: Configuration, source: Path) -> str:
         configuration: The configuration.
         source: Its file.
     """
-    limits = limits_table(time_limits(configuration, source), tick_s(configuration))
-    response = response_table(response_limits(configuration))
+    limits = limits_table(time_limits(configuration, source), configuration.drive.half_cycle_s)
+    response = response_table(loads.response_limits(configuration))
     watched, capacitor = _watched(configuration), _capacitor(configuration)
     start, reach = _start(configuration), _reach(configuration)
     poles = pole_line(configuration)

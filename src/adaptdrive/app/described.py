@@ -1,11 +1,11 @@
 """The `[bus]` and `[signals]` of a drive, from its DBC or EDS and the choices of its user."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 
+from adaptdrive.app.starter import quoted
 from adaptdrive.devices.can.database import cycle_time_s
 from adaptdrive.devices.can.kind import proofs
 from adaptdrive.devices.description import Candidate
@@ -120,8 +120,3 @@ def _line(quantity: str, chosen: Candidate | None) -> str:
     if chosen.unit in _SI_UNITS:
         return f'{key} = "{chosen.reference}"{remark}\n'
     return f'{key} = {{ signal = "{chosen.reference}", unit = {quoted(chosen.unit)} }}{remark}\n'
-
-
-def quoted(text: str) -> str:
-    """Return a text as TOML writes it, whatever its characters are."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

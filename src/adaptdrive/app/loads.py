@@ -5,25 +5,19 @@ limit cycle; so do poles that are far faster. The fixed controller must keep eac
 physical parameters are wrong by a tenth: the worst are at the corners of that box.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
-from collections.abc import Collection
-from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
 
-from adaptdrive.config import Configuration
-from adaptdrive.config.load import BathSection, BatterySection, LoadSection, MotorSection
+from adaptdrive.config import Configuration, root
+from adaptdrive.config.load import BathModel, BathSection, BatterySection, LoadSection, MotorSection
 from adaptdrive.control.design import pole_placement
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads import bath, motor
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.load import Charging, Load
+from adaptdrive.control.loads.load import Charging, Load, to_input
 from adaptdrive.control.settings import ControllerSettings
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+from adaptdrive.runtime import plausibility
 
 MODEL_ERROR = 0.1
 """Error of each parameter that the fixed gains must stand: copper has 10 % more resistance when it
@@ -42,7 +36,7 @@ def build_load(configuration: Configuration) -> Load:
             lag_s = short_lag_s(configuration) or model.tau_filter_s
             return motor.motor_load(model.gain, model.tau_motor_s, lag_s)
         case BathSection(model=model):
-            return bath.bath_load(**dict(model))
+            return _bath_load(model, model.lag_s, model.delay_s)
         case BatterySection(model=model):
             return battery_load(
                 model.turns_ratio,
@@ -72,33 +66,31 @@ def candidate_loads(configuration: Configuration) -> list[Load]:
     if not isinstance(configuration.load, BathSection):
         return [build_load(configuration)]
     model = configuration.load.model
-    lags_s = (0.0, model.lag_s or model.tau_s)
-    return [bath.bath_load(**(dict(model) | {"lag_s": one, "delay_s": 0.0})) for one in lags_s]
+    return [_bath_load(model, lag_s, 0.0) for lag_s in (0.0, model.lag_s or model.tau_s)]
 
 
-def _charging(battery: BatterySection) -> Charging:
-    longest_h = battery.charge.longest_h
-    return Charging(
-        **alike(Charging, battery.model, battery.charge),
-        longest_s=math.inf if longest_h is None else 3600.0 * longest_h,
+def _bath_load(model: BathModel, lag_s: float, delay_s: float) -> Load:
+    return bath.bath_load(
+        resistance_K_per_W=model.resistance_K_per_W,
+        tau_s=model.tau_s,
+        turns_ratio=model.turns_ratio,
+        droop_Ohm=model.droop_Ohm,
+        heater_Ohm=model.heater_Ohm,
+        lag_s=lag_s,
+        delay_s=delay_s,
     )
 
 
-def alike(
-    kind: type[DataclassInstance], *sections: object, but: Collection[str] = ()
-) -> dict[str, Any]:
-    """Return the values of settings that sections of the file, or a load, have by the same name.
-
-    Args:
-        kind: Class of the settings.
-        sections: Where they may be.
-        but: Names that need another value.
-    """
-    names = [field.name for field in fields(kind) if field.name not in but]
-    found = [(n, getattr(one, n)) for one in sections for n in names if hasattr(one, n)]
-    values = dict(found)
-    assert len(values) == len(found), f"two values of {kind.__name__}"  # noqa: S101 - of our own
-    return values
+def _charging(battery: BatterySection) -> Charging:
+    model, charge, longest_h = battery.model, battery.charge, battery.charge.longest_h
+    return Charging(
+        turns_ratio=model.turns_ratio,
+        droop_Ohm=model.droop_Ohm,
+        internal_Ohm=model.internal_Ohm,
+        voltage_max_V=charge.voltage_max_V,
+        end_current_A=charge.end_current_A,
+        longest_s=math.inf if longest_h is None else 3600.0 * longest_h,
+    )
 
 
 def pole_range(
@@ -156,3 +148,63 @@ def _poles(start: float, end: float) -> list[float]:
     count = math.ceil(abs(end - start) / _STEP - 1e-9)
     step = math.copysign(_STEP, end - start)
     return [*(round(start + step * i, 6) for i in range(1, count)), end] if count else []
+
+
+# Limits of the output that follow from the model of the load.
+
+_POWER_FACTOR = 2.0
+"""A power is measured, and half of it at most is lost on the way to the load."""
+
+
+def stillness_limits(configuration: Configuration) -> plausibility.StillnessLimits | None:
+    """Return when the output is stuck, None for never."""
+    interlocks, section = configuration.interlocks, configuration.load
+    if not interlocks.stuck_distance and not interlocks.stuck_s:
+        return None
+    load = build_load(configuration)
+    distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
+    if section.traits.charges:  # takes no current at all below its own voltage
+        distance = 0.0
+    return plausibility.StillnessLimits(
+        output_unit=section.output_unit,
+        output_name=section.output_name,
+        gain=load.gain,
+        input_gain=load.input_gain,
+        input_exponent=load.input_exponent,
+        resolution=section.resolution,
+        lags_s=(load.lag_s / load.order,) * load.order,
+        distance=distance or math.inf,
+        longest_s=interlocks.stuck_s or math.inf,
+        inputs=root.moved_inputs("output", configuration.derived),
+    )
+
+
+def response_limits(configuration: Configuration) -> plausibility.ResponseLimits | None:
+    """Return when the output is below what the load must give, None for never."""
+    factor, section = configuration.interlocks.response_factor, configuration.load
+    if not factor:
+        return None
+    load, highest_V = build_load(configuration), configuration.drive.limits.boost_reference_max_V
+    reference_range = section.reference_max - section.reference_min
+    limits = plausibility.ResponseLimits(
+        output_unit=section.output_unit,
+        output_name=section.output_name,
+        gain=load.gain,
+        input_gain=load.input_gain,
+        input_exponent=load.input_exponent,
+        input_max=to_input(highest_V, load.input_gain, load.input_exponent),
+        lags_s=(load.lag_s / load.order,) * load.order,
+        factor=factor,
+        reference_range=reference_range,
+    )
+    if not isinstance(section, BatterySection):
+        return limits
+    ratio = section.model.turns_ratio
+    return replace(
+        limits,
+        gain=1.0 / ratio,
+        input_max=reference_range * ratio,
+        lags_s=(section.period_s,),  # a sensor's cycle is no longer
+        factor=min(factor, _POWER_FACTOR),
+        by_power=True,
+    )

@@ -302,7 +302,10 @@ async def _run(
             if given.measured:
                 note(learnt)
             keeper = recording.Keeper(
-                note, functools.partial(_learnt_by, controller), hub, clock.now_s
+                note,
+                lambda: recording.Learnt(controller.trusted, controller.resolution),
+                hub,
+                clock.now_s,
             )
             ending.callback(keeper.save)
             start("checkpoint", keeper.run())
@@ -349,10 +352,6 @@ def _stop_on_signals(end: Callable[[], None]) -> None:
     for number in _ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             loop.add_signal_handler(number, end)
-
-
-def _learnt_by(controller: Controller) -> recording.Learnt:
-    return recording.Learnt(controller.trusted, controller.resolution)
 
 
 def _note(configuration: Configuration, recorder: Recorder) -> Callable[[recording.Learnt], None]:

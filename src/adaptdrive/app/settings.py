@@ -2,23 +2,18 @@
 
 import functools
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 
 from adaptdrive import __version__
-from adaptdrive.app.loads import alike, build_load, pole_range, short_lag_s
-from adaptdrive.config import Configuration, consistency, root
-from adaptdrive.config.load import (
-    ERROR_SHARE,
-    FORGETTING,
-    NOISE_SHARE,
-    BatterySection,
-    MotorSection,
-)
+from adaptdrive.app import loads
+from adaptdrive.app.loads import build_load
+from adaptdrive.config import Configuration, consistency
+from adaptdrive.config.bus import CanBus, CanOpenBus
+from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
 from adaptdrive.control import signals, thresholds, voltage_loop
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
-from adaptdrive.control.loads.load import Load, to_input
+from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.settings import (
     ControllerSettings,
     EstimatorSettings,
@@ -40,18 +35,19 @@ from adaptdrive.runtime.settings import (
 
 # The interlocks that a configuration asks for: trip levels, and watches over the output.
 
-_POWER_FACTOR = 2.0
-"""A power is measured, and half of it at most is lost on the way to the load."""
-
 _BELOW_RANGE = 0.25
 """Noise of 5 % and the overshoot of a step downwards stay above."""
 
 
 def trip_limits(configuration: Configuration) -> Limits:
     """Return the levels at which a single reading trips the drive."""
-    sections = configuration.interlocks, configuration.load, configuration.drive
+    interlocks, load = configuration.interlocks, configuration.load
     return Limits(
-        **alike(Limits, *sections, but=("output_min",)),
+        boost_voltage_max_V=interlocks.boost_voltage_max_V,
+        output_max=interlocks.output_max,
+        output_unit=load.output_unit,
+        output_name=load.output_name,
+        given=configuration.drive.given,
         output_min=_output_min(configuration),
         absent=consistency.absent_names(configuration),
     )
@@ -71,14 +67,12 @@ def capacitor_limits(configuration: Configuration) -> capacitor.CapacitorLimits 
 
 def watches(configuration: Configuration) -> tuple[Callable[[], plausibility.Watch], ...]:
     """Return the factories of the watches over the output; a fast loop builds its own of each."""
-    return tuple(_watches(configuration))
-
-
-def _watches(configuration: Configuration) -> Iterator[Callable[[], plausibility.Watch]]:
-    if (stillness := stillness_limits(configuration)) is not None:
-        yield functools.partial(plausibility.StillnessWatch, stillness)
-    if (response := response_limits(configuration)) is not None:
-        yield functools.partial(plausibility.Response, response)
+    found: list[Callable[[], plausibility.Watch]] = []
+    if (stillness := loads.stillness_limits(configuration)) is not None:
+        found.append(functools.partial(plausibility.StillnessWatch, stillness))
+    if (response := loads.response_limits(configuration)) is not None:
+        found.append(functools.partial(plausibility.Response, response))
+    return tuple(found)
 
 
 def _output_min(configuration: Configuration) -> float:
@@ -87,56 +81,6 @@ def _output_min(configuration: Configuration) -> float:
     if given is not None:
         return given
     return min(0.0, load.reference_min) - _BELOW_RANGE * (load.reference_max - load.reference_min)
-
-
-def stillness_limits(configuration: Configuration) -> plausibility.StillnessLimits | None:
-    """Return when the output is stuck, None for never."""
-    interlocks, section = configuration.interlocks, configuration.load
-    if not interlocks.stuck_distance and not interlocks.stuck_s:
-        return None
-    load = build_load(configuration)
-    distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
-    if section.traits.charges:  # takes no current at all below its own voltage
-        distance = 0.0
-    return plausibility.StillnessLimits(
-        **alike(plausibility.StillnessLimits, load, section),
-        lags_s=_lags_s(load),
-        distance=distance or math.inf,
-        longest_s=interlocks.stuck_s or math.inf,
-        inputs=root.moved_inputs("output", configuration.derived),
-    )
-
-
-def _lags_s(load: Load) -> tuple[float, ...]:
-    """Return equal time constants with the same sum as those of the load."""
-    return (load.lag_s / load.order,) * load.order
-
-
-def response_limits(configuration: Configuration) -> plausibility.ResponseLimits | None:
-    """Return when the output is below what the load must give, None for never."""
-    factor, section = configuration.interlocks.response_factor, configuration.load
-    if not factor:
-        return None
-    load, highest_V = build_load(configuration), configuration.drive.limits.boost_reference_max_V
-    reference_range = section.reference_max - section.reference_min
-    limits = plausibility.ResponseLimits(
-        **alike(plausibility.ResponseLimits, load, section),
-        input_max=to_input(highest_V, load.input_gain, load.input_exponent),
-        lags_s=_lags_s(load),
-        factor=factor,
-        reference_range=reference_range,
-    )
-    if not isinstance(section, BatterySection):
-        return limits
-    ratio = section.model.turns_ratio
-    return replace(
-        limits,
-        gain=1.0 / ratio,
-        input_max=reference_range * ratio,
-        lags_s=(section.period_s,),  # a sensor's cycle is no longer
-        factor=min(factor, _POWER_FACTOR),
-        by_power=True,
-    )
 
 
 # Settings of controller and runtime, made from the configuration.
@@ -168,7 +112,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
             ticks_per_period=configuration.ticks_per_period,
             latency_ticks=load.latency_ticks,
             samples=load.samples if exact else 1,
-            nominal_tick_s=tick_s(configuration),
+            nominal_tick_s=configuration.drive.half_cycle_s,
             clip=load.clip if exact else 0.0,
             lag_ticks=_lag_ticks(configuration),
         ),
@@ -184,7 +128,8 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
 def daemon_settings(configuration: Configuration) -> DaemonSettings:
     """Return all settings of the runtime."""
     return DaemonSettings(
-        **alike(DaemonSettings, configuration.interlocks, configuration.load),
+        pole=configuration.load.pole,
+        refused_share=configuration.interlocks.refused_share,
         machine=_machine_limits(configuration),
         fast=_fast_loop(configuration),
         report_s=1.0 / configuration.mqtt.telemetry_Hz,
@@ -192,22 +137,23 @@ def daemon_settings(configuration: Configuration) -> DaemonSettings:
     )
 
 
-def tick_s(configuration: Configuration) -> float:
-    """Half a line cycle at nominal frequency."""
-    return 0.5 / configuration.drive.line_frequency_Hz
-
-
 def _lag_ticks(configuration: Configuration) -> float:
     """Mean delay of the loop that holds the boost voltage; a drive's own may have another."""
     lag_s = configuration.voltage_loop.lag_s
-    return voltage_loop.LAG_TICKS if lag_s is None else lag_s / tick_s(configuration)
+    return voltage_loop.LAG_TICKS if lag_s is None else lag_s / configuration.drive.half_cycle_s
 
 
 def _power_stage(configuration: Configuration) -> PowerStage:
     drive, loop = configuration.drive, configuration.voltage_loop
+    limits = drive.limits
     kick_ticks, kick_first, kick_second = _kicks(configuration)
     return PowerStage(
-        **alike(PowerStage, drive, drive.limits, loop),
+        current_scale_min_S=drive.current_scale_min_S,
+        current_scale_max_S=limits.current_scale_max_S,
+        boost_reference_min_V=limits.boost_reference_min_V,
+        boost_reference_max_V=limits.boost_reference_max_V,
+        load_power_max_W=limits.load_power_max_W,
+        feed_forward=loop.feed_forward,
         capacitance_F=drive.boost_capacitance_F,
         line_voltage_min_V=_LOWEST_LINE * drive.line_voltage_V,
         holds_voltage=loop.where == "drive",
@@ -223,10 +169,11 @@ def _kicks(configuration: Configuration) -> tuple[int, float, float]:
     section = configuration.load
     if not isinstance(section, MotorSection) or section.boost_course == "held":
         return 0, 0.0, 0.0
-    ticks, tick = round(KICK_SHARE * configuration.ticks_per_period), tick_s(configuration)
-    delay_s = (section.latency_ticks + _lag_ticks(configuration)) * tick
+    tick_s = configuration.drive.half_cycle_s
+    ticks = round(KICK_SHARE * configuration.ticks_per_period)
+    delay_s = (section.latency_ticks + _lag_ticks(configuration)) * tick_s
     load = build_load(configuration)
-    return ticks, *kick_factors(load, section.period_s, delay_s, ticks * tick)
+    return ticks, *kick_factors(load, section.period_s, delay_s, ticks * tick_s)
 
 
 def _learning(configuration: Configuration) -> EstimatorSettings:
@@ -238,9 +185,12 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     physical = METHODS[estimator.method].physical
     directional = estimator.alert and physical
-    computed = ("method", "forgetting", "initial_covariance", "covariance_max", "bias")
     return EstimatorSettings(
-        **alike(EstimatorSettings, estimator, but=computed),
+        tau_lambda_s=estimator.tau_lambda_s,
+        dead_band=estimator.dead_band,
+        gate=estimator.gate,
+        alert=estimator.alert,
+        initial_state=estimator.initial_state,
         method=estimator.method,
         forgetting=estimator.forgetting or FORGETTING,
         initial_covariance=_initial_covariance(configuration),
@@ -249,7 +199,7 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
         input_scale=middle,
         start_at_nominal=True,
         covariance_max=0.0 if directional else estimator.covariance_max,
-        short_lag_s=short_lag_s(configuration),
+        short_lag_s=loads.short_lag_s(configuration),
         bias=estimator.bias or charges,
         resolution=configuration.load.resolution,
         charge=charges and physical,
@@ -270,7 +220,16 @@ def _jacket(configuration: Configuration) -> SupervisionLimits:
     supervisor, load = configuration.supervisor, configuration.load
     reference_range, limit = load.reference_max - load.reference_min, supervisor.error_limit
     return SupervisionLimits(
-        **alike(SupervisionLimits, supervisor, but=("error_limit", "response_distance")),
+        ratio_min=supervisor.ratio_min,
+        ratio_max=supervisor.ratio_max,
+        patience_periods=supervisor.patience_periods,
+        damping_min=supervisor.damping_min,
+        spread_max=supervisor.spread_max,
+        residual_margin=supervisor.residual_margin,
+        dwell_periods=supervisor.dwell_periods,
+        blend_periods=supervisor.blend_periods,
+        confidence=supervisor.confidence,
+        gain_slew=supervisor.gain_slew,
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         saturated_periods=_periods(configuration, supervisor.saturated_s),
         error_limit=ERROR_SHARE * reference_range if limit is None else limit,
@@ -313,13 +272,17 @@ def _periods(configuration: Configuration, time_s: float) -> int:
 
 
 def _machine_limits(configuration: Configuration) -> MachineLimits:
-    load, tick = configuration.load, tick_s(configuration)
+    load, tick = configuration.load, configuration.drive.half_cycle_s
     settings, model = controller_settings(configuration), build_load(configuration)
-    pole_min, pole_max = pole_range(settings, model, load)
+    pole_min, pole_max = loads.pole_range(settings, model, load)
     patience_s = configuration.interlocks.precharge_timeout_s
     drive = configuration.drive
     return MachineLimits(
-        **alike(MachineLimits, load, drive, but=("pole_min", "pole_max")),
+        govern=load.govern,
+        reference_min=load.reference_min,
+        reference_max=load.reference_max,
+        output_unit=load.output_unit,
+        given=drive.given,
         pole_min=pole_min,
         pole_max=pole_max,
         period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
@@ -337,12 +300,24 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
 
 
 def _fast_loop(configuration: Configuration) -> FastLoopSettings:
-    drive, load, bus = configuration.drive, configuration.load, configuration.bus
+    drive, bus = configuration.drive, configuration.bus
+    command = CommandLimits(
+        current_scale_min_S=drive.current_scale_min_S,
+        current_scale_max_S=drive.limits.current_scale_max_S,
+        current_scale_slew_S=drive.limits.current_scale_slew_S,
+        boost_reference_min_V=drive.limits.boost_reference_min_V,
+        boost_reference_max_V=drive.limits.boost_reference_max_V,
+        given=drive.given,
+    )
     return FastLoopSettings(
-        **alike(FastLoopSettings, load, configuration.realtime, bus),
+        latency_ticks=configuration.load.latency_ticks,
+        late_fraction=configuration.realtime.late_fraction,
+        timer_standin=configuration.realtime.timer_standin,
+        drive_clocks=isinstance(bus, CanBus)
+        or (isinstance(bus, CanOpenBus) and bus.sync == "drive"),
         limits=trip_limits(configuration),
         watches=watches(configuration),
-        command=CommandLimits(**alike(CommandLimits, drive, drive.limits)),
+        command=command,
         timing=configuration.timing,
         capacitor=capacitor_limits(configuration),
     )

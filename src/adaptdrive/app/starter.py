@@ -4,15 +4,14 @@ An example describes one load behind one bus. The bus of one and the load of ano
 configurations that no example shows; every one of them passes `check` as it stands.
 """
 
+import json
 import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
-from adaptdrive.app.described import quoted
 from adaptdrive.config import services
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.section import si_unit
@@ -49,19 +48,8 @@ _HEAD = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Starter:
-    """A first configuration.
-
-    Attributes:
-        text: The TOML file.
-        description: Name of the DBC or EDS file that the text names, None for a register map.
-        content: Bytes of that file.
-    """
-
-    text: str
-    description: str | None
-    content: bytes
+Starter = tuple[str, dict[str, bytes]]
+"""A first configuration as TOML, and the DBC or EDS that it names with its content, if any."""
 
 
 def compose(load: LoadName, bus: BusName, name: str, bus_part: str | None = None) -> Starter:
@@ -90,7 +78,7 @@ def compose(load: LoadName, bus: BusName, name: str, bus_part: str | None = None
         )
     )
     if bus_part:
-        return Starter(marked(text), None, b"")
+        return marked(text), {}
     return _starter(marked(_for_a_shared_machine(text)), "examples")
 
 
@@ -128,7 +116,7 @@ def of_device(load: LoadName, device: str, name: str, own: str | None = None) ->
     if key not in tables["bus"]:
         raise ConfigurationError("--device", [Flaw(device, f"has no bus.{key}, as {own} is")])
     line = f"{key} = {quoted(own)}"
-    return Starter(re.sub(rf"(?m)^{key} = .*$", lambda _: line, text), None, b"")
+    return re.sub(rf"(?m)^{key} = .*$", lambda _: line, text), {}
 
 
 def _with_load(text: str, load: LoadName) -> str:
@@ -152,7 +140,7 @@ def _starter(text: str, folder: str) -> Starter:
     """Return a configuration with the file that its bus names."""
     bus = tomllib.loads(text)["bus"]
     file = bus.get("database") or bus.get("eds")
-    return Starter(text, file, _read(file, folder) if file else b"")
+    return text, {file: _read(file, folder)} if file else {}
 
 
 def _for_a_shared_machine(text: str) -> str:
@@ -171,6 +159,11 @@ def _with(text: str, key: str, value: str, remark: str) -> str:
     """Return a text in which a key has another value, with a remark."""
     line = f"{key} = {value:<{24 - len(key)}}# {remark}"
     return re.sub(rf"(?m)^{key} = .*$", line, text)
+
+
+def quoted(text: str) -> str:
+    """Return a text as TOML writes it, whatever its characters are."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _read(file: str, folder: str) -> bytes:

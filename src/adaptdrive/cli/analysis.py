@@ -18,7 +18,7 @@ from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive.util.files import replace_result
 
 if TYPE_CHECKING:
-    from adaptdrive.commissioning.report import Commissioned
+    from adaptdrive.commissioning.evaluation import Commissioned
 
 
 # Commands that make something of a recorded session: a figure, or a file for another program.
@@ -124,16 +124,14 @@ def identify(
         view: Part of the record, and the form of the result.
     """
     with options.needing("analysis"):
-        from adaptdrive.analysis import load_report  # noqa: PLC0415 - it is large
-        from adaptdrive.analysis.record import RecordView  # noqa: PLC0415
-        from adaptdrive.analysis.record_load import identify_source  # noqa: PLC0415
+        from adaptdrive.analysis import record, record_load  # noqa: PLC0415 - they are large
     path = Path(source) if source is not None and Path(source).is_file() else _find(source)
     figure = view.folder(path.parent if path.is_file() else path) / "load.png"
-    wanted = RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
-    found = identify_source(path, wanted)
-    replace_result(figure, load_report.draw_load(found))
-    text = f"{load_report.as_text(found)}\n\n{figure}"
-    return view.present(text, load_report.as_json(found), figure)
+    wanted = record.RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
+    found = record_load.identify_source(path, wanted)
+    replace_result(figure, record_load.draw_load(found))
+    text = f"{record_load.as_text(found)}\n\n{figure}"
+    return view.present(text, record_load.as_json(found), figure)
 
 
 def whatif(
@@ -207,7 +205,6 @@ def _find(name: str | None) -> Path:
 
 _HERE = options.Contact()
 _PLACES = (Path(), Path("/etc/adaptdrive"))
-_STANDBY_S = 5.0
 _LARGEST_MOVE = 30.0
 
 
@@ -252,19 +249,19 @@ def commission(  # noqa: PLR0913 - the words of the command line
     """
     path = _configuration(drive, config)
     with options.needing("analysis"):
-        from adaptdrive.commissioning import report, run  # noqa: PLC0415 - it is large
-    wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
-    if not yes and not _agreed(run.announcement(wanted, drive)):
+        from adaptdrive.commissioning import client, evaluation, proposal, run  # noqa: PLC0415
+    if not yes and not _agreed(run.announcement(path, drive, move / 100.0, patience)):
         return 1
     options.refuse_unwritable(into)
     contact = replace(contact, config=path)
     with run.alone(drive, contact.settings):
         if write or apply:
-            run.refuse_unwritable(path)
-        commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
-        print(report.as_text(commissioned))
+            proposal.refuse_unwritable(path)
+        guide = client.Guide(contact.settings, drive, contact.timeout)
+        commissioned = asyncio.run(run.commission(path, guide, move / 100.0, patience))
+        print(evaluation.as_text(commissioned))
         figure = into / "commission.png"
-        replace_result(figure, report.draw(commissioned))
+        replace_result(figure, evaluation.draw(commissioned))
         print(f"\n{figure}")
         if commissioned.refusal and not (write or apply):
             return 0

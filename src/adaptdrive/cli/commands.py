@@ -5,17 +5,17 @@ from collections.abc import Callable, Sequence
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
 from adaptdrive import __version__
-from adaptdrive.cli.standard_files import UNUSABLE, complain
-from adaptdrive.runtime.requests import REQUESTS, Request
+from adaptdrive.cli import UNUSABLE, print_error
+from adaptdrive.runtime.requests import REQUESTS
 
 _COMMANDS = {
-    "init": ("start", "Write a first configuration for a load and a bus."),
+    "init": ("configuration", "Write a first configuration for a load and a bus."),
     "start": ("desk", "Run a drive on a desk: its daemon, a broker, the panel, and the view."),
     "run": ("run", "Run the daemon for one drive until a signal stops it."),
     "check": ("configuration", "Validate a configuration; list every error with its place."),
     "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),
     "probe": ("probe", "Show decoded measurements from the bus; command nothing."),
-    "replay": ("replay", "Run the controller again on a recorded session."),
+    "replay": ("sessions", "Run the controller again on a recorded session."),
     "events": ("sessions", "Show the events of a recorded session."),
     "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
     "identify": ("analysis", "Identify the load from a session or a CSV file, with error bars."),
@@ -50,7 +50,7 @@ def understood(app: App, words: Sequence[str] | None = None) -> Callable[[], obj
             return app(words)
         except CycloptsError as problem:
             program = app.name[0]
-            return complain(program, _misuse(program, problem), UNUSABLE)
+            return print_error(program, _misuse(program, problem), UNUSABLE)
 
     return carry_out
 
@@ -91,7 +91,8 @@ def build_app() -> App:
         app.command(path, name=name, help=purpose, usage=_usage(name))
     for verb, request in REQUESTS.items():
         path = f"adaptdrive.cli.operate:{verb}"
-        app.command(path, name=verb, help=_first_line(request), usage=_usage(verb))
+        purpose = (request.__doc__ or "").partition("\n")[0]
+        app.command(path, name=verb, help=purpose, usage=_usage(verb))
     app.command("adaptdrive.cli.operate:list_drives", name="list", help=_LIST)
     app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
     app.register_install_completion_command(
@@ -103,7 +104,3 @@ def build_app() -> App:
 def _usage(command: str) -> str | None:
     arguments = _ARGUMENTS.get(command)
     return arguments and f"Usage: adaptdrive {command} [OPTIONS] {arguments}"
-
-
-def _first_line(request: type[Request]) -> str:
-    return (request.__doc__ or "").partition("\n")[0]

@@ -1,16 +1,285 @@
-"""Commands that read a configuration and nothing else."""
+"""Commands on a configuration: `init` writes a first one, `check` and `schema` read it."""
 
 import json
+import math
+import os
+import shlex
 import sys
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
-from adaptdrive.cli.options import Json, print_json
-from adaptdrive.cli.standard_files import UNUSABLE
+from pydantic import ValidationError
+
+from adaptdrive.app import starter
+from adaptdrive.cli import UNUSABLE
+from adaptdrive.cli.options import Flag, Json, print_json
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanLink
 from adaptdrive.config.file import find_flaws, read_text
-from adaptdrive.util.errors import ConfigurationError
+from adaptdrive.config.load import LoadName
+from adaptdrive.config.root import DriveSection
+from adaptdrive.devices import description
+from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.files import replace_regular
+
+_SHOWN = 3
+_NODE_ID = 1
+_TARGET_TORQUE = "0x6071"
+_OF_THE_PROFILE = ("counter", "fault", "bridge", "command.bridge", "command.current_scale_S")
+"""Names that a CiA 402 drive needs no entry for, or that it does not take."""
+
+
+def init(  # noqa: PLR0913 - one parameter for each option
+    load: LoadName,
+    /,
+    *,
+    bus: starter.BusName | None = None,
+    device: str | None = None,
+    name: str | None = None,
+    directory: Path = Path(),
+    dbc: Path | None = None,
+    eds: Path | None = None,
+    yes: Flag = False,
+) -> int:
+    """Write a commented configuration that passes `check`, and name the next commands.
+
+    With a DBC or EDS file its signals are proposed by name and unit; on a terminal each is asked
+    for, elsewhere the likeliest is taken.
+
+    Args:
+        load: Kind of load.
+        bus: Kind of bus.
+        device: Described device that is nearest to yours, in place of the bus: the best beginning
+            (docs/own-drive.md). Without both, all are listed.
+        name: Name of the drive, the kind of load when left out.
+        directory: Folder for the files.
+        dbc: DBC file of the drive.
+        eds: EDS file of the drive.
+        yes: Take each proposal without asking; end where two are equally likely.
+
+    Returns:
+        0 when the file passes `check`, 2 when something is left to fill in.
+    """
+    drive = load if name is None else _refuse_misnamed(name)
+    if device is not None:
+        own = dbc or eds
+        _refuse_two(bus, dbc and eds)
+        text, files = starter.of_device(
+            load, device, drive, _place(own, directory) if own else None
+        )
+    else:
+        known = _refuse_misfits(bus, dbc, eds)
+        part = _described(load, directory, dbc, eds, ask=None if yes else sys.stdin.isatty())
+        text, files = starter.compose(load, known, drive, part)
+    if sys.stdin.isatty() and not yes:
+        text = starter.answered(text, _values(text))
+    path = _write((text, files), directory, drive)
+    return _name_next_steps(path, _check(path))
+
+
+def _name_next_steps(path: Path, problem: str) -> int:
+    """Print the next commands, or what is to be filled in; return the exit status."""
+    print(f"wrote {path}")
+    file = shlex.quote(str(path))
+    if problem:
+        print(f"\nfill in, then run `adaptdrive check {file}`:\n{problem}")
+        return 2
+    print(
+        f"\nnext:\n  adaptdrive check {file}    # after each change\n"
+        f"  adaptdrive probe {file}    # show what the drive sends; command nothing\n"
+        f"  adaptdrive start {file}    # broker, daemon, panel and view; off until `enable`\n"
+        f"  adaptdrive run {file}      # the daemon alone, as a service runs it"
+    )
+    return 0
+
+
+def _refuse_two(*given: object) -> None:
+    if any(one is not None for one in given):
+        flaw = Flaw("--device", "describes the bus: leave --bus out, and one of --dbc and --eds")
+        raise ConfigurationError("init", [flaw])
+
+
+def _refuse_misfits(
+    bus: starter.BusName | None, dbc: Path | None, eds: Path | None
+) -> starter.BusName:
+    """Return the kind of bus; refuse a missing one, and a file that describes another."""
+    if bus is None:
+        flaw = Flaw("--bus", f"is missing, or --device: one of {', '.join(starter.device_names())}")
+        raise ConfigurationError("init", [flaw])
+    if dbc is not None and bus != "can":
+        raise ConfigurationError("--dbc", [Flaw(str(dbc), f"describes a drive on can, not {bus}")])
+    if eds is not None and bus != "canopen":
+        flaw = Flaw(str(eds), f"describes a drive on canopen, not {bus}")
+        raise ConfigurationError("--eds", [flaw])
+    return bus
+
+
+def _refuse_misnamed(name: str) -> str:
+    """Return the name of a drive, which becomes a file's name too; refuse what `check` refuses."""
+    try:
+        return DriveSection(name=name).name
+    except ValidationError as problem:
+        flaw = Flaw("name", f"{name!r}: {problem.errors()[0]['msg']}")
+        raise ConfigurationError("--name", [flaw]) from problem
+
+
+def _described(
+    load: LoadName, directory: Path, dbc: Path | None, eds: Path | None, *, ask: bool | None
+) -> str | None:
+    """Return the bus part that a DBC or EDS gives, None for the reference drive."""
+    if dbc is not None:
+        from adaptdrive.app import described  # noqa: PLC0415 - cantools only where needed
+        from adaptdrive.devices.can import kind  # noqa: PLC0415 - as above
+        from adaptdrive.devices.can.database import read_dbc  # noqa: PLC0415
+
+        database = read_dbc(dbc, dbc, "dbc").database
+        found = list(kind.candidates(database))
+        return described.can_part(database, _place(dbc, directory), _choose(load, found, ask=ask))
+    if eds is not None:
+        from adaptdrive.app import described  # noqa: PLC0415 - as above
+        from adaptdrive.devices.canopen.mapping import candidates  # noqa: PLC0415
+
+        found = list(candidates(eds, _NODE_ID))
+        if any(one.reference == _TARGET_TORQUE for one in found):
+            print(f"a drive that takes torque: see `init --device maxon-epos4 --eds {eds}` instead")
+        return described.canopen_part(
+            _place(eds, directory), _choose(load, found, _OF_THE_PROFILE, ask=ask)
+        )
+    return None
+
+
+def _place(file: Path, directory: Path) -> str:
+    """Return how the configuration names a file: one in its own folder by its name alone."""
+    beside = file.resolve().parent == directory.resolve()
+    return file.name if beside else str(file.resolve())
+
+
+def _choose(
+    load: LoadName,
+    known: list[description.Candidate],
+    without: Collection[str] = (),
+    *,
+    ask: bool | None,
+) -> dict[str, description.Candidate | None]:
+    wanted = {
+        "output": description.OUTPUTS.get(load, description.NO_PROPOSAL),
+        **description.QUANTITIES,
+    }
+    chosen = {
+        quantity: _confirm(quantity, _proposed(quantity, one, known, ask=ask), known, ask=bool(ask))
+        for quantity, one in wanted.items()
+        if quantity not in without
+    }
+    left_out = ", ".join(quantity for quantity, one in chosen.items() if one is None)
+    if left_out and not ask:
+        print(f"left out, as no signal of the file means it: {left_out}")
+    return chosen
+
+
+def _proposed(
+    quantity: str,
+    wanted: description.Wanted,
+    known: list[description.Candidate],
+    *,
+    ask: bool | None,
+) -> tuple[description.Candidate, ...]:
+    """Return the proposals of a quantity, the likeliest first; refuse a doubt nobody is asked."""
+    proposed = description.propose(wanted, known)
+    if ask is None and description.is_doubtful(wanted, proposed):
+        first, second = (one.reference for one in proposed[:2])
+        flaw = Flaw(quantity, f"{first} or {second}? leave out --yes, and choose")
+        raise ConfigurationError("init", [flaw])
+    return proposed
+
+
+def _confirm(
+    quantity: str,
+    proposed: tuple[description.Candidate, ...],
+    known: list[description.Candidate],
+    *,
+    ask: bool,
+) -> description.Candidate | None:
+    if not ask:
+        return proposed[0] if proposed else None
+    choices = {str(number): one for number, one in enumerate(proposed[:_SHOWN], start=1)}
+    choices |= {one.reference: one for one in known}
+    print(f"\n{quantity}:")
+    for number in range(1, 1 + len(proposed[:_SHOWN])):
+        one = choices[str(number)]
+        words = "" if one.reference.endswith(one.words.split()[-1]) else one.words
+        print("  ".join(filter(None, (f"  {number}", one.reference, words, one.unit, one.range))))
+    usual = "1" if proposed else "0"
+    while True:
+        answer = _answer(f"a number, a signal by its name, or 0 for none [{usual}]: ", quantity)
+        if (answer or usual) == "0":
+            return None
+        if (answer or usual) in choices:
+            return choices[answer or usual]
+
+
+def _values(text: str) -> dict[str, str]:
+    """Ask for each value of the example; one that is confirmed by Enter alone stays marked."""
+    print("\nEnter keeps the value of the example, and `check` names it.")
+    found = {}
+    for key, value in starter.asked(text).items():
+        while answer := _answer(f"{starter.QUESTIONS[key]} [{value}]: ", key):
+            if (written := _as_toml(answer, value)) is not None:
+                found[key] = written
+                break
+    return found
+
+
+def _as_toml(answer: str, like: str) -> str | None:
+    """Return an answer as TOML, None where it is not of the kind of another value."""
+    if like.startswith('"'):
+        return json.dumps(answer)
+    try:
+        number = float(answer)
+    except ValueError:
+        return None
+    return repr(number) if math.isfinite(number) else None
+
+
+def _answer(question: str, quantity: str) -> str:
+    """Return what the user types; refuse an input that ends, before anything is written."""
+    try:
+        return input(question).strip()
+    except EOFError as problem:
+        print()
+        flaw = Flaw(quantity, "the input ended before an answer; nothing is written")
+        raise ConfigurationError("init", [flaw]) from problem
+
+
+def _write(first: starter.Starter, directory: Path, drive: str) -> Path:
+    """Write the files of a configuration; refuse to replace any."""
+    path = directory / f"{drive}.toml"
+    try:
+        files = {path: first[0].encode()} | {directory / n: one for n, one in first[1].items()}
+        directory.mkdir(parents=True, exist_ok=True)
+        for file, content in files.items():
+            if os.path.lexists(file) and (file == path or file.read_bytes() != content):
+                flaw = Flaw("init", "the file exists and is not replaced")
+                raise ConfigurationError(file, [flaw])
+        for file, content in files.items():
+            replace_regular(file, content)
+    except (OSError, UnicodeError) as problem:
+        raise ConfigurationError(directory, [Flaw("init", str(problem))]) from problem
+    return path
+
+
+def _check(path: Path) -> str:
+    """Return what `check` has against a configuration, an empty string for nothing."""
+    from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - as in `check`
+
+    try:
+        load_examined(path)
+    except ConfigurationError as problem:
+        return str(problem)
+    return ""
+
+
+# Commands that read a configuration and nothing else.
 
 
 def check(config: Path, /, *, as_json: Json = False) -> int:
@@ -30,11 +299,10 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
         return _check_for_programs(config)
     from adaptdrive.app.check_report import tables  # noqa: PLC0415 - `schema` needs no bus
     from adaptdrive.app.examine import examine_text  # noqa: PLC0415
-    from adaptdrive.app.starter import examples  # noqa: PLC0415
     from adaptdrive.devices.can.bus import missing_here  # noqa: PLC0415
 
     text = read_text(config)
-    left = [f"{key} = {value}" for key, value in examples(text)]
+    left = [f"{key} = {value}" for key, value in starter.examples(text)]
     if left:
         remedy = "adapt each, then delete `example:` from its comment"
         _warn(config, f"values of the example: {', '.join(left)}; {remedy}")
@@ -57,7 +325,7 @@ def _warn(config: Path, text: object) -> None:
 
 def _advise(config: Path, text: str) -> None:
     """Print the warnings, also where values that contradict each other are refused after them."""
-    from adaptdrive.app.advice import advice  # noqa: PLC0415
+    from adaptdrive.app.examine import advice  # noqa: PLC0415
 
     findings = find_flaws(text, config)
     if not findings.flaws:

@@ -26,9 +26,9 @@ from urllib.parse import parse_qs, quote, urlsplit
 
 from cyclopts import Parameter, validators
 
+from adaptdrive import processes
 from adaptdrive.cli.options import Contact, Flag, Integer
 from adaptdrive.config import Configuration
-from adaptdrive.processes import owned
 from adaptdrive.tui.terminal import ended_once, tell_last
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
@@ -37,7 +37,7 @@ from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, Flaw, fi
 
 COMMISSION_KEY = "c"
 _CLI = "adaptdrive.cli"
-_LOOPBACK = {owned.HOST, "localhost"}
+_LOOPBACK = {processes.HOST, "localhost"}
 _PAGE, _WEBSOCKET = 8088, 8083
 """Ports of the panel and of a broker's WebSocket listener, as `adaptdrive panel` expects them."""
 
@@ -92,7 +92,7 @@ def _closed(runner: asyncio.Runner, desk: _Desk) -> Iterator[None]:
     """End all processes at the end, and show the last lines of one that has ended by itself."""
     try:
         yield
-    except* owned.ProcessDiedError as problems:
+    except* processes.ProcessDiedError as problems:
         tail = "\n".join(f"  {line}" for line in first_error(problems).tail)
         raise AdaptdriveError(f"{first_error(problems)}\n{tail}") from None
     except* EOFError:
@@ -124,13 +124,13 @@ class _Desk:
         """
         self._path, self._contact = path, contact
         self._broker, self._drive = configuration.mqtt, configuration.drive.name
-        self._household, self._ports = owned.Household(os.environ), owned.Ports()
+        self._processes, self._ports = processes.ProcessGroup(os.environ), processes.Ports()
         self._said: list[str] = []
 
     @property
     def names(self) -> list[str]:
         """Names of the processes that run, in the order of their end."""
-        return self._household.names
+        return self._processes.names
 
     async def start(self, simulate: Path | None) -> None:
         """Start broker, daemon and panel.
@@ -142,25 +142,25 @@ class _Desk:
             AdaptdriveError: One of them cannot be had.
         """
         websocket = _WEBSOCKET
-        if not owned.is_listening(self._broker.host, self._broker.port):
+        if not processes.is_listening(self._broker.host, self._broker.port):
             websocket = await self._start_broker()
         if simulate is not None:
             words = ["device", str(simulate), f"--broker={self._broker.host}:{self._broker.port}"]
             log = self._log("drive")
-            await self._household.start("simulated drive", "adaptdrive_sim", words, log)
-        await self._household.start("daemon", _CLI, ["run", str(self._path)], self._log("daemon"))
+            await self._processes.start("simulated drive", "adaptdrive_sim", words, log)
+        await self._processes.start("daemon", _CLI, ["run", str(self._path)], self._log("daemon"))
         await self._start_panel(websocket)
 
     async def commission(self) -> None:
         """Measure the load on this terminal."""
         words = ["commission", self._drive, "--config", str(self._path)]
         with ended_once():
-            await self._household.run_in_front(_CLI, words)
+            await self._processes.run_in_front(_CLI, words)
 
     async def show(self) -> bool:
         """Show the drive; return whether its load is to be measured."""
         from adaptdrive.tui.main import watch  # noqa: PLC0415 - it is large
-        from adaptdrive.tui.view import KEYS, Surroundings, faint  # noqa: PLC0415
+        from adaptdrive.tui.view import KEYS, ViewExtras, faint  # noqa: PLC0415
 
         asked = asyncio.Event()
 
@@ -173,15 +173,15 @@ class _Desk:
             await asked.wait()
 
         keys = (*KEYS[:-1], f"{COMMISSION_KEY} commission", KEYS[-1])
-        around = Surroundings(keys, faint(self._said), takes=takes)
-        services = [self._household.watch(), until_asked()]
+        around = ViewExtras(keys, faint(self._said), takes=takes)
+        services = [self._processes.watch(), until_asked()]
         settings, timeout_s = self._contact.settings, self._contact.timeout
         await watch(settings, self._drive, timeout_s, around, services)
         return asked.is_set()
 
     async def stop(self) -> None:
         """End all processes, the last one first."""
-        await self._household.stop()
+        await self._processes.stop()
         self._ports.close()
 
     def _log(self, name: str) -> Path:
@@ -206,20 +206,22 @@ class _Desk:
             raise AdaptdriveError(f"no broker answers at {place}: {remedy}")
         websocket = self._ports.take(usual=_WEBSOCKET)
         self._say(f"broker: none answered at {place}; an embedded one serves this machine only")
-        listeners = [f"{owned.HOST}:{broker.port}", f"{owned.HOST}:{websocket}"]
-        child = await self._household.start("broker", owned.BROKER, listeners, self._log("broker"))
+        listeners = [f"{processes.HOST}:{broker.port}", f"{processes.HOST}:{websocket}"]
+        child = await self._processes.start(
+            "broker", processes.BROKER, listeners, self._log("broker")
+        )
         await child.until_listening(broker.port)
         return websocket
 
     async def _start_panel(self, websocket: int) -> None:
 
         host = self._broker.host
-        if not owned.is_listening(host, websocket):
+        if not processes.is_listening(host, websocket):
             self._say(f"panel: none, as the broker has no WebSocket listener at {host}:{websocket}")
             return
         page, address = self._ports.take(usual=_PAGE), f"ws://{host}:{websocket}/mqtt"
         words = ["panel", "--no-open", f"--port={page}", f"--broker={address}"]
-        panel = await self._household.start("panel", _CLI, words, self._log("panel"))
+        panel = await self._processes.start("panel", _CLI, words, self._log("panel"))
         await panel.until_listening(page)
         self._say(f"panel: {panel_address(page, address)}")
 
@@ -239,10 +241,6 @@ _REPORT = "/report.html"
 _REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'"
 _ONE_REPORT = threading.Lock()
 """Reports are drawn one by one: each takes a processor for seconds."""
-
-
-class PanelError(AdaptdriveError):
-    """The panel cannot be served."""
 
 
 class PanelHandler(SimpleHTTPRequestHandler):
@@ -315,14 +313,14 @@ def panel_server(port: int) -> PanelServer:
         port: TCP port, 0 for a free one.
 
     Raises:
-        PanelError: The port is in use.
+        AdaptdriveError: The port is in use.
     """
     try:
         return PanelServer(
             ("127.0.0.1", port), functools.partial(PanelHandler, directory=str(FOLDER))
         )
     except OSError as problem:
-        raise PanelError(f"port {port}: {problem}; choose another --port") from problem
+        raise AdaptdriveError(f"port {port}: {problem}; choose another --port") from problem
 
 
 def panel_address(port: int, broker: str) -> str:

@@ -12,7 +12,7 @@ from typing import Literal
 
 from msgspec.structs import asdict as asdict_of
 
-from adaptdrive.cli import display, options, standard_files
+from adaptdrive.cli import UNUSABLE, discard_output, display, options
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 
 ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
@@ -58,11 +58,11 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     if shape == "off":
         if any(number is not None for number in numbers.values()):
             print("adaptdrive: waveform off takes no values", file=sys.stderr)
-            return standard_files.UNUSABLE
+            return UNUSABLE
         return _ask(drive, "waveform", None, contact)
     if None in numbers.values():
         print(f"adaptdrive: waveform {shape} needs LOW, HIGH and PERIOD", file=sys.stderr)
-        return standard_files.UNUSABLE
+        return UNUSABLE
     value = {"shape": shape, **numbers}
     return _ask(drive, "waveform", value, contact, preview=preview)
 
@@ -220,7 +220,7 @@ def _tell(answer: str) -> None:
     try:
         print(answer, flush=True)
     except OSError as problem:
-        standard_files.discard_output()
+        discard_output()
         unwritable = f"standard output cannot be written: {problem.strerror}"
         print(f"adaptdrive: {answer} ({unwritable})", file=sys.stderr)
 
@@ -269,7 +269,7 @@ def watch(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> i
 
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         print("adaptdrive: watch needs a terminal; in a pipe use status --json", file=sys.stderr)
-        return standard_files.UNUSABLE
+        return UNUSABLE
     refuse_dumb_terminal()
     answered = asyncio.run(watch_drive(contact.settings, drive, contact.timeout))
     return ACCEPTED if answered else NO_ANSWER

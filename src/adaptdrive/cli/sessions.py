@@ -1,4 +1,4 @@
-"""Commands on recorded sessions: list, show, verify, prune; their events."""
+"""Commands on recorded sessions: list, show, verify, prune; their events; the controller again."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from adaptdrive.cli.options import Json, print_json
+from adaptdrive.cli.options import Json, Settings, print_json
 from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped
 
 if TYPE_CHECKING:  # `--help` reads no recordings
+    from adaptdrive.config import Configuration
+    from adaptdrive.control.controller import Controller
     from adaptdrive.recording.reader import Verification
     from adaptdrive.recording.records import EventRow
+    from adaptdrive.recording.session import SessionInfo
 
 app = App(name="sessions")
 
@@ -292,3 +295,80 @@ def find(name: str | None, directory: Path | None = None) -> Path:
     from adaptdrive.recording.reader import find_session  # noqa: PLC0415 - see above
 
     return find_session(name, _folder(directory))
+
+
+# `adaptdrive replay`: the controller again, on recorded measurements.
+
+
+def replay(session: str | None = None, /, *, settings: Settings = (), as_json: Json = False) -> int:
+    """Run the controller again on the measurements of a recorded session.
+
+    Args:
+        session: Folder of the session, or its name below the sessions of this machine; the last one
+            when left out.
+        settings: Setting to change, KEY=VALUE, such as estimator.forgetting=0.95; may be repeated.
+        as_json: Print JSON, for programs.
+
+    Returns:
+        0 when every command is bit-equal, or when settings were given, so that differences are
+        the answer; else 1.
+
+    Raises:
+        AdaptdriveError: There is no such session, or a setting is not valid.
+    """
+    from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
+    from adaptdrive.recording.replay import reconfigured  # noqa: PLC0415
+    from adaptdrive.recording.replay import replay as run_again  # noqa: PLC0415
+
+    path = find(session)
+    record = read_session(path)
+    configuration = reconfigured(record.config_text, path / "config.toml", settings)
+    report = run_again(record, controller_at_start(record.info, configuration))
+    if record.damage:
+        sys.stderr.write(f"adaptdrive: {record.damage}\n")
+    for setting in settings:
+        if not _acts(record.config_text, path / "config.toml", setting):
+            sys.stderr.write(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}\n")
+    if as_json:
+        print_json({"bit_equal": report.exact, **asdict(report)})
+    else:
+        print(report)
+    return 0 if report.exact or settings else 1
+
+
+def controller_at_start(info: SessionInfo, configuration: Configuration) -> Controller:
+    """Return a controller that begins with what the recorded one had learnt before.
+
+    Args:
+        info: Of the session.
+        configuration: Of the controller, which may ask for another kind of load.
+    """
+    from adaptdrive.app.loads import build_load  # noqa: PLC0415 - see above
+    from adaptdrive.app.settings import controller_settings  # noqa: PLC0415
+    from adaptdrive.control.controller import Controller  # noqa: PLC0415
+
+    load, prior = build_load(configuration), info.prior
+    if prior is not None and len(prior) != len(load.names):
+        prior = None
+    return Controller(controller_settings(configuration), load, prior, info.resolution)
+
+
+_WITHOUT_EFFECT = (
+    "has no effect on a replay, which takes measurements and orders (set-point, pole, mode, stage) "
+    "from the record"
+)
+
+
+def _acts(text: str, source: Path, setting: str) -> bool:
+    """Return whether a setting changes anything of the controller that is run again."""
+    from adaptdrive.app.loads import build_load  # noqa: PLC0415 - see above
+    from adaptdrive.app.settings import controller_settings  # noqa: PLC0415
+    from adaptdrive.recording.replay import reconfigured  # noqa: PLC0415
+
+    try:
+        changed = reconfigured(text, source, (setting,))
+    except ConfigurationError:  # it needs another setting, too
+        return True
+    recorded = reconfigured(text, source, ())
+    acting = [(controller_settings(one), build_load(one)) for one in (recorded, changed)]
+    return acting[0] != acting[1]

@@ -55,25 +55,6 @@ class FastReading:
         return self.time_s - self.age_s
 
 
-class WantedVoltage:
-    """The present voltage command of an experiment.
-
-    Attributes:
-        voltage_V: V_c.
-        changed: Set when it changes.
-    """
-
-    def __init__(self, voltage_V: float) -> None:
-        self.voltage_V = voltage_V
-        self.changed = asyncio.Event()
-
-    def change(self, voltage_V: float) -> None:
-        """Take a voltage."""
-        if voltage_V != self.voltage_V:
-            self.voltage_V = voltage_V
-            self.changed.set()
-
-
 def reading_of(content: dict[str, Any]) -> FastReading | None:
     """Return the reading of a message of `telemetry/drive`, None where something is missing."""
     try:
@@ -102,7 +83,8 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
         CommissionError: A clock was set.
     """
     now = asyncio.get_running_loop().time
-    last_s, heard_s, clock = -math.inf, now(), ReadingClock()
+    last_s, measured_s = -math.inf, now()
+    first: tuple[float, float] | None = None
     last: FastReading | None = None
     async with aclosing(telemetry(broker, drive)) as messages:
         while True:
@@ -110,36 +92,27 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
             reading = reading_of(content) if name == "drive" else None
             if reading is not None:
                 now_s = now()
-                _look_at_time(drive, clock.lead_s(reading.time_s, now_s))
+                first = first or (reading.time_s, now_s)
+                _require_steady_clock(drive, _lead_s(first, (reading.time_s, now_s)))
                 if reading.time_s > last_s:
-                    last_s, heard_s = reading.time_s, now_s - reading.age_s
-                    if last is None or _is_news(reading, last):
+                    last_s, measured_s = reading.time_s, now_s - reading.age_s
+                    if last is None or _is_new(reading, last):
                         last = reading
                         yield reading
-            if now() - heard_s > _SILENCE_S:
+            if now() - measured_s > _SILENCE_S:
                 silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
                 raise NoAnswerError(drive, silence)
 
 
-class ReadingClock:
-    """The time of the readings, with a clock that nobody sets."""
+def _lead_s(first: tuple[float, float], last: tuple[float, float]) -> float:
+    """Return by how much the time of the readings has left the clock since the first reading.
 
-    def __init__(self) -> None:
-        self._first: tuple[float, float] | None = None
-
-    def lead_s(self, time_s: float, now_s: float) -> float:
-        """Return by how much the time of the readings has left the clock since the first reading.
-
-        What a clock may drift until then, or be slewed, does not count.
-
-        Args:
-            time_s: Time of a reading.
-            now_s: Time of its arrival by the clock that nobody sets.
-        """
-        self._first = self._first or (time_s, now_s)
-        elapsed_s = now_s - self._first[1]
-        lead_s = time_s - self._first[0] - elapsed_s
-        return math.copysign(max(0.0, abs(lead_s) - _SLEW * elapsed_s), lead_s)
+    What a clock may drift until then, or be slewed, does not count. Of both readings the time, and
+    that of the arrival by a clock that nobody sets, are given.
+    """
+    elapsed_s = last[1] - first[1]
+    lead_s = last[0] - first[0] - elapsed_s
+    return math.copysign(max(0.0, abs(lead_s) - _SLEW * elapsed_s), lead_s)
 
 
 async def _next(
@@ -153,12 +126,12 @@ async def _next(
         raise NoAnswerError(drive, f"no telemetry for {_SILENCE_S:g} s") from problem
 
 
-def _is_news(reading: FastReading, last: FastReading) -> bool:
+def _is_new(reading: FastReading, last: FastReading) -> bool:
     """Return whether a reading shows another measurement than the last one, or another bridge."""
     return reading.measured_s - last.measured_s > _SAME_S or reading.bridge != last.bridge
 
 
-def _look_at_time(drive: str, lead_s: float) -> None:
+def _require_steady_clock(drive: str, lead_s: float) -> None:
     if abs(lead_s) > _SILENCE_S:
         raise CommissionError(
             f"the time of {drive}'s telemetry moved by {lead_s:+.4g} s against this program's "
@@ -185,6 +158,7 @@ class Guide:
     """Commands one drive for an experiment.
 
     Attributes:
+        drive: Its name.
         unstopped: Why the stop at the end is not confirmed; empty where it is.
     """
 
@@ -197,9 +171,11 @@ class Guide:
             timeout_s: Longest wait for a reply.
         """
         self._broker = broker
-        self._drive = drive
+        self.drive = drive
         self._timeout_s = timeout_s
         self.unstopped = ""
+        self._wanted_V = math.nan
+        self._changed = asyncio.Event()
 
     async def watch_standby(self, duration_s: float) -> Samples:
         """Return what the sensors show while the drive is off.
@@ -213,7 +189,7 @@ class Guide:
         """
         await self._standby()
         samples = Samples()
-        async with aclosing(fast_readings(self._broker, self._drive)) as readings:
+        async with aclosing(fast_readings(self._broker, self.drive)) as readings:
             async for one in readings:
                 samples.append(one.measured_s, one.boost_voltage_V, one.output)
                 if one.measured_s - samples.times_s[0] >= duration_s:
@@ -249,11 +225,11 @@ class Guide:
         self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
     ) -> None:
         """Run the experiment; the voltage is asked for meanwhile, so that no reading waits."""
-        wanted = WantedVoltage(experiment.course.voltage_V)
+        self._wanted_V = experiment.course.voltage_V
         try:
             async with asyncio.TaskGroup() as group:
-                asking = group.create_task(self._keep_asking(wanted))
-                await self._feed(experiment, wanted, show)
+                asking = group.create_task(self._keep_asking())
+                await self._feed(experiment, show)
                 asking.cancel()
         except BaseExceptionGroup as problems:
             known, others = problems.split(AdaptdriveError)
@@ -262,30 +238,29 @@ class Guide:
             raise first_error(known) from None
 
     async def _feed(
-        self,
-        experiment: LoadExperiment,
-        wanted: WantedVoltage,
-        show: Callable[[FastReading, float], None],
+        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
     ) -> None:
         """Take readings until the experiment is complete."""
-        async with aclosing(fast_readings(self._broker, self._drive)) as readings:
+        async with aclosing(fast_readings(self._broker, self.drive)) as readings:
             async for one in readings:
                 if not one.bridge:
                     raise CommissionError(await self._end())
                 voltage_V = experiment.take(one.measured_s, one.boost_voltage_V, one.output)
-                wanted.change(voltage_V)
+                if voltage_V != self._wanted_V:
+                    self._wanted_V = voltage_V
+                    self._changed.set()
                 show(one, voltage_V)
                 if experiment.done:
                     return
 
-    async def _keep_asking(self, wanted: WantedVoltage) -> None:
+    async def _keep_asking(self) -> None:
         """Ask for the last voltage whenever it changes, and before its time is over."""
         while True:
-            wanted.changed.clear()
-            await self._ask("voltage", wanted.voltage_V, hold_s=HOLD_S)
+            self._changed.clear()
+            await self._ask("voltage", self._wanted_V, hold_s=HOLD_S)
             with suppress(TimeoutError):
                 async with asyncio.timeout(_REFRESH_S):
-                    await wanted.changed.wait()
+                    await self._changed.wait()
 
     async def _await_running(self, *, coasting: bool) -> None:
         """Wait until the drive runs, with its load fed unless it may coast."""
@@ -298,12 +273,12 @@ class Guide:
             if state["state"] not in _ENERGISED:
                 raise CommissionError(await self._end())
             if now() > end_s:
-                raise CommissionError(f"{self._drive} is not running {_START_S:g} s after enable")
+                raise CommissionError(f"{self.drive} is not running {_START_S:g} s after enable")
             await asyncio.sleep(_POLL_S)
 
     async def _end(self) -> str:
         """Return why the drive is off."""
-        return _end(self._drive, await self._state())
+        return _end(self.drive, await self._state())
 
     async def _leave(self, mode: str) -> None:
         """Bring the drive into its safe state, and its mode back."""
@@ -313,7 +288,7 @@ class Guide:
         except (AdaptdriveError, TimeoutError) as problem:
             why = str(problem) or f"no reply within {HOLD_S:g} s"
             self.unstopped = (
-                f"the stop is unanswered ({why}): where {self._drive} is energised, it trips "
+                f"the stop is unanswered ({why}): where {self.drive} is energised, it trips "
                 f"within {HOLD_S:g} s of its last voltage. Look at it, and disable it"
             )
             return
@@ -325,27 +300,25 @@ class Guide:
         state = await self._state()
         if state.get("state") != "standby":
             raise CommissionError(
-                f"{self._drive} is {state.get('state')}: commissioning begins in standby; "
-                f"adaptdrive disable {self._drive}, or reset"
+                f"{self.drive} is {state.get('state')}: commissioning begins in standby; "
+                f"adaptdrive disable {self.drive}, or reset"
             )
         return state
 
     async def _state(self) -> dict[str, Any]:
-        status = await read_status(self._broker, self._drive, self._timeout_s)
+        status = await read_status(self._broker, self.drive, self._timeout_s)
         if not status.online or status.state is None:
-            raise NoAnswerError(self._drive, "it is not online")
+            raise NoAnswerError(self.drive, "it is not online")
         return status.state
 
     async def _ask(self, verb: str, value: object = None, **fields: object) -> None:
-        reply = await send_command(
-            self._broker, self._drive, verb, value, self._timeout_s, **fields
-        )
+        reply = await send_command(self._broker, self.drive, verb, value, self._timeout_s, **fields)
         if reply.accepted:
             return
         state = await self._state()
         if verb == "voltage" and state.get("state") not in _ENERGISED:
-            raise CommissionError(_end(self._drive, state))
-        raise CommissionError(f"{self._drive} refused {verb}: {reply.reason}")
+            raise CommissionError(_end(self.drive, state))
+        raise CommissionError(f"{self.drive} refused {verb}: {reply.reason}")
 
 
 def _end(drive: str, state: dict[str, Any]) -> str:

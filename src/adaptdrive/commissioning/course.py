@@ -1,4 +1,4 @@
-"""The course of an experiment: samples, phases, waits, limits, and the voltage it asks for."""
+"""The course of an experiment: its limits, samples and phases, and the voltage it asks for."""
 
 import bisect
 import itertools
@@ -9,8 +9,129 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TypeVar
 
-from adaptdrive.commissioning.target import Target
+from adaptdrive.app.loads import build_load
+from adaptdrive.config.load import BatterySection
+from adaptdrive.config.root import Configuration
+from adaptdrive.control.loads.load import to_input, to_voltage
 from adaptdrive.util.errors import CommissionError
+from adaptdrive.util.quantity import BOOST, Given
+
+# Limits of an experiment: the drive's, the output's, and the movement that was asked for.
+
+_ONSET_SHARE = 0.5
+"""Share of the movement that one step may bring while the onset of the current is looked for."""
+
+_FINEST_STEP = 1.0e-3
+"""Share of the voltage range, for a dc/dc stage without a known resistance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """A load that takes no current below its own voltage.
+
+    Attributes:
+        turns_ratio: N2, secondary volts per boost volt.
+        droop_Ohm: R_d of the dc/dc stage.
+        terminal_max_V: Highest voltage at the terminals.
+    """
+
+    turns_ratio: float
+    droop_Ohm: float
+    terminal_max_V: float
+
+    def terminal_V(self, boost_voltage_V: float, current_A: float) -> float:
+        """Return the voltage at the terminals."""
+        return self.turns_ratio * boost_voltage_V - self.droop_Ohm * current_A
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Limits of an experiment, and the structure of its load.
+
+    Attributes:
+        low_V: Lowest V_c, at which the load rests: not below 0.
+        high_V: Highest V_c.
+        output_max: Highest output that the experiment leads to.
+        move: Movement of the output that the experiment aims at.
+        first_gain: Guess of the output's movement per unit of the load's input.
+        input_gain: u = gain · v^exponent.
+        input_exponent: 1 or 2.
+        patience_s: Shortest wait for a response.
+        name: Name of the output, for people.
+        unit: Its unit.
+        onset: For a battery: its terminals.
+        given: Name and unit of what the drive is commanded, and gives.
+    """
+
+    low_V: float
+    high_V: float
+    output_max: float
+    move: float
+    first_gain: float
+    input_gain: float
+    input_exponent: int
+    patience_s: float
+    name: str
+    unit: str
+    onset: Onset | None = None
+    given: Given = BOOST
+
+    def to_input(self, voltage_V: float) -> float:
+        """Return the load's input at a boost voltage."""
+        return to_input(voltage_V, self.input_gain, self.input_exponent)
+
+    def raised_V(self, voltage_V: float, step: float) -> float:
+        """Return the voltage at which the load's input is a step higher, within the limits."""
+        raised_V = to_voltage(self.to_input(voltage_V) + step, self.input_gain, self.input_exponent)
+        return min(max(raised_V, self.low_V), self.high_V)
+
+    @property
+    def onset_step_V(self) -> float:
+        """Step of V_c that raises a battery's current by less than the movement."""
+        onset = self.onset
+        if onset is None or not onset.droop_Ohm > 0.0:
+            return _FINEST_STEP * (self.high_V - self.low_V)
+        return _ONSET_SHARE * self.move * onset.droop_Ohm / onset.turns_ratio
+
+
+def build_target(
+    configuration: Configuration, move_share: float, patience_s: float | None = None
+) -> Target:
+    """Return the limits of an experiment on a configured drive.
+
+    Args:
+        configuration: The drive; its `[load.model]` is used for what belongs to the dc/dc stage.
+        move_share: Movement of the output as a share of the set-point range.
+        patience_s: Shortest wait for a response; that of the kind of load when None.
+    """
+    section, limits = configuration.load, configuration.drive.limits
+    load, high_V = build_load(configuration), limits.boost_reference_max_V
+    low_V = max(limits.boost_reference_min_V, 0.0)  # a negative one would drive the load backwards
+    ends = [to_input(one, load.input_gain, load.input_exponent) for one in (low_V, high_V)]
+    span = section.reference_max - section.reference_min
+    return Target(
+        low_V=low_V,
+        high_V=high_V,
+        output_max=section.reference_max,
+        move=move_share * span,
+        first_gain=span / (ends[1] - ends[0]),
+        input_gain=load.input_gain,
+        input_exponent=load.input_exponent,
+        patience_s=section.traits.patience_s if patience_s is None else patience_s,
+        name=section.output_name,
+        unit=section.output_unit,
+        onset=_onset(configuration),
+        given=configuration.drive.given,
+    )
+
+
+def _onset(configuration: Configuration) -> Onset | None:
+    section = configuration.load
+    if not isinstance(section, BatterySection):
+        return None
+    model = section.model
+    return Onset(model.turns_ratio, model.droop_Ohm, section.charge.voltage_max_V)
+
 
 # Samples of an experiment, and means over parts of them.
 
@@ -152,6 +273,9 @@ class ExperimentCourse:
         voltage_V: V_c that is asked for.
         time_s: Time of the last sample.
         wait_s: Shortest wait for rest: the patience, less once the load has been seen to respond.
+        rest: Mean output over the last quarter of the wait after which the load came to rest; NaN
+            until it has.
+        rest_samples: Samples of that quarter.
     """
 
     def __init__(self, target: Target) -> None:
@@ -162,6 +286,8 @@ class ExperimentCourse:
         self.voltage_V = target.low_V
         self.time_s = 0.0
         self.wait_s = target.patience_s
+        self.rest = math.nan
+        self.rest_samples = 0
         self._expected = (0.0, math.nan)
         self._noise = 0.0
         self._noise_known_s = -math.inf
@@ -271,121 +397,3 @@ class ExperimentCourse:
             self._noise = record.noise(self.time_s - patience_s, self.time_s)
             self._noise_known_s = self.time_s
         return self._noise
-
-
-# The waits of an experiment: until the load is at rest, and until a battery takes a current.
-
-_DRIFT = 0.1
-"""Change of a battery's current that counts as rest, as a share of the movement: its EMF rises."""
-
-_RESTING = 0.05
-"""Change over a quarter of the wait, as a share of the movement, of a load at rest."""
-
-_VISIBLE = 0.06
-"""Three standard errors of a rest, as a share of the movement, that are waited for."""
-
-_PATIENCES = 60.0
-"""Longest wait, in shortest ones."""
-
-_FLOWING = 3.0
-"""Current that can be lowered again, in movements."""
-
-_BEHIND = 1.5
-"""Distance from the voltage that was asked for, in steps, at which the next step waits."""
-
-_WAIT_SHARE = 0.02
-"""Wait after each step, as a share of the shortest wait for a response."""
-
-
-@dataclass(slots=True)
-class Rest:
-    """Output at which a load came to rest; NaN until it has.
-
-    Attributes:
-        output: Mean output over the last quarter of the wait.
-        count: Samples of that quarter.
-    """
-
-    output: float = float("nan")
-    count: int = 0
-
-
-def until_rest(course: ExperimentCourse, rest: Rest) -> Steps[None]:
-    """Wait until two quarters of the time since now have the same mean.
-
-    Args:
-        course: The experiment.
-        rest: Takes the rest.
-
-    Raises:
-        CommissionError: The load does not come to rest, or its output is too large.
-    """
-    began_s, start = course.time_s, course.recent(course.smooth_s)
-    next_s = began_s + course.wait_s
-    while True:
-        yield True
-        course.look_at_output()
-        if course.time_s < next_s:
-            continue
-        elapsed_s = course.time_s - began_s
-        if _is_rest(course, elapsed_s, start, rest):
-            return
-        next_s = began_s + 1.1 * elapsed_s
-
-
-def _is_rest(course: ExperimentCourse, elapsed_s: float, start: float, rest: Rest) -> bool:
-    """Compare the last two quarters of a wait."""
-    target, record, time_s = course.target, course.record, course.time_s
-    quarter_s, drift = 0.25 * elapsed_s, 0.0
-    if target.onset is not None:
-        quarter_s = min(quarter_s, 0.5 * target.patience_s)
-        drift = _DRIFT * target.move
-    middle = record.mean(time_s - 2.0 * quarter_s, time_s - quarter_s)
-    last = record.mean(time_s - quarter_s, time_s)
-    error = course.standard_error(quarter_s)
-    response = min(abs(last - start), target.move)
-    allowed = max(_RESTING * response, 3.0 * error, drift)
-    if error <= _VISIBLE / 3.0 * target.move and abs(last - middle) <= allowed:
-        rest.output, rest.count = last, record.count(time_s - quarter_s, time_s)
-        return True
-    if elapsed_s > _PATIENCES * target.patience_s:
-        raise CommissionError(
-            f"{target.name} does not come to rest within {elapsed_s:.0f} s: it moves by "
-            f"{last - middle:.3g} {target.unit} in {quarter_s:.0f} s, and its noise "
-            f"is {record.noise(time_s - elapsed_s, time_s):.3g} {target.unit}"
-        )
-    return False
-
-
-def find_onset(course: ExperimentCourse) -> Steps[float]:
-    """Raise V_c until a current flows that can be lowered again, and return it.
-
-    Raises:
-        CommissionError: No current flows, or the voltage at the terminals would be too high.
-    """
-    target = course.target
-    wanted, wait_s = _FLOWING * target.move, _WAIT_SHARE * target.patience_s
-    voltage_V = target.low_V
-    yield from course.wait(target.patience_s / 4.0)
-    while course.recent(wait_s) < wanted:
-        if voltage_V >= target.high_V:
-            raise CommissionError(
-                f"no current: {target.name} = {course.recent(wait_s):.3g} {target.unit} at "
-                f"{target.given.text(voltage_V)}, the highest {target.given.symbol}"
-            )
-        voltage_V = min(voltage_V + target.onset_step_V, target.high_V)
-        course.voltage_V = voltage_V
-        course.found = (voltage_V - target.low_V) / (target.high_V - target.low_V)
-        course.look_at_terminals(voltage_V, course.recent(wait_s))
-        yield from _arrive(course, voltage_V)
-        yield from course.wait(wait_s)
-    return voltage_V
-
-
-def _arrive(course: ExperimentCourse, voltage_V: float) -> Steps[None]:
-    """Wait until the drive has come near a voltage; a command takes its time to reach it."""
-    nearly_V = voltage_V - _BEHIND * course.target.onset_step_V
-    until_s = course.time_s + course.target.patience_s
-    while course.record.voltages_V[-1] < nearly_V and course.time_s < until_s:
-        yield True
-        course.look_at_output()

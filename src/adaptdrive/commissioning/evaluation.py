@@ -1,20 +1,25 @@
-"""The load that an experiment shows, its sensor at rest, and the response that follows."""
+"""The load that an experiment shows, its sensor at rest, the response that follows; as a report."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis.closed_loop import LoopStart, run_loop
+from adaptdrive.analysis import record_load, style
+from adaptdrive.analysis.closed_loop import run_loop
 from adaptdrive.analysis.excerpts import IdentifiedPlant, Quality, period_means, quality_of
-from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import tick_s
+from adaptdrive.analysis.figure import as_png
+from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.commissioning.course import Outcome, Samples
 from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.control.signals import Mode, Order, Stage
@@ -120,13 +125,11 @@ class SensorState:
         mean: Mean output.
         noise: Standard deviation of one sample.
         resolution: Smallest difference of two samples; 0 where all were the same.
-        count: Samples.
     """
 
     mean: float
     noise: float
     resolution: float
-    count: int
 
 
 def judge_sensor(samples: Samples, configuration: Configuration, move: float) -> SensorState:
@@ -145,7 +148,6 @@ def judge_sensor(samples: Samples, configuration: Configuration, move: float) ->
         mean=samples.mean(first, last),
         noise=samples.noise(first, last),
         resolution=samples.resolution(),
-        count=len(samples.outputs),
     )
     section = configuration.load
     about = f"{section.output_name} = {state.mean:.4g} {section.output_unit}"
@@ -196,11 +198,7 @@ class Prediction:
     fault: str = ""
 
     def refusal(self, present: Prediction) -> str:
-        """Return why the settings are not to be put to use, empty where they are.
-
-        Args:
-            present: The prediction with the settings in force.
-        """
+        """Return why the settings are not to be put to use rather than the present ones."""
         overshoot, settling_s = self.quality.overshoot, self.quality.settling_s
         if self.fault:
             return f"the predicted loop trips: {self.fault}"
@@ -237,9 +235,12 @@ def predict(
 
     after = max(_PERIODS_AFTER, math.ceil(_SETTLED / (1.0 - section.pole)))
     count = (_PERIODS_BEFORE + after) * samples
-    period_s = tick_s(configuration) * configuration.bus.ticks_per_reading
-    plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), _power(configuration))
-    record = run_loop(configuration, plant, order, count, LoopStart(boost_voltage_V=rest_V))
+    period_s = configuration.timing.reading_s
+    limits = configuration.drive.limits
+    factor = _POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2
+    power = np.array([factor, 0.0, 0.0])  # of v², v and v·y in the power of the load
+    plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), power)
+    record = run_loop(configuration, plant, order, count, (rest_V, None))
     output = period_means(np.array(record.output), samples)
     volts = period_means(np.array(record.boost_voltage_V), samples)
     reference = np.where(np.arange(len(output)) < _PERIODS_BEFORE, rest, rest + move)
@@ -255,14 +256,6 @@ def predict(
     )
 
 
-def _power(configuration: Configuration) -> Array:
-    """Return the factors of v², v and v·y in the power of the load."""
-    limits = configuration.drive.limits
-    return np.array(
-        [_POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2, 0.0, 0.0]
-    )
-
-
 def rest_voltage(outcome_low_V: float, outcome_high_V: float, load: Load) -> float:
     """Return the voltage in the middle between both levels of the test.
 
@@ -274,3 +267,125 @@ def rest_voltage(outcome_low_V: float, outcome_high_V: float, load: Load) -> flo
     gain, exponent = load.input_gain, load.input_exponent
     ends = [to_input(one, gain, exponent) for one in (outcome_low_V, outcome_high_V)]
     return to_voltage(0.5 * sum(ends), gain, exponent)
+
+
+# The results of commissioning: load, settings and predicted response, as text and as a figure.
+
+
+@dataclass(frozen=True, slots=True)
+class Commissioned:
+    """All results of an experiment.
+
+    Attributes:
+        sensor: The sensor at rest.
+        outcome: Levels and movement of the test.
+        load: The identified load.
+        proposal: Proposed settings.
+        prediction: Response of the proposed loop.
+        before: The present configuration.
+        refusal: Why the settings are not to be put to use, empty where they are.
+    """
+
+    sensor: SensorState
+    outcome: Outcome
+    load: result.IdentifiedLoad
+    proposal: Proposal
+    prediction: Prediction
+    before: Configuration
+    refusal: str = ""
+
+
+def as_text(found: Commissioned) -> str:
+    """Return the result as a table."""
+    return "\n".join([*_checks(found), "", *_settings(found), "", *_loop(found)])
+
+
+def _checks(found: Commissioned) -> Iterator[str]:
+    sensor, outcome, load = found.sensor, found.outcome, found.load
+    unit, given = found.before.load.output_unit, found.before.drive.given
+    noise, resolution = f"noise {sensor.noise:.3g} {unit}", f"{sensor.resolution:.3g} {unit}"
+    yield f"sensor          {noise}, resolution {resolution}"
+    yield (
+        f"test            {given.symbol} {outcome.low_V:.4g}…{given.text(outcome.high_V)} from "
+        f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
+    )
+    yield from record_load.checks(load, unit)
+    yield from record_load.warnings(load)
+
+
+def _settings(found: Commissioned) -> Iterator[str]:
+    yield f"{'setting':<34}{'present':>12}{'proposed':>12}"
+    for key, value in found.proposal.values.items():
+        deviation = found.proposal.model.get(key.removeprefix("load.model."))
+        margin = "" if deviation is None else f"  ± {deviation.std:.2g}"
+        present = float(attrgetter(key)(found.before))
+        yield f"{key:<34}{present:>12.5g}{value:>12.5g}{margin}"
+
+
+def _loop(found: Commissioned) -> Iterator[str]:
+    quality, margins = found.prediction.quality, found.proposal.margins
+    overshoot, settling_s = 100.0 * quality.overshoot, quality.settling_s
+    yield f"predicted overshoot {overshoot:.1f} %, settling {settling_s:.4g} s"
+    yield f"gain margin {margins.gain:.3g}, delay margin {margins.delay_s:.3g} s"
+    given = found.before.drive.given
+    yield f"largest {given.name} after the step {given.text(quality.highest_V)}"
+    if found.refusal:
+        yield f"not to be applied: {found.refusal}"
+
+
+def draw(found: Commissioned) -> bytes:
+    """Return a PNG of the test with the simulated output, and of the predicted response."""
+    load, prediction = found.load, found.prediction
+    label = f"{found.before.load.output_name} ({found.before.load.output_unit or '1'})"
+    with style.journal():
+        figure = Figure(figsize=(style.WIDTH_in, 5.6), layout="constrained")
+        test, response, volts = figure.subplots(3, 1, height_ratios=(1.4, 1.0, 0.8))
+        simulated = np.concatenate(load.simulated)
+        time_s = load.block_s * np.arange(len(simulated))
+        measured = simulated + np.concatenate(load.residuals)
+        test.plot(time_s, measured, label="measured", **style.REFERENCE)
+        test.plot(time_s, simulated, label="identified load", **style.ADAPTIVE)
+        test.set_ylabel(label)
+        test.set_xlabel("time in the experiment (s)")
+        style.legend_above(test, columns=2)
+        response.plot(prediction.time_s, prediction.output, **style.ADAPTIVE)
+        response.set_title("predicted response of the fixed controller to a step")
+        response.set_ylabel(label)
+        volts.plot(prediction.time_s, prediction.boost_voltage_V, **style.ADAPTIVE)
+        volts.set_ylabel(found.before.drive.given.axis)
+        volts.set_xlabel("time since the step (s)")
+        return as_png(figure)
+
+
+def judged(
+    sensor: SensorState,
+    experiment: LoadExperiment,
+    present: Configuration,
+    text: str,
+    path: Path,
+) -> Commissioned:
+    """Return all results of an experiment.
+
+    Args:
+        sensor: The sensor at rest.
+        experiment: One that is complete.
+        present: The configuration with which it was done.
+        text: The same as text.
+        path: Its file, for messages.
+
+    Raises:
+        AdaptdriveError: The samples do not determine the load, or no settings suit it.
+    """
+    outcome = experiment.outcome
+    if outcome is None:
+        raise CommissionError("the experiment is not complete")
+    load = build_load(present)
+    identified = evaluate(experiment, candidate_loads(present))
+    proposal = propose(identified, text, path, experiment.course.record.coarseness())
+    rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
+    proposed, now = (
+        predict(identified, one, rest_V, experiment.course.target.move)
+        for one in (proposal.configuration, present)
+    )
+    refusal = proposed.refusal(now)
+    return Commissioned(sensor, outcome, identified, proposal, proposed, present, refusal)

@@ -11,19 +11,9 @@ A load without overshoot stays within that movement. Time is that of the samples
 """
 
 import math
-from dataclasses import dataclass
 
-from adaptdrive.commissioning.bounds import Bounds
-from adaptdrive.commissioning.course import (
-    ExperimentCourse,
-    Outcome,
-    Phase,
-    Rest,
-    Steps,
-    find_onset,
-    until_rest,
-)
-from adaptdrive.commissioning.target import Target
+from adaptdrive.commissioning.bounds import Bounds, find_onset, until_rest
+from adaptdrive.commissioning.course import ExperimentCourse, Outcome, Phase, Steps, Target
 from adaptdrive.util.errors import CommissionError
 
 # The test of an experiment: V_c switches between two levels.
@@ -176,47 +166,31 @@ _RESPONSES = 3.0
 _LEAST_WAIT = 0.05
 """The same in patiences."""
 
+_LEAST_LEVEL = 0.5
+"""Least step of the test, over the one that would move the output by the movement asked for."""
+
 _LONGEST_CLIMB = 40
 _SLOWEST_SLEW_V_PER_S = 50.0
-
-
-@dataclass(frozen=True, slots=True)
-class Summit:
-    """The step that was found.
-
-    Attributes:
-        rest: Output before it.
-        moved: Change of the output.
-        voltage_V: V_c.
-        settling_s: Time that the load took to come to rest.
-    """
-
-    rest: float
-    moved: float
-    voltage_V: float
-    settling_s: float
 
 
 class Climb:
     """Steps of V_c from rest, each no larger than the credible loads allow."""
 
-    def __init__(self, course: ExperimentCourse, base_V: float, rest: Rest) -> None:
+    def __init__(self, course: ExperimentCourse, base_V: float) -> None:
         """Begin at rest.
 
         Args:
-            course: The experiment.
+            course: The experiment, which has come to rest.
             base_V: V_c at rest.
-            rest: The rest.
         """
-        self.bounds = Bounds(course, base_V, rest)
+        self.bounds = Bounds(course, base_V)
         self._course = course
         self._base_V = base_V
-        self._rest = rest
-        self._before = rest.output
-        self._raised_s = course.time_s
+        self._before = course.rest
+        self._began_s = self._raised_s = course.time_s
         self._retreats = False
 
-    def run(self) -> Steps[Summit]:
+    def run(self) -> Steps[Outcome]:
         """Raise V_c until the output has moved visibly.
 
         Raises:
@@ -232,17 +206,32 @@ class Climb:
                 step = yield from self._retreat(step)
                 continue
             if moved >= _ENOUGH * target.move:
-                return Summit(self._before, moved, raised_V, self._time_to_rest())
+                return self._outcome(moved, raised_V)
             self._follow(moved)
             if raised_V >= target.high_V:
                 raise self._no_response(moved, raised_V)
             growth = _SLOW_GROWTH if self._retreats else _GROWTH
-            step = max(step, self._allowed(growth * step))
+            larger = growth * step  # as far as the credible loads allow; a battery's current jumps
+            if target.onset is None:
+                larger = self.bounds.largest_step(larger)
+            step = max(step, larger)
         raise CommissionError(
             f"{_LONGEST_CLIMB} steps of {target.given.symbol} did not show one that moves "
             f"{target.name} by {target.move:.3g} {target.unit}: ask for a longer wait with "
             "--patience"
         )
+
+    def _outcome(self, moved: float, raised_V: float) -> Outcome:
+        """Choose the level at which no credible load moves the output further than asked for."""
+        course, target, base_V, rest = self._course, self._course.target, self._base_V, self._before
+        gain = moved / (target.to_input(raised_V) - target.to_input(base_V))
+        if target.onset is None:
+            gain = min(max(gain, self.bounds.gain), gain / _LEAST_LEVEL)
+        high_V = target.raised_V(base_V, target.move / gain)
+        course.look_at_terminals(high_V, rest + target.move)
+        began_s, settling_s = self._began_s, self._time_to_rest()
+        noise = course.record.noise(began_s, course.time_s)
+        return Outcome(base_V, high_V, rest, moved, gain, settling_s, noise, began_s)
 
     def _follow(self, moved: float) -> None:
         """Wait for no longer than a response takes that was seen from its begin to its rest."""
@@ -251,10 +240,6 @@ class Climb:
             wait_s = max(_RESPONSES * self._time_to_rest(), _LEAST_WAIT * course.target.patience_s)
             course.wait_s = min(course.wait_s, wait_s)
 
-    def _allowed(self, step: float) -> float:
-        """Return the largest step that the credible loads allow; a battery's current jumps."""
-        return step if self._course.target.onset is not None else self.bounds.largest_step(step)
-
     def _respond(self, voltage_V: float) -> Steps[float]:
         """Raise V_c and wait for rest; the movement is returned, early where it is too large."""
         course, target, before_V = self._course, self._course.target, self._course.voltage_V
@@ -262,7 +247,7 @@ class Climb:
         began_s = course.time_s
         if voltage_V != before_V:
             course.voltage_V, self._raised_s = voltage_V, began_s
-        for _ in until_rest(course, self._rest):
+        for _ in until_rest(course):
             moved = course.recent(course.smooth_s) - self._before
             if self._is_too_far(moved):
                 course.phase = Phase.RETREAT
@@ -273,7 +258,7 @@ class Climb:
                     f"rose to {target.given.text(voltage_V)}: is its sensor reversed?"
                 )
             yield True
-        moved = self._rest.output - self._before
+        moved = self._course.rest - self._before
         if target.onset is None:
             return moved
         slewed_s = began_s + abs(voltage_V - before_V) / _SLOWEST_SLEW_V_PER_S
@@ -295,14 +280,14 @@ class Climb:
         course.voltage_V, self._raised_s = self._base_V, course.time_s
         peak = course.recent(course.smooth_s) - self._before
         for _ in range(_LONGEST_RETURN):
-            for _ in until_rest(course, self._rest):
+            for _ in until_rest(course):
                 peak = max(peak, course.recent(course.smooth_s) - self._before)
                 if target.onset is None:
                     self.bounds.heads_for_edge()
                 yield True
-            if abs(self._rest.output - self._before) <= course.margin(_BACK):
+            if abs(self._course.rest - self._before) <= course.margin(_BACK):
                 break
-        self._before = self._rest.output
+        self._before = self._course.rest
         least, largest = _AFTER_RETREAT
         share = largest * target.move / max(peak, 1e-9 * target.move)
         if target.onset is None:
@@ -328,7 +313,7 @@ class Climb:
         elapsed_s = course.time_s - began_s
         if course.target.onset is not None:
             return elapsed_s
-        rest = self._rest.output
+        rest = course.rest
         start = record.mean(began_s - course.smooth_s, began_s)
         allowed = 0.1 * abs(rest - start)
         while elapsed_s > 0.02 * course.target.patience_s:
@@ -341,9 +326,6 @@ class Climb:
 
 
 # The experiment on an unknown load: from samples to the next V_c, without a model.
-
-_LEAST_LEVEL = 0.5
-"""Least step of the test, over the one that would move the output by the movement asked for."""
 
 
 class LoadExperiment:
@@ -382,28 +364,12 @@ class LoadExperiment:
 
     def _run(self) -> Steps[None]:
         """Run all phases, one step for each sample."""
-        course = self.course
-        base_V, rest = course.target.low_V, Rest()
+        course, base_V = self.course, self.course.target.low_V
         if course.target.onset is not None:
             course.phase = Phase.ONSET
             base_V = yield from find_onset(course)
-        yield from until_rest(course, rest)
-        began_s, climb = course.time_s, Climb(course, base_V, rest)
-        summit = yield from climb.run()
-        self.outcome = _judge(course, base_V, summit, began_s, climb.bounds.gain)
+        yield from until_rest(course)
+        climb = Climb(course, base_V)
+        self.outcome = yield from climb.run()
         course.phase = Phase.TEST
         yield from Switching(course, self.outcome, climb.bounds).run()
-
-
-def _judge(
-    course: ExperimentCourse, base_V: float, summit: Summit, began_s: float, largest_gain: float
-) -> Outcome:
-    """Choose the level at which no credible load moves the output further than was asked for."""
-    target, moved = course.target, summit.moved
-    gain = moved / (target.to_input(summit.voltage_V) - target.to_input(base_V))
-    if target.onset is None:
-        gain = min(max(gain, largest_gain), gain / _LEAST_LEVEL)
-    high_V = target.raised_V(base_V, target.move / gain)
-    course.look_at_terminals(high_V, summit.rest + target.move)
-    noise = course.record.noise(began_s, course.time_s)
-    return Outcome(base_V, high_V, summit.rest, moved, gain, summit.settling_s, noise, began_s)

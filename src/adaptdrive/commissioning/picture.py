@@ -5,6 +5,7 @@ import functools
 import math
 import sys
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NoReturn
 
@@ -14,8 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from adaptdrive.commissioning import client, course
+from adaptdrive.commissioning.course import Target
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.commissioning.target import Target
 from adaptdrive.tui import record, terminal, view
 from adaptdrive.util.errors import CommissionError
 
@@ -134,14 +135,14 @@ async def carry_out(guide: client.Guide, experiment: LoadExperiment, picture: Pi
             if sys.stdin.isatty() and sys.stdout.isatty():
                 await _with_picture(guide, experiment, picture)
             else:
-                await guide.carry_out(experiment, PhaseLines(experiment))
+                await guide.carry_out(experiment, phase_lines(experiment))
     finally:
         if guide.unstopped:
             sys.stderr.write(f"adaptdrive: {guide.unstopped}\n")
 
 
 async def _with_picture(guide: client.Guide, experiment: LoadExperiment, picture: Picture) -> None:
-    lines = PhaseLines(experiment)
+    lines = phase_lines(experiment)
 
     def show(reading: client.FastReading, voltage_V: float) -> None:
         picture.take(experiment, reading, voltage_V)
@@ -178,20 +179,21 @@ def _explain(drawing: asyncio.Task[NoReturn]) -> None:
         terminal.tell(f"adaptdrive: no picture, each phase is a line: {why}")
 
 
-class PhaseLines:
-    """Prints the begin of each phase; a terminal that takes no output holds up nothing."""
+def phase_lines(experiment: LoadExperiment) -> Callable[[client.FastReading, float], None]:
+    """Return what prints the begin of each phase; a terminal that takes no output holds up nothing.
 
-    def __init__(self, experiment: LoadExperiment) -> None:
-        self._experiment = experiment
-        self._phase: course.Phase | None = None
+    It takes each reading, and the voltage that follows from it.
+    """
+    known: course.Phase | None = None
 
-    def __call__(self, reading: client.FastReading, voltage_V: float) -> None:
-        """Take a reading and the voltage that follows from it."""
-        phase = self._experiment.course.phase
-        if phase is not self._phase:
-            self._phase = phase
-            output = f"output {reading.output:.4g}"
-            left_s = self._experiment.course.remaining_s
-            left = "" if math.isnan(left_s) else f" for {left_s:.0f} s"
-            given = self._experiment.course.target.given
-            terminal.tell(f"{given.symbol} {given.text(voltage_V)}  {output}  {phase}{left}")
+    def show(reading: client.FastReading, voltage_V: float) -> None:
+        nonlocal known
+        now = experiment.course
+        if now.phase is known:
+            return
+        known, given = now.phase, now.target.given
+        left = "" if math.isnan(now.remaining_s) else f" for {now.remaining_s:.0f} s"
+        output = f"output {reading.output:.4g}"
+        terminal.tell(f"{given.symbol} {given.text(voltage_V)}  {output}  {known}{left}")
+
+    return show

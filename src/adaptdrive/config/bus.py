@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
+from pydantic import BeforeValidator, Field, WrapValidator
 
 from adaptdrive.config.section import (
     Converted,
@@ -15,7 +15,6 @@ from adaptdrive.config.section import (
     Section,
     key,
 )
-from adaptdrive.config.services import check_host
 from adaptdrive.util.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
@@ -33,16 +32,28 @@ class Crc(Section):
     """`[bus.integrity.MESSAGE.crc]`: a checksum by the parameters that catalogues of CRCs list."""
 
     width: Literal[8, 16, 32]
+    """bits; the checksum's signal has as many"""
     poly: int = Field(ge=1, le=0xFFFF_FFFF)
+    """polynomial without its highest power"""
     init: int = key(0, span=(0, 0xFFFF_FFFF))
+    """start value"""
     refin: bool = False
+    """the lowest bit of each byte comes first"""
     refout: bool = False
+    """the result is mirrored before `xorout`"""
     xorout: int = key(0, span=(0, 0xFFFF_FFFF))
+    """final exclusive or"""
     check: int | None = key(None, span=(0, 0xFFFF_FFFF))
+    """checksum of `123456789` in the catalogue; `check` compares it"""
     covers: list[Byte] | None = key(None, min_length=1, max_length=64)
+    """bytes of the frame that the checksum covers, in this order, from 0 on; its own bytes count as
+    0; all others when left out"""
     before: list[Byte] = key([], max_length=64)
+    """bytes before those of the frame, such as a data id"""
     after: list[Byte] = key([], max_length=64)
+    """bytes after those of the frame"""
     by_counter: list[Byte] = key([], max_length=256)
+    """data id list of AUTOSAR profile 2: the byte at the alive counter's value comes last"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield the numbers that are longer than the checksum."""
@@ -55,13 +66,21 @@ class FrameIntegrity(Section):
     """`[bus.integrity.MESSAGE]`: how a message proves that it is alive and whole."""
 
     counter: str | None = key(None, min_length=1)
+    """signal with the alive counter"""
     max_jump: int = key(3, ge=1)
+    """largest accepted advance of the alive counter"""
     checksum: str | None = key(None, min_length=1)
+    """signal with the checksum"""
     algorithm: Literal["sae-j1850", "autosar-p01", "crc"] = "sae-j1850"
+    """form of the checksum; `crc`: as the table `crc` says"""
     crc: Crc | None = None
+    """the form, with algorithm = `crc`"""
     data_id: int = key(0, span=(0, 0xFFFF))
+    """data id of AUTOSAR profile 1"""
     data_id_mode: Literal["both", "alternating", "low", "nibble"] = "both"
+    """bytes of the data id that the checksum of profile 1 runs over"""
     nibble: str | None = None
+    """signal with the low half of the data id's high byte (`nibble`)"""
 
 
 class BusSection(Section):
@@ -71,63 +90,39 @@ class BusSection(Section):
     """True when the protocol itself switches the bridge and confirms that it is off."""
 
     setup: dict[str, int | FiniteFloat | str] = key({})
+    """values that a drive needs before it takes commands (an unlock word, remote mode), by the name
+    of their signal, register or object, in the order of writing; numbers or names of values.
+    Written and read back when the bus is opened and when the drive returns; on CAN sent when the
+    bus is opened, before the bridge comes on, and each second while the drive is off and silent"""
     setup_unread: list[str] = key([])
+    """names in `setup` that do not read as they were written"""
 
     @property
     def ticks_per_reading(self) -> int:
         """Half cycles from one reading of the drive to the next."""
         return 1
 
-    @property
-    def drive_clocks(self) -> bool:
-        """True when the drive decides when a reading comes."""
-        return False
-
-
-class CommandWatch(Section):
-    """Supervision of the commands by the drive itself."""
-
-    command_timeout_s: PositiveFloat | None = key(None, span=(0.01, 60.0))
-
-
-class Answering(Section):
-    """Replies of a device that is asked for its values."""
-
-    timeout_s: PositiveFloat = key(0.05, span=(1e-3, 2.0))
-    turnaround_s: float = key(0.005, span=(0.0, 1.0))
-
-
-class PolledBus(CommandWatch, Answering, BusSection):
-    """Keys of `[bus]` for every drive that is asked for its values."""
-
-    poll_ticks: int = key(12, span=(1, 120))
-
-    @property
-    def ticks_per_reading(self) -> int:
-        """Half cycles from one poll to the next."""
-        return self.poll_ticks
-
-
-class TcpHost(Section):
-    """A device that is reached over TCP."""
-
-    host: Annotated[str, AfterValidator(check_host)]
-
 
 class CanLink(Section):
     """Keys of `[bus]` for every kind of CAN bus."""
 
     interface: Literal["socketcan", "udp_multicast", "virtual"]
+    """python-can interface"""
     channel: str = Field(min_length=1)
+    """`can0`, a multicast group, or the name of a virtual bus"""
     udp_port: int = key(43113, span=(1, 65535))
+    """port of `udp_multicast`"""
 
 
 class FrameAddress(Section):
     """`[bus.frames.MESSAGE]`: parts of the id of a J1939 message that the DBC states otherwise."""
 
     source: int | None = key(None, span=(0, 0xFD))
+    """source address: the lowest byte of the id"""
     destination: int | None = key(None, span=(0, 0xFF))
+    """destination address, of a PGN that has one"""
     priority: int | None = key(None, span=(0, 7))
+    """priority: the highest three bits of the id"""
 
     def of(self, frame_id: int) -> int:
         """Return the id that a message of the DBC has with these parts."""
@@ -146,24 +141,45 @@ class CanDescription(CanLink):
     """Keys of a CAN bus that describe the frames on it."""
 
     fd: bool = False
+    """the bus carries CAN FD frames too"""
     database: FilePath
+    """DBC file, relative to the configuration file"""
     databases: list[FilePath] = key([])
+    """more DBC files of the same bus, such as one for each device"""
     frames: dict[str, FrameAddress] = key({})
+    """by message: source address, destination and priority of a J1939 message"""
     polled: dict[str, Literal["rtr", "pgn"]] = key({})
+    """messages that are asked for, each `clock_ticks` or `cycle_s`, by a remote frame (`rtr`) or a
+    request of J1939 to their sender (`pgn`)"""
     own_address: int = key(0xF9, span=(0, 0xFD))
+    """source address of such requests"""
     ranges: dict[str, SignalRange] = key({})
+    """ranges by `Message.Signal`, in the unit of the DBC, where those of the DBC are wrong"""
     integrity: dict[str, FrameIntegrity] = key({})
+    """alive counters and checksums by message"""
 
 
-class CanBus(CommandWatch, CanDescription, BusSection):
+class CanBus(CanDescription, BusSection):
     """`[bus]` with `type = "can"`."""
 
+    command_timeout_s: PositiveFloat | None = key(None, span=(0.01, 60.0))
+    """the drive's own time-out: time without a command after which it opens its bridge; not known
+    when left out"""
     type: Literal["can"]
+    """kind of bus"""
     bitrate_switch: bool = True
+    """send CAN FD frames with the faster data phase"""
     clock: str
+    """message whose arrival is the fast tick, or `MESSAGE.SIGNAL` where only the page with that
+    signal is"""
     clock_ticks: int = key(1, span=(1, 120))
+    """half line cycles from one clocking message to the next"""
     send_every_s: dict[str, Annotated[PositiveFloat, Field(le=10.0)]] = key({})
+    """messages of the command that carry constants alone and are sent less often than it, and how
+    often: `{ WakeUp = 0.1 }`"""
     stale_cycles: float = key(3.0, span=(1.5, 10.0), allow_inf_nan=False)
+    """age at which a value is stale, in cycle times of its message (GenMsgCycleTime, else
+    `clock_ticks`; at least that of `clock`); `interlocks.stale_s` where longer"""
 
     @property
     def clock_message(self) -> str:
@@ -180,26 +196,28 @@ class CanBus(CommandWatch, CanDescription, BusSection):
         """Half cycles from one clocking message to the next."""
         return self.clock_ticks
 
-    @property
-    def drive_clocks(self) -> bool:
-        """True: each reading comes with the clocking message of the drive."""
-        return True
-
 
 class CanOpenBus(CanLink, BusSection):
     """`[bus]` with `type = "canopen"`: a CiA 402 drive."""
 
-    has_bridge_words: ClassVar[bool] = True
-    """True: the controlword switches the bridge, the statusword confirms it."""
+    has_bridge_words: ClassVar[bool] = True  # the controlword switches it, the statusword confirms
 
     type: Literal["canopen"]
+    """kind of bus"""
     eds: FilePath
+    """electronic data sheet of the drive, relative to the configuration file"""
     node_id: int = Field(ge=1, le=127)
+    """node id of the drive"""
     own_node_id: int = key(127, span=(1, 127))
+    """node id of the daemon, for its heartbeat; no other node may have it"""
     sync: Literal["drive", "daemon"] = "daemon"
+    """sender of SYNC each half line cycle; the drive sends it at a fixed line phase"""
     heartbeat_s: PositiveFloat = key(0.02, span=(0.005, 1.0))
+    """time between two heartbeats, of the drive and of the daemon"""
     heartbeat_timeout_s: PositiveFloat = key(0.1, le=2.0)
+    """silence after which the drive makes itself safe, and the daemon trips"""
     sdo_timeout_s: PositiveFloat = key(0.3, span=(0.01, 10.0))
+    """longest time from an SDO request to its reply"""
 
     @property
     def command_timeout_s(self) -> float:
@@ -209,16 +227,13 @@ class CanOpenBus(CanLink, BusSection):
         """
         return self.heartbeat_timeout_s - self.heartbeat_s
 
-    @property
-    def drive_clocks(self) -> bool:
-        """True when the drive sends SYNC."""
-        return self.sync == "drive"
-
 
 class SignalSource(Converted):
     """One quantity: a signal, and a conversion to SI, or from it, where its map has none."""
 
     signal: str = Field(min_length=1)
+    """`Message.Signal` on CAN, the register's name on Modbus, an object such as `0x6079`,
+    `0x2001.2`, `Name` or `Record.Member` on CANopen"""
 
 
 def _table(value: object) -> object:
@@ -237,6 +252,7 @@ class SwitchSource(SignalSource):
     """One measured switch: a signal, and the value that means on."""
 
     on: int | str | None = None
+    """value that means on, or its name in the value table; 1 when left out, on Modbus any but 0"""
 
 
 SwitchQuantity = Annotated[SwitchSource, _or_name(SwitchSource)]
@@ -246,9 +262,14 @@ class FaultSource(SignalSource):
     """`signals.fault`, `faults`, `warning`: a watched word, whole or some bits, or a state."""
 
     mask: int | None = key(None, ge=1)
+    """watched bits; all when left out"""
     healthy: list[int | str] = key([])
+    """values or names besides 0 that are no faults"""
     names: dict[str, str] = key({})
+    """names of bits by number from 0 on (with `healthy` of values), besides those of a value
+    table"""
     code: Quantity | None = None
+    """signal with the code of the fault, which the trip names too; it trips nothing itself"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield the names of what is no bit or no value, or none of the mask."""
@@ -293,9 +314,13 @@ class CommandSwitch(Section):
     """One commanded switch: a signal, and the values that switch, or their names."""
 
     signal: str = Field(min_length=1)
+    """`Message.Signal` on CAN, the register's name on Modbus"""
     on: int | str | None = None
+    """value that switches on; 1, or the register's, when left out"""
     off: int | str | None = None
+    """value that switches off; 0, or the register's, when left out"""
     off_signal: str | None = None
+    """coil that is set to switch off, where `signal` is one that is set to switch on only"""
 
 
 CommandedSwitch = Annotated[CommandSwitch, _or_name(CommandSwitch)]
@@ -305,27 +330,47 @@ class CommandSignals(Section):
     """`[signals.command]`: which signals carry the command; absent ones are not sent."""
 
     current_scale_S: Quantity | None = None
+    """line-current scale k"""
     boost_reference_V: Quantity | None = None
+    """V_c"""
     bridge: CommandedSwitch | None = None
+    """bridge on (1) or off (0)"""
     reset: CommandedSwitch | None = None
+    """reset of a fault of the drive, on and off again at the command `reset` (not of CANopen, whose
+    controlword has one)"""
     constants: dict[str, float | str] = key({})
+    """values sent with every command, by the name of their signal, register or object, as numbers
+    or names of values; other signals of a DBC are sent as their start value"""
     copies: dict[str, Quantity] = key({})
+    """measured values that a drive on CAN gets back with every command, by their name in
+    `[signals]` or `[signals.other]`; one that is stale or does not fit is sent as not available"""
 
 
 class Signals(Section):
     """`[signals]`: which signal is which quantity."""
 
     boost_voltage_V: Quantity | None = None
+    """boost capacitor voltage v_bst; V_c where the drive holds it and it is left out"""
     line_voltage_V: Quantity | None = None
+    """line voltage, rms; needed where the daemon holds the voltage"""
     load_power_W: Quantity | None = None
+    """power into the load; needed where the daemon holds the voltage, and by a battery"""
     output: Quantity | None = None
+    """the regulated quantity"""
     counter: Quantity | None = None
+    """half-cycle counter of the drive"""
     fault: FaultQuantities = key([])
+    """fault words; 0 is healthy"""
     faults: FaultQuantities = key([])
+    """more of them"""
     warning: FaultQuantities = key([])
+    """words whose changes are events, and which trip nothing"""
     bridge: SwitchQuantity | None = None
+    """bridge is on"""
     other: dict[str, Quantity] = key({})
+    """more values of the drive, for `[derived]`"""
     stated: dict[str, FiniteFloat] = key({})
+    """values that nobody measures, in SI units, such as line_voltage_V = 230.0"""
     command: CommandSignals = Field(default_factory=CommandSignals)
 
     def entries(self) -> Iterator[tuple[str, SignalSource, str]]:

@@ -6,21 +6,9 @@ from graphlib import CycleError
 from operator import attrgetter
 
 from adaptdrive.config import references, root, section, timing
-from adaptdrive.config.bus import (
-    MEASURED,
-    WORDS,
-    CanBus,
-    CanOpenBus,
-    PolledBus,
-)
-from adaptdrive.config.load import (
-    MotorSection,
-)
-from adaptdrive.config.polled import (
-    ModbusBus,
-    ModbusLink,
-    RtuLink,
-)
+from adaptdrive.config.bus import MEASURED, WORDS, CanBus, CanOpenBus
+from adaptdrive.config.load import MotorSection
+from adaptdrive.config.polled import ModbusBus, ModbusLink, PolledBus, RtuLink
 from adaptdrive.util.errors import Flaw
 
 

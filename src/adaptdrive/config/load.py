@@ -58,22 +58,47 @@ class LoadSection(section.Section):
     rising: ClassVar = ("reference_min", "reference_max")
 
     period_s: Period = 1.0
+    """slow period T_k, a whole number of half line cycles"""
     pole: section.Fraction = 0.70
+    """closed-loop pole of the load loop"""
     pole_min: section.Fraction = 0.50
+    """fastest pole an operator may ask for; `check` shows the range that is stable"""
     pole_max: section.Fraction = 0.98
+    """slowest pole an operator may ask for, as above"""
     design: Literal["exact", "paper"] = "exact"
+    """`exact`: held input, delays and filter in the model; `paper`: the paper's controller and
+    nothing else"""
     samples: int = section.key(90, ge=1)
+    """fast samples averaged for one slow one: more against noise, fewer for less delay; in half
+    line cycles, at most a slow period (`exact` only)"""
     clip: float = section.key(5.0, ge=0.0)
+    """fast samples are clipped to this many mean deviations about their prediction; 0: not clipped
+    (`exact` only)"""
     resolution: section.NonNegativeFloat = 0.0
+    """smallest step of the measured output, such as 0.0049 of 10 bits over 5 V; 0: found in the
+    samples (`exact` and `lm-rls` only). State one above 1 % of the set-point range"""
     noise_V: section.NonNegativeFloat | None = None
+    """largest standard deviation of V_c in volts that noise may cause; adaptive poles become slower
+    for it; 4 % of the range of V_c when left out; 0: any (`exact` and `lm-rls` only)"""
     latency_ticks: int = section.key(2, ge=1)
+    """fast ticks from the slow sample to its effect"""
     reference_min: section.FiniteFloat = 0.0
+    """lowest set-point"""
     reference_max: section.FiniteFloat
+    """highest set-point"""
     govern: bool = False
+    """move a set-point that V_c cannot hold to the nearest that it can; otherwise refuse it"""
     probe_share: float = section.key(0.0, span=(0.0, 0.1))
+    """distance by which a constant set-point is moved to learn the load in mode adaptive, as a
+    share of the set-point range (of a charging current: lowered by a share of itself); 0: never
+    (`exact` and `lm-rls` only)"""
     probe_s: Annotated[section.PositiveFloat, Field(le=1e6)] = 300.0
+    """time without movement after which the load counts as unknown, and least time between
+    probes"""
     output_name: str = "output"
+    """name of the output for people"""
     output_unit: str = ""
+    """unit of the output for people"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield limits in the wrong order, and a pole outside of its limits."""
@@ -87,8 +112,11 @@ class MotorModel(section.Section):
     """`[load.model]` of a motor: what the fixed controller is designed for."""
 
     gain: section.PositiveFloat
+    """g_m, output per volt of v_bst"""
     tau_motor_s: section.PositiveFloat
+    """mechanical time constant τ_m"""
     tau_filter_s: section.PositiveFloat
+    """time constant τ_f of the tachometer filter"""
 
 
 class MotorSection(LoadSection):
@@ -99,9 +127,12 @@ class MotorSection(LoadSection):
     )
 
     type: Literal["motor"]
+    """kind of load"""
     output_name: str = "speed"
     output_unit: str = "V"
     boost_course: Literal["held", "impulse"] = "held"
+    """`impulse`: each change of V_c is exaggerated for half a slow period, as the `paper` design
+    assumes"""
     model: MotorModel
 
     def flaws(self) -> Iterator[Flaw]:
@@ -115,12 +146,19 @@ class BathModel(section.Section):
     """`[load.model]` of a bath: what the fixed controller is designed for."""
 
     resistance_K_per_W: section.PositiveFloat
+    """thermal resistance R to the inflow"""
     tau_s: section.PositiveFloat
+    """time constant R C"""
     lag_s: section.NonNegativeFloat = 0.0
+    """second time constant, of a sensor that lags; 0 for none"""
     delay_s: Annotated[section.NonNegativeFloat, Field(le=600.0)] = 0.0
+    """dead time from heater to sensor"""
     turns_ratio: section.PositiveFloat
+    """N2, secondary volts per boost volt"""
     droop_Ohm: section.FiniteFloat = Field(ge=0.0)
+    """R_d of the dc/dc stage"""
     heater_Ohm: section.PositiveFloat
+    """R_h of the heater"""
 
 
 class BathSection(LoadSection):
@@ -137,6 +175,7 @@ class BathSection(LoadSection):
     )
 
     type: Literal["bath"]
+    """kind of load"""
     period_s: Period = 20.0
     pole: section.Fraction = 0.80
     samples: int = section.key(600, ge=1)
@@ -157,18 +196,28 @@ class BatteryModel(section.Section):
     """`[load.model]` of a battery: what the fixed controller is designed for."""
 
     turns_ratio: section.PositiveFloat
+    """N2, secondary volts per boost volt"""
     droop_Ohm: section.FiniteFloat = Field(ge=0.0)
+    """R_d of the dc/dc stage"""
     internal_Ohm: section.PositiveFloat
+    """series resistance R_0 of the battery"""
     relaxation_Ohm: section.PositiveFloat
+    """R_1 of the relaxation element"""
     relaxation_s: section.PositiveFloat
+    """R_1 C_1"""
 
 
 class Charge(section.Section):
     """`[load.charge]`: constant current, then constant voltage, then the end."""
 
     voltage_max_V: section.PositiveFloat
+    """terminal voltage that the charge is regulated to; it may be passed for a while by 2 % at
+    most: the battery must stand that"""
     end_current_A: section.PositiveFloat
+    """tapering current at which charging ends"""
     longest_h: section.PositiveFloat | None = None
+    """time on without a break after which the drive trips: more than an empty battery needs;
+    without it a charge whose current is measured too high never ends"""
 
 
 class BatterySection(LoadSection):
@@ -177,6 +226,7 @@ class BatterySection(LoadSection):
     traits: ClassVar[LoadTraits] = LoadTraits(charges=True)
 
     type: Literal["battery"]
+    """kind of load"""
     output_name: str = "current"
     output_unit: str = "A"
     model: BatteryModel
@@ -190,39 +240,80 @@ class Estimator(section.Section):
     """`[estimator]`: the recursive least squares that learn the load."""
 
     method: Literal["lm-rls", "rls"] = "lm-rls"
+    """λ-filtered or direct recursive least squares"""
     forgetting: float | None = section.key(None, gt=0.5, le=1.0)
+    """forgetting factor ρ: the memory is 1/(1 - ρ) slow periods; lower for a load that changes
+    fast, nearer 1 against noise; 0.985 when left out, in the `paper` design 0.97, for a bath
+    0.99"""
     tau_lambda_s: section.PositiveFloat = 10.0
+    """time constant of the λ filters: half the sum of the load's time constants; longer against
+    noise"""
     dead_band: float = section.key(0.0, ge=0.0)
+    """movement of the output between two slow samples, in its unit, below which the estimate is not
+    updated"""
     initial_covariance: section.PositiveFloat | None = None
+    """P[0] = this times I, over the variance of the noise; when left out 1e8 for the `exact` design
+    with `lm-rls`, else the paper's 1e4"""
     gate: float = section.key(1.2, ge=0.0)
+    """learn only from samples with rᵀPr above this multiple of 1 - ρ (`exact` only)"""
     covariance_max: float = section.key(1.0e6, ge=0.0)
+    """bound of P by exponential resetting; 0: plain forgetting (`exact` only; unused by `lm-rls`
+    with `alert`)"""
     alert: bool = True
+    """relearn quickly after an abrupt change of the load: the covariance is raised (`exact`
+    only)"""
     bias: bool = True
+    """estimate a constant too, such as a load torque (`exact` only); a battery always has one"""
     initial_state: bool = True
+    """estimate the initial state too, such as the speed of a motor that still turns (`exact` and
+    `lm-rls` only)"""
     settle_s: section.Duration = 30.0
+    """time after start before the first update (`exact` only)"""
 
 
 class Supervisor(section.Section):
     """`[supervisor]`: what estimates, and the loop, must satisfy (`exact` only but `warm_up_s`)."""
 
     warm_up_s: section.Duration = 90.0
+    """time after start before adaptive may take over"""
     ratio_min: section.Fraction = 0.2
+    """smallest accepted estimate over nominal"""
     ratio_max: float = section.key(6.0, gt=1.0, allow_inf_nan=False)
+    """largest accepted estimate over nominal"""
     damping_min: section.NonNegativeFloat = 0.9
+    """smallest damping of an estimated load; real time constants have 1; 0: any"""
     spread_max: section.NonNegativeFloat = 0.05
+    """largest error of the response to a step within `confidence` standard deviations, as a share
+    of the step; 0: any"""
     residual_margin: section.NonNegativeFloat = 1.5
+    """largest prediction error over the nominal model's; 0: any"""
     confidence: section.NonNegativeFloat = 2.0
+    """standard deviations of an estimate within which its gains must keep the loop stable; 0: not
+    checked, nor with the last trusted estimate"""
     dwell_periods: int = section.key(7, span=(1, 10_000))
+    """good estimates in a row before the first goes live"""
     patience_periods: int = section.key(0, span=(0, 10_000))
+    """refused estimates in a row that the last trusted gains survive"""
     blend_periods: int = section.key(5, span=(1, 10_000))
+    """slow periods over which one law hands over to the other"""
     saturated_s: section.Duration = 240.0
+    """longest time at a limit without coming closer to where the model rests, before the fixed
+    gains return; 0: any"""
     gain_slew: float = section.key(1.0, gt=0.0, le=1.0)
+    """largest share of the way from the gains in force to new ones in a slow period"""
     error_limit: section.NonNegativeFloat | None = None
+    """distance from the response asked for, in the unit of the output, that must not last for ten
+    closed-loop time constants with a free input; 10 % of the set-point range when left out; 0:
+    any"""
     response_s: section.Duration = 120.0
+    """trip when the input was at a limit for this time and the output did not move; 0: never"""
     response_distance: section.NonNegativeFloat = 0.02
+    """movement that `response_s` requires, as a share of the set-point range"""
 
 
 class SimulatorSection(section.Section):
     """`[simulation]`: the load of `adaptdrive-sim device`; the daemon does not use it."""
 
     parameters: dict[str, section.FiniteFloat] = section.key({})
+    """physical parameters that `[load.model]` leaves open, such as `friction_Nms`; `dropped_at_rest
+    = 1.0`: disks share the momentum of the shaft"""

@@ -3,13 +3,48 @@
 import math
 import re
 from collections.abc import Iterator
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from adaptdrive.config.bus import Answering, PolledBus, TcpHost
+from adaptdrive.config.bus import BusSection
 from adaptdrive.config.section import FilePath, PositiveFloat, Range, Scale, Section, key
+from adaptdrive.config.services import check_host
 from adaptdrive.util.errors import Flaw
+
+# Keys of every device that is polled, and of one that is reached over TCP.
+
+
+class Answering(Section):
+    """Replies of a device that is asked for its values."""
+
+    timeout_s: PositiveFloat = key(0.05, span=(1e-3, 2.0))
+    """longest time from a request to its reply"""
+    turnaround_s: float = key(0.005, span=(0.0, 1.0))
+    """time that the device and the link take for a reply"""
+
+
+class PolledBus(Answering, BusSection):
+    """Keys of `[bus]` for every drive that is asked for its values."""
+
+    command_timeout_s: PositiveFloat | None = key(None, span=(0.01, 60.0))
+    """the drive's own time-out: time without a command after which it opens its bridge; not known
+    when left out"""
+    poll_ticks: int = key(12, span=(1, 120))
+    """half line cycles from one poll of the drive to the next"""
+
+    @property
+    def ticks_per_reading(self) -> int:
+        """Half cycles from one poll to the next."""
+        return self.poll_ticks
+
+
+class TcpHost(Section):
+    """A device that is reached over TCP."""
+
+    host: Annotated[str, AfterValidator(check_host)]
+    """name or address of the device or its gateway"""
+
 
 # `[bus]` of a drive on Modbus: the link, and the register map that describes the drive.
 
@@ -22,22 +57,41 @@ class Register(Section):
     """`[bus.registers.NAME]`: one value of the drive's register map."""
 
     address: int = Field(ge=0, le=0xFFFF)
+    """zero-based address: 0 is 30001 or 40001 in a manual"""
     table: Literal["input", "holding", "coil", "discrete"]
+    """input registers (3xxxx), holding registers (4xxxx), coils (0xxxx) or discrete inputs
+    (1xxxx)"""
     type: Literal["uint16", "int16", "uint32", "int32", "float32", "uint64", "int64", "float64"] = (
         "uint16"
     )
+    """how the value is coded; 32 bits take two registers, 64 bits four"""
     word_order: Literal["big", "little"] = "big"
+    """register that comes first of several: the high or the low one"""
     byte_order: Literal["big", "little"] = "big"
+    """byte that comes first in each register"""
     scale: Scale = 1.0
+    """units per count"""
     unit: str = ""
+    """unit of the scaled value, for people"""
     range: RegisterRange | None = None
+    """a scaled value outside is refused"""
     not_available: int | None = None
+    """count or word that means `no value`, such as 0x7F7FFFFF of a float32; all ones (0x8000… when
+    signed) when left out"""
     bit: int | None = key(None, span=(0, 63))
+    """take this bit alone, 0 is the lowest"""
     mask: int | None = key(None, ge=1)
+    """take these bits alone, such as 0x0F00, as a number from 0 on; bits of no field are written as
+    0"""
     names: dict[str, int] = key({})
+    """names of its counts, such as { Stop = 0, Run = 1 }"""
     write_limit: int | None = key(None, ge=24)
+    """writes a day that the register endures: it is written on change, after its share of a day,
+    and for each switch of the bridge"""
     on: int = 1
+    """count that is written to switch on"""
     off: int = 0
+    """count that is written to switch off"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield what no register has."""
@@ -87,17 +141,24 @@ class Heartbeat(Section):
     """`[bus.heartbeat]`: how drive and daemon see that the other one is alive."""
 
     drive: str | None = None
+    """register that the drive advances; while it stands still, no reading is fresh"""
     drive_timeout_s: PositiveFloat | None = key(None, le=2.0)
+    """longest time between two advances; one poll when left out"""
     daemon: str | None = None
+    """register that the daemon advances with each command"""
 
 
 class ModbusLink(Answering):
     """Keys of every link to devices on Modbus."""
 
     device_id: int = key(1, span=(0, 255))
+    """device (slave, unit) id; 0 on TCP only"""
     zero_based: bool = False
+    """accept addresses that look like labels of a manual: 30001 to 39999, 40001 to 49999"""
     max_gap: int = key(4, span=(0, 123))
+    """unmapped registers that a read may run across"""
     max_block: int = key(125, span=(2, 125))
+    """registers that the device gives in one reply"""
 
     @property
     def numbered(self) -> bool:
@@ -109,16 +170,22 @@ class TcpLink(ModbusLink, TcpHost):
     """A link over TCP."""
 
     port: int = key(502, span=(1, 65535))
+    """port of the device"""
     framing: Literal["tcp", "rtu"] = "tcp"
+    """form of the packets; `rtu`: of a serial line, through a plain gateway"""
 
 
 class RtuLink(ModbusLink):
     """A link over a serial line."""
 
     device: FilePath
+    """serial port, relative to the configuration file"""
     baud: int = key(19200, span=(300, 4_000_000))
+    """bits per second"""
     parity: Literal["even", "odd", "none"] = "even"
+    """parity bit"""
     stop_bits: Literal[1, 2] = 1
+    """stop bits"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield an id that no device has."""
@@ -130,22 +197,28 @@ class ModbusBus(PolledBus, ModbusLink):
     """Keys of `[bus]` for every kind of Modbus."""
 
     write: Literal["multiple", "single"] = "multiple"
+    """write registers together (function 16) or each alone (function 6)"""
     command_interval_s: float = key(0.0, span=(0.0, 3600.0))
+    """longest time between writes of an unchanged command; 0: with each poll"""
     read_write: bool = False
+    """write and read in one exchange (function 23)"""
     heartbeat: Heartbeat = Field(default_factory=Heartbeat)
     registers: dict[str, Register] = key({})
+    """register map, by name"""
 
 
 class ModbusTcp(ModbusBus, TcpLink):
     """`[bus]` with `type = "modbus-tcp"`."""
 
     type: Literal["modbus-tcp"]
+    """kind of bus"""
 
 
 class ModbusRtu(ModbusBus, RtuLink):
     """`[bus]` with `type = "modbus-rtu"`."""
 
     type: Literal["modbus-rtu"]
+    """kind of bus"""
 
 
 # `[bus]` of a supply that speaks SCPI, lines of text over TCP, and the values behind them.
@@ -163,16 +236,30 @@ class ScpiValue(Section):
     """`[bus.values.NAME]`: one value of the supply, and the lines that ask for it and set it."""
 
     query: str | None = key(None, pattern=r"^[!-~][ -~]*\?[ -~]*$")
+    """question, as `MEAS:VOLT?`"""
     write: str | None = key(None, pattern=r"^[!-~][ -~]*$")
+    """command with a Python format, as `VOLT {:.3f}`"""
     reply: str = "(.*)"
+    """regular expression of a whole reply, the value as its one group: `V1 (.*)V`, or the third of
+    a list, `(?:[^,]*,){2}([^,]*).*`"""
     answer: str | None = None
+    """regular expression of the line with which the supply answers the command, such as `OK`; it
+    answers with none when left out"""
     integer: bool = False
+    """whole number without its sign, as where there are `names`; text may follow, as of
+    `SYST:ERR?`; `0x1F` and `#H1F` are hexadecimal"""
     base: Literal[10, 16] = 10
+    """base of a whole number that has no `0x` and no `#H` before it"""
     bit: int | None = key(None, span=(0, 31))
+    """the one bit that is taken of a word"""
     mask: int | None = key(None, span=(1, 0xFFFF_FFFF))
+    """bits that are taken of a word, as one number"""
     unit: str = ""
+    """unit of the value, for people"""
     range: RegisterRange | None = None
+    """a value outside is refused"""
     names: dict[str, int] = key({})
+    """words for numbers, such as { OFF = 0, ON = 1 }"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield what keeps a value from being asked for, and from being set."""
@@ -262,10 +349,16 @@ class ScpiBus(PolledBus, TcpHost):
     """`[bus]` with `type = "scpi"`."""
 
     type: Literal["scpi"]
+    """kind of bus"""
     port: int = key(5025, span=(1, 65535))
+    """port of the device"""
     line_end: Literal["LF", "CR", "CRLF"] = "LF"
+    """end of each line that is sent; its last character ends each reply, too"""
     done: str = key("*OPC?", pattern=r"^([!-~][ -~]*\?)?$")
+    """question after each command: `*OPC?` must give 1, another one any reply; `""`: no command is
+    confirmed but by its `answer`"""
     values: dict[str, ScpiValue] = key({}, max_length=1000)
+    """values, by name; set in this order"""
 
     @property
     def end(self) -> bytes:

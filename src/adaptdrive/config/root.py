@@ -8,20 +8,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from adaptdrive.config import polled, references, section, services
-from adaptdrive.config.bus import (
-    MEASURED,
-    CanBus,
-    CanDescription,
-    CanOpenBus,
-    Quantity,
-    Signals,
-)
-from adaptdrive.config.load import (
-    AnyLoad,
-    Estimator,
-    SimulatorSection,
-    Supervisor,
-)
+from adaptdrive.config.bus import MEASURED, CanBus, CanDescription, CanOpenBus, Quantity, Signals
+from adaptdrive.config.load import AnyLoad, Estimator, SimulatorSection, Supervisor
 from adaptdrive.config.timing import Timing
 from adaptdrive.util.errors import Flaw
 from adaptdrive.util.quantity import BOOST_VOLTAGE, Given
@@ -38,13 +26,22 @@ class DriveLimits(section.Section):
     rising: ClassVar = ("boost_reference_min_V", "boost_reference_max_V")
 
     boost_reference_min_V: section.FiniteFloat = 200.0
+    """lowest V_c: above the line's peak where the daemon holds the voltage; below 0 for a motor
+    that turns both ways"""
     boost_reference_max_V: section.PositiveFloat = 400.0
+    """highest V_c"""
     current_scale_max_S: section.PositiveFloat = 0.15
+    """largest line-current scale k (line current over line voltage)"""
     regeneration_scale_max_S: section.PositiveFloat | None = None
+    """largest -k of a bidirectional drive: times the line voltage squared, the power that the line
+    takes; current_scale_max_S when left out"""
     current_scale_slew_S: section.PositiveFloat = 0.15
+    """largest change of k from one tick to the next"""
 
     manual_slew_V_per_s: section.PositiveFloat = 100.0
+    """largest slope of V_c in mode `manual`"""
     load_power_max_W: section.PositiveFloat = 1500.0
+    """load power above which V_c is held back"""
 
 
 class Manipulated(section.Section):
@@ -54,7 +51,10 @@ class Manipulated(section.Section):
     """
 
     name: str = section.key(BOOST_VOLTAGE, pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$")
+    """name in all that leaves the daemon, such as `frequency`, `torque` or `duty`; `v_bst` is the
+    voltage of a boost stage, which is there before the load is fed"""
     unit: str = section.key("V", max_length=16)
+    """unit in all that leaves the daemon, such as `Hz`, `Nm`, `A` or `%`"""
 
     @property
     def given(self) -> Given:
@@ -66,11 +66,18 @@ class DriveSection(section.Section):
     """`[drive]`: the power-electronic drive."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$")
+    """name in topics, sessions, commands, and of the drive's user on the broker"""
     kind: Literal["unidirectional", "bidirectional"] = "unidirectional"
+    """whether load current may be negative"""
     line_frequency_Hz: Literal[50, 60] = 60
+    """line frequency; two fast ticks fit in one period"""
     line_voltage_V: section.PositiveFloat = 120.0
+    """nominal line voltage, rms, of a drive whose voltage the daemon holds"""
     boost_capacitance_F: section.PositiveFloat = 1.0e-3
+    """boost capacitor"""
     enable_bit: Literal["bridge", "bridge-and-boost"] = "bridge"
+    """stages that `signals.command.bridge` switches: the bridge, on from `running`, or also the
+    boost stage, on from `starting`; the load is then energised while v_bst rises"""
     limits: DriveLimits = Field(default_factory=DriveLimits)
     manipulated: Manipulated = Field(default_factory=Manipulated)
 
@@ -105,8 +112,12 @@ class VoltageLoop(section.Section):
     """`[voltage_loop]`: the fast loop that makes v_bst follow V_c."""
 
     where: Literal["daemon", "drive"] = "daemon"
+    """place of the voltage loop (from V_c to the current scale)"""
     feed_forward: bool = True
+    """add the measured load power"""
     lag_s: section.NonNegativeFloat | None = None
+    """mean delay from V_c to v_bst of a drive that holds its own v_bst; at most the slow period; 9
+    half line cycles when left out"""
 
 
 # `[[sensor_bus]]`: sensors on other buses than the drive, each with its cycle time.
@@ -129,15 +140,20 @@ class SensorRegister(polled.Register):
     """`[sensor_bus.registers.NAME]`: one value of a module's register map."""
 
     device_id: int | None = section.key(None, span=(1, 255))
+    """device on the same link that has the register; the bus's when left out"""
 
 
 class SensorBusSection(section.Section):
     """Keys of `[[sensor_bus]]` for every kind of bus."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$")
+    """name in telemetry, events and messages"""
     cycle_s: section.PositiveFloat = Field(ge=1e-3)
+    """time from one measurement to the next"""
     stale_s: section.PositiveFloat | None = None
+    """age at which a needed value trips the drive; three cycles when left out"""
     signals: dict[str, Quantity]
+    """values by name: a quantity of `[signals]`, or any other name for `[derived]`"""
 
     @property
     def oldest_s(self) -> float:
@@ -162,6 +178,7 @@ class ModbusSensorSection(SensorBusSection, polled.ModbusLink):
     """Keys of `[[sensor_bus]]` for every kind of Modbus."""
 
     registers: dict[str, SensorRegister] = section.key({})
+    """register map, by name"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield what is wrong in the register maps, and with names in them."""
@@ -181,18 +198,21 @@ class ModbusTcpSensors(ModbusSensorSection, polled.TcpLink):
     """`[[sensor_bus]]` with `type = "modbus-tcp"`."""
 
     type: Literal["modbus-tcp"]
+    """kind of bus"""
 
 
 class ModbusRtuSensors(ModbusSensorSection, polled.RtuLink):
     """`[[sensor_bus]]` with `type = "modbus-rtu"`."""
 
     type: Literal["modbus-rtu"]
+    """kind of bus"""
 
 
 class CanSensorSection(SensorBusSection, CanDescription):
     """`[[sensor_bus]]` with `type = "can"`: sensors that send by themselves."""
 
     type: Literal["can"]
+    """kind of bus"""
 
 
 AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors
@@ -214,8 +234,13 @@ class Derived(section.Converted):
     """`[derived.NAME]`: a quantity of `[signals]`, or any other name, from measured values."""
 
     rule: Rule
+    """rule: `difference` is the first minus the second, `ratio` the first divided by the second"""
     of: list[str] = Field(min_length=1)
+    """names of values: of the drive, of sensor buses, or derived"""
     follows: list[str] | None = None
+    """names of `of` that the load moves: each is watched for a frozen value
+    (`interlocks.stuck_distance`, `stuck_s`). All when left out, of a `difference` and a `ratio` the
+    first"""
 
     @property
     def moved(self) -> list[str]:

@@ -1,13 +1,16 @@
 """What all sections share: keys, their limits, and units."""
 
+import ast
+import inspect
 import itertools
 import math
 import operator
 import re
+import sys
 import tomllib
 import unicodedata
-from collections import ChainMap
 from collections.abc import Callable, Iterator
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -18,11 +21,13 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetJsonSchemaHandler,
     ValidationError,
     ValidationInfo,
     model_validator,
 )
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from adaptdrive.util.errors import Flaw
 
@@ -65,20 +70,6 @@ FilePath = Annotated[  # TOML has no paths, only strings
 """A path from the folder of the configuration, which is the context of the validation."""
 
 
-def read_table(name: str) -> dict[str, Any]:
-    """Return a table of this package.
-
-    Args:
-        name: Name of its file.
-    """
-    text = (resources.files("adaptdrive.config") / name).read_text(encoding="utf-8")
-    return tomllib.loads(text)
-
-
-_MEANINGS: dict[str, dict[str, str]] = read_table("keys.toml")
-"""Meaning of each key by the class of its section; that of a base class holds for all below."""
-
-
 def key(default: Any, **rules: Any) -> Any:  # noqa: ANN401 - as pydantic's own
     """Return a key that may be left out.
 
@@ -117,8 +108,8 @@ def misfit(place: str, given: float, relation: str, limit: float, told: str) -> 
 class Section(BaseModel):
     """One table of the configuration file: immutable, and unknown keys are errors.
 
-    Types are those of TOML: neither `"1883"` nor `true` is a number. `keys.toml` describes the
-    keys.
+    Types are those of TOML: neither `"1883"` nor `true` is a number. The text below a key is its
+    meaning in `docs/configuration.md` and in the JSON Schema; it holds for the classes below, too.
     """
 
     rising: ClassVar[tuple[str, ...]] = ()
@@ -129,11 +120,15 @@ class Section(BaseModel):
     )
 
     @classmethod
-    def __pydantic_init_subclass__(cls, **_: object) -> None:
-        """Give each key its meaning."""
-        meanings = ChainMap(*(_MEANINGS.get(base.__name__, {}) for base in cls.__mro__))
-        for name, field in cls.model_fields.items():
-            field.description = meanings.get(name)
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """Add the meaning of each key."""
+        schema = handler(core_schema)
+        keys, meanings = handler.resolve_ref_schema(schema)["properties"], meanings_of(cls)
+        for name in keys.keys() & meanings.keys():
+            keys[name]["description"] = meanings[name]
+        return schema
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield contradictions of keys that are valid one by one; places are relative."""
@@ -157,13 +152,45 @@ class Section(BaseModel):
         return self
 
 
+def meanings_of(section: type[Section]) -> dict[str, str]:
+    """Return the meaning of each key of a section by name."""
+    found: dict[str, str] = {}
+    for base in reversed(section.__mro__):
+        if issubclass(base, Section):
+            found |= _texts_below_keys(base.__module__).get(base.__name__, {})
+    return found
+
+
+@cache
+def _texts_below_keys(module: str) -> dict[str, dict[str, str]]:
+    """Return the text below each key of each class; it is read only where somebody asks for it."""
+    found: dict[str, dict[str, str]] = {}
+    for node in ast.parse(inspect.getsource(sys.modules[module])).body:
+        if isinstance(node, ast.ClassDef):
+            pairs = itertools.pairwise(node.body)
+            keys = ((one, below) for one, below in pairs if isinstance(one, ast.AnnAssign))
+            texts = {ast.unparse(one.target): _text_of(below) for one, below in keys}
+            found[node.name] = {name: text for name, text in texts.items() if text}
+    return found
+
+
+def _text_of(node: ast.stmt) -> str:
+    """Return a statement that is a text as one line, empty for any other statement."""
+    match node:
+        case ast.Expr(value=ast.Constant(value=str(text))):
+            return " ".join(text.split())
+    return ""
+
+
 class Range(Section):
     """A closed interval."""
 
     rising: ClassVar = ("low", "high")
 
     low: FiniteFloat
+    """lower end"""
     high: FiniteFloat
+    """upper end"""
 
 
 # Units that a signal may be in, and what they are in SI.
@@ -193,7 +220,9 @@ WANTED = {
 }
 """Units of the quantities that have the same one for every load."""
 
-_SPELLINGS: dict[str, list[str]] = read_table("units.toml")
+_SPELLINGS: dict[str, list[str]] = tomllib.loads(
+    (resources.files("adaptdrive.config") / "units.toml").read_text(encoding="utf-8")
+)
 
 _MULTIPLE = re.compile(r"(\d*\.?\d+)\s*(?:\*\s*)?(?=[^\d\s/.*])")
 """Factor before a unit, such as 0.1 in 0.1 V."""
@@ -232,8 +261,11 @@ class Converted(Section):
     """Conversion of a value to a quantity; scale and offset lead to `unit`, which leads to SI."""
 
     scale: Scale = 1.0
+    """units per unit of the value"""
     offset: FiniteFloat = 0.0
+    """added to the scaled value"""
     unit: Unit | None = None
+    """unit after scale and offset, converted to SI (K, rad/s, V, A, W); SI when left out"""
 
     @model_validator(mode="after")
     def _in_si(self) -> Self:

@@ -46,16 +46,34 @@ class InterlocksSection(section.Section):
     """`[interlocks]`: limits that trip the drive; a trip is latched until `reset`."""
 
     stale_s: section.PositiveFloat = section.key(0.05, le=LONGEST_STALE_S)
+    """greatest age of a measurement; until then ticks use held values, then trip"""
     boost_voltage_max_V: section.PositiveFloat = 430.0
+    """over-voltage trip"""
     output_max: section.FiniteFloat
+    """trip when the output is above"""
     output_min: section.FiniteFloat | None = None
+    """trip when the output is below (a reversed sensor); a quarter of the set-point range below 0
+    and `load.reference_min` when left out"""
     stuck_distance: float = section.key(0.05, span=(0.0, 1.0))
+    """trip when the output stands at exactly one value although the model moves by this share of
+    the set-point range and twenty steps of `load.resolution`; 0: never; not for a battery"""
     stuck_s: section.NonNegativeFloat = section.key(0.0, le=3600.0)
+    """trip when the output has exactly one value for this time while running, for sensors with
+    noise above their last digit; 0: never"""
     response_factor: float = section.key(4.0, span=(0.0, 100.0))
+    """trip when the output is lower than a load with so many times less gain than `load.model`
+    gives, or falls faster than a load can; 0: never"""
     precharge_timeout_s: section.PositiveFloat = section.key(5.0, le=600.0)
+    """longest precharge in `starting`, and longest wait for the rate of the half cycles before"""
     start_s: section.PositiveFloat | None = section.key(None, le=5.0)
+    """trip when the drive has not reported its bridge on within this time after the command; at
+    least three readings; 30 half cycles when left out"""
     stop_s: float = section.key(0.5, gt=0.0, le=5.0)
+    """trip when the drive has not reported its bridge off within this time after a stop; at least
+    four readings"""
     refused_share: float = section.key(0.0, span=(0.0, 1.0))
+    """trip when this share of the frames of the drive or of a sensor bus was refused over 5 s; 0:
+    never; an event reports a tenth and more"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield a factor that lets a healthy load trip."""
@@ -67,13 +85,22 @@ class Mqtt(section.Section):
     """`[mqtt]`: the broker that carries state, telemetry and commands."""
 
     host: Annotated[str, AfterValidator(check_host)] = "127.0.0.1"
+    """broker"""
     port: int = section.key(1883, span=(1, 65535))
+    """port of the broker"""
     tls: bool = False
+    """connect to the broker with TLS"""
     ca_file: section.FilePath | None = None
+    """certificate authority for TLS"""
     username: str | None = None
+    """user name"""
     password_file: section.FilePath | None = None
+    """file that holds the password"""
     telemetry_Hz: float = section.key(10.0, span=(0.01, 10.0))
+    """rate of `telemetry/drive`; at least 1 where a daemon runs, as a drive that is silent for 3 s
+    counts as gone"""
     home_assistant: str | None = section.key(None, pattern="^[A-Za-z0-9_/-]+$")
+    """prefix of Home Assistant's discovery, usually `homeassistant`; not announced when left out"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield an authority that nothing asks."""
@@ -87,27 +114,45 @@ class Recording(section.Section):
     """`[recording]`: what is kept of a session."""
 
     enabled: bool = True
+    """record sessions"""
     directory: section.FilePath | None = None
+    """folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out"""
     flush_s: float = section.key(0.2, span=(0.1, 60.0))
+    """longest time before data are written"""
     segment_s: float = section.key(3600.0, span=(1.0, 86_400.0))
+    """time after which a session continues in new files"""
     keep_days: section.PositiveFloat | None = None
+    """remove sessions that began longer ago; none when left out"""
     keep_MB: section.PositiveFloat | None = None
+    """remove the oldest while all sessions take more; none when left out"""
 
 
 class Realtime(section.Section):
     """`[realtime]`: how hard the fast loop is protected from the rest of the machine."""
 
     timer_standin: bool = True
+    """run a stand-in tick when the drive's frame is late"""
     late_fraction: float = section.key(0.5, gt=0.0, lt=1.0)
+    """how late a frame may be, as a fraction of a tick, before a stand-in tick runs"""
     priority: int | None = section.key(None, span=(1, 98))
+    """SCHED_FIFO priority; ordinary scheduling without"""
     cpus: list[Annotated[int, Field(ge=0)]] = section.key([])
+    """CPUs that the daemon may run on; all when empty"""
     cpu_latency_us: int | None = section.key(None, span=(0, 10_000))
+    """longest time that idle CPUs may take to wake up; shorter needs more power"""
     lock_memory: bool = False
+    """keep the daemon's memory in RAM"""
     freeze_gc: bool = True
+    """collect garbage in idle time after a tick, young objects only"""
     warm_up: bool = True
+    """rehearse ticks and slow steps before the bus is opened"""
     rehearse_us: float = section.key(0.0, span=(0.0, 3000.0))
+    """rehearse a tick at this time before the next frame, to warm the CPU's caches; takes the CPU
+    time of a tick; 0: never"""
     spin_us: float = section.key(0.0, span=(0.0, 1000.0))
+    """busy wait before the next frame or deadline; costs that share of a CPU"""
     late_us: section.PositiveFloat = section.key(2000.0, span=(10.0, 1e6))
+    """lateness from which a tick is reported as an event, with its cause"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield a wait without time for the rehearsal before it."""

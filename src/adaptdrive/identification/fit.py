@@ -14,6 +14,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,7 @@ class Solution:
     """Result of a fit.
 
     Attributes:
+        problem: Data, structure and dead time.
         logarithms: Of a_1 ... a_m.
         weights: Factors of the columns.
         simulated: Output of the load without noise.
@@ -85,6 +87,7 @@ class Solution:
         condition: Condition number of the columns, brought to one length.
     """
 
+    problem: Problem
     logarithms: Array
     weights: Array
     simulated: Array
@@ -158,7 +161,8 @@ def solve(problem: Problem, logarithms: Array) -> Solution:
     matrix = columns(problem, logarithms)
     rows, targets = whitened(problem, matrix), whitened(problem, problem.targets)
     weights, condition = weighed(rows, targets)
-    return Solution(logarithms, weights, matrix @ weights, targets - rows @ weights, condition)
+    errors = targets - rows @ weights
+    return Solution(problem, logarithms, weights, matrix @ weights, errors, condition)
 
 
 def weighed(rows: Array, targets: Array) -> tuple[Array, float]:
@@ -216,13 +220,14 @@ def _error_slopes(problem: Problem, logarithms: Array) -> Array:
     return np.column_stack(slopes)
 
 
-def jacobian(problem: Problem, solution: Solution) -> Array:
+def jacobian(solution: Solution) -> Array:
     """Return the derivatives of the predicted output.
 
     Returns:
         A column for each of log a_1 ... log a_m, the linear parameters, the dead time in samples
         where there may be one, and A_1 ... A_n.
     """
+    problem = solution.problem
     matrix = columns(problem, solution.logarithms)
     slopes = []
     for step in _STEP * np.eye(problem.order):
@@ -231,14 +236,14 @@ def jacobian(problem: Problem, solution: Solution) -> Array:
             for way in (1.0, -1.0)
         )
         slopes.append((ahead - behind) / (2.0 * _STEP))
-    delayed = _delay_slope(problem, solution)
+    delayed = _delay_slope(solution)
     inner = whitened(problem, np.column_stack((*slopes, matrix, delayed)))
     return np.hstack((inner, -lagged(problem, problem.targets - solution.simulated)))
 
 
-def _delay_slope(problem: Problem, solution: Solution) -> Array:
+def _delay_slope(solution: Solution) -> Array:
     """Return the derivative to the dead time over the way that it may still take."""
-    lead = problem.parts[0].lead
+    problem, lead = solution.problem, solution.problem.parts[0].lead
     if lead == 0:
         return np.empty((len(solution.simulated), 0))
     low, high = (min(max(problem.delay + way, 0.0), lead) for way in (-_DELAY_STEP, _DELAY_STEP))
@@ -260,12 +265,13 @@ def lagged(problem: Problem, values: Array) -> Array:
     return np.concatenate(windows)[:, ::-1]
 
 
-def require_excitation(problem: Problem, solution: Solution) -> None:
+def require_excitation(solution: Solution) -> None:
     """Make sure that the data determine the model.
 
     Raises:
         IdentificationError: They do not.
     """
+    problem = solution.problem
     inputs = np.concatenate([part.inputs(problem.delay) + part.rest for part in problem.parts])
     if solution.condition > _WORST_CONDITION or np.ptp(inputs) <= 1e-9 * np.abs(inputs).max():
         span = f"{inputs.min():.6g}…{inputs.max():.6g}"
@@ -300,20 +306,7 @@ _FINEST = 0.01
 """Distance in blocks at which the search ends."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fitted:
-    """A fit with the dead time that suits it best.
-
-    Attributes:
-        problem: Data, structure and dead time.
-        solution: The fit.
-    """
-
-    problem: Problem
-    solution: Solution
-
-
-def scan(problem: Problem, *near: Array) -> Fitted:
+def scan(problem: Problem, *near: Array) -> Solution:
     """Return the best fit with a dead time of whole blocks.
 
     Args:
@@ -323,10 +316,10 @@ def scan(problem: Problem, *near: Array) -> Fitted:
     lead, samples = problem.parts[0].lead, problem.parts[0].samples
     delays = np.linspace(0.0, lead, 1 + math.ceil(lead / samples)).tolist()
     delayed = [replace(problem, delay=delay) for delay in delays]
-    return min((Fitted(one, refine(one, start(one, *near))) for one in delayed), key=_loss)
+    return min((refine(one, start(one, *near)) for one in delayed), key=attrgetter("loss"))
 
 
-def settle(problem: Problem, logarithms: Array) -> Fitted:
+def settle(problem: Problem, logarithms: Array) -> Solution:
     """Return the best fit with a dead time within a block of that of a problem.
 
     Args:
@@ -338,20 +331,15 @@ def settle(problem: Problem, logarithms: Array) -> Fitted:
     if lead == 0:
         return near
     found = minimize_scalar(
-        lambda delay: _fitted(problem, delay, near.solution.logarithms).solution.loss,
+        lambda delay: _fitted(problem, delay, near.logarithms).loss,
         bounds=(max(0.0, problem.delay - samples), min(lead, problem.delay + samples)),
         method="bounded",
         options={"xatol": _FINEST * samples},
     )
     delays = (float(found.x), float(round(found.x)))
-    others = [_fitted(problem, delay, near.solution.logarithms) for delay in delays]
-    return min((near, *others), key=_loss)
+    others = [_fitted(problem, delay, near.logarithms) for delay in delays]
+    return min((near, *others), key=attrgetter("loss"))
 
 
-def _fitted(problem: Problem, delay: float, logarithms: Array) -> Fitted:
-    delayed = replace(problem, delay=delay)
-    return Fitted(delayed, refine(delayed, logarithms))
-
-
-def _loss(fitted: Fitted) -> float:
-    return fitted.solution.loss
+def _fitted(problem: Problem, delay: float, logarithms: Array) -> Solution:
+    return refine(replace(problem, delay=delay), logarithms)

@@ -55,17 +55,17 @@ def identify(
     _require_data(usable, sum(counts[place] for place in used), block, len(excerpts))
     problem = _problem(excerpt.blocks_of(usable, load, block, lead), load)
     fitted = simulation = fit.scan(problem)
-    fit.require_excitation(fitted.problem, fitted.solution)
+    fit.require_excitation(fitted)
     for number in range(_ROUNDS):
         noise, drift = _noise(fitted), _drift(fitted)
         if len(noise) == len(fitted.problem.noise) == 1 and not drift:
             break
         search = fit.settle if number else fit.scan
         changed = replace(fitted.problem, noise=noise, drift=drift)
-        fitted = search(changed, fitted.solution.logarithms)
-    fitted = fit.settle(fitted.problem, fitted.solution.logarithms)
+        fitted = search(changed, fitted.logarithms)
+    fitted = fit.settle(fitted.problem, fitted.logarithms)
     white = replace(simulation.problem, drift=fitted.problem.drift)
-    simulation = fit.settle(white, simulation.solution.logarithms)
+    simulation = fit.settle(white, simulation.logarithms)
     return replace(result.result_of(load, fitted, simulation, usable[0].period_s), used=used)
 
 
@@ -92,18 +92,18 @@ def _criterion(load: result.IdentifiedLoad) -> float:
     return 2.0 * math.log(load.noise_std) + math.log(count) / count * fitted
 
 
-def _noise(fitted: fit.Fitted) -> Array:
+def _noise(fitted: fit.Solution) -> Array:
     """Return the noise model of what the fit leaves."""
     problem = fitted.problem
-    return result.autoregression(fit.split(problem, problem.targets - fitted.solution.simulated))
+    return result.autoregression(fit.split(problem, problem.targets - fitted.simulated))
 
 
-def _drift(fitted: fit.Fitted) -> tuple[float, ...]:
+def _drift(fitted: fit.Solution) -> tuple[float, ...]:
     """Return the fitted numerator for the charge, where it acts."""
     problem = fitted.problem
     if not problem.drift:
         return ()
-    numerator = fitted.solution.weights[: len(problem.powers)]
+    numerator = fitted.weights[: len(problem.powers)]
     return tuple((numerator / np.abs(numerator).max()).tolist())
 
 
@@ -130,8 +130,6 @@ def _require_data(excerpts: Sequence[excerpt.Excerpt], count: int, block: int, p
 
 _SHOWN = 3.0
 """Dead time over its deviation above which the record shows it."""
-
-_STEP = 1e-6
 
 
 def proposed_model(identified: result.IdentifiedLoad, section: AnyLoad) -> dict[str, Estimate]:
@@ -216,11 +214,6 @@ def _mapped(
 ) -> tuple[Array, Array]:
     """Return a function of the parameters, and its deviations to first order."""
     values = np.array([one.value for one in identified.parameters.values()])
-    slopes = np.column_stack(
-        [
-            (function(values + step) - function(values - step)) / (2.0 * step.sum())
-            for step in np.diag(_STEP * values)
-        ]
-    )
+    slopes = result.slopes_of(function, values, values)
     spread = slopes @ identified.covariance @ slopes.T
     return function(values), np.sqrt(np.diag(spread))

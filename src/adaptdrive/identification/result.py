@@ -14,16 +14,8 @@ from scipy.stats import chi2
 
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.fit import (
-    Fitted,
-    Problem,
-    Solution,
-    columns,
-    jacobian,
-    refine,
-    split,
-    weighed,
-)
+from adaptdrive.identification import fit
+from adaptdrive.identification.fit import Problem, Solution
 
 # An autoregressive model of what the load does not explain: A(q) v = e.
 
@@ -165,7 +157,9 @@ def _differ(one: Estimate, other: Estimate) -> bool:
     return abs(math.log(one.value / other.value)) > _DISPUTED * deviation
 
 
-def result_of(load: Load, fitted: Fitted, simulation: Fitted, sample_s: float) -> IdentifiedLoad:
+def result_of(
+    load: Load, fitted: Solution, simulation: Solution, sample_s: float
+) -> IdentifiedLoad:
     """Return the load of a fit.
 
     Args:
@@ -174,15 +168,12 @@ def result_of(load: Load, fitted: Fitted, simulation: Fitted, sample_s: float) -
         simulation: The fit of the simulation to the output.
         sample_s: Time between two samples, the unit of the dead time.
     """
-    problem, solution = fitted.problem, fitted.solution
-    effects = _effects(fitted)
+    problem, effects = fitted.problem, _effects(fitted)
     parameters, spread = _parameters(load, fitted, effects)
-    offset, offset_spread = _mapped(
-        lambda values: _input_offset(problem, values), solution, effects
-    )
-    numerator, denominator = _model(problem, _values(solution))
-    errors = split(problem, solution.errors, lost=len(problem.noise) - 1)
-    simulated = _simulated(problem, solution.logarithms, solution.weights[: problem.shared])
+    offset, offset_spread = _mapped(lambda values: _input_offset(problem, values), fitted, effects)
+    numerator, denominator = _model(problem, _values(fitted))
+    errors = fit.split(problem, fitted.errors, lost=len(problem.noise) - 1)
+    simulated = _simulated(problem, fitted.logarithms, fitted.weights[: problem.shared])
     residuals = problem.targets - simulated
     return IdentifiedLoad(
         parameters=parameters,
@@ -191,45 +182,44 @@ def result_of(load: Load, fitted: Fitted, simulation: Fitted, sample_s: float) -
         denominator=tuple(denominator.tolist()),
         input_offset=Estimate(float(offset[0]), math.sqrt(offset_spread[0, 0])),
         delay_s=problem.delay * sample_s,
-        delay_std_s=_delay_deviation(effects, fitted) * sample_s,
+        delay_std_s=float(np.linalg.norm(effects[-1])) * sample_s if problem.parts[0].lead else 0.0,
         simulated_parameters=_parameters(load, simulation, _effects(simulation))[0],
         noise=tuple(problem.noise.tolist()),
-        noise_std=math.sqrt(_variance(solution, problem)),
+        noise_std=math.sqrt(_variance(fitted)),
         whiteness=ljung_box(errors, len(problem.noise) - 1),
         fit=_fit(problem.targets, residuals),
-        cross_fit=_cross_fit(problem, solution),
-        simulated=tuple(split(problem, simulated)),
-        residuals=tuple(split(problem, residuals)),
+        cross_fit=_cross_fit(fitted),
+        simulated=tuple(fit.split(problem, simulated)),
+        residuals=tuple(fit.split(problem, residuals)),
         errors=tuple(errors),
         block_s=problem.parts[0].period_s,
     )
 
 
-def _parameters(load: Load, fitted: Fitted, effects: Array) -> tuple[dict[str, Estimate], Array]:
+def _parameters(load: Load, fitted: Solution, effects: Array) -> tuple[dict[str, Estimate], Array]:
     """Return the physical parameters of a fit, and their covariance."""
-    values, spread = _mapped(
-        lambda found: _physical(fitted.problem, load, found), fitted.solution, effects
-    )
+    values, spread = _mapped(lambda found: _physical(fitted.problem, load, found), fitted, effects)
     pairs = zip(load.names, values.tolist(), np.sqrt(np.diag(spread)).tolist(), strict=True)
     return {name: Estimate(value, std) for name, value, std in pairs}, spread
 
 
-def _variance(solution: Solution, problem: Problem) -> float:
+def _variance(solution: Solution) -> float:
     """Return the variance of e."""
+    problem = solution.problem
     known = problem.order + len(solution.weights) + len(problem.noise) - 1
     return max(solution.loss, _LEAST_LOSS) / max(1, len(solution.errors) - known)
 
 
-def _effects(fitted: Fitted) -> Array:
+def _effects(fitted: Solution) -> Array:
     """Return how errors of variance 1 act on log a_1 ..., the linear parameters, and any dead time.
 
     The product with its transpose is their covariance: that of least squares whose errors have the
     colour that is found in e, and at least that of white errors. Without the record the dead time
     lies anywhere within its limits.
     """
-    problem, solution = fitted.problem, fitted.solution
-    slopes, variance = jacobian(problem, solution), _variance(solution, problem)
-    lead, delay = problem.parts[0].lead, problem.order + len(solution.weights)
+    problem = fitted.problem
+    slopes, variance = fit.jacobian(fitted), _variance(fitted)
+    lead, delay = problem.parts[0].lead, problem.order + len(fitted.weights)
     if lead:
         prior = math.sqrt(12.0 * variance) / lead
         slopes = np.vstack((slopes, prior * np.eye(1, slopes.shape[1], delay)))
@@ -243,24 +233,19 @@ def _effects(fitted: Fitted) -> Array:
     return np.asarray(math.sqrt(variance) * wider[:, None] * coloured)
 
 
-def _delay_deviation(effects: Array, fitted: Fitted) -> float:
-    """Return the standard deviation of the dead time, in samples."""
-    return float(np.linalg.norm(effects[-1])) if fitted.problem.parts[0].lead else 0.0
-
-
-def _coloured(fitted: Fitted, factors: Array) -> Array:
+def _coloured(fitted: Solution, factors: Array) -> Array:
     """Return the factors with which white errors have the effect of errors of the colour of e.
 
     Args:
         fitted: The fit.
         factors: A column for each e, and what else is weighed, which is taken to be white.
     """
-    lost, count = len(fitted.problem.noise) - 1, len(fitted.solution.errors)
-    parts = split(fitted.problem, fitted.solution.errors, lost=lost)
+    lost, count = len(fitted.problem.noise) - 1, len(fitted.errors)
+    parts = fit.split(fitted.problem, fitted.errors, lost=lost)
     colour = autoregression(parts, LAGS)
     white = np.concatenate([lfilter(colour, [1.0], part)[len(colour) - 1 :] for part in parts])
-    scale = math.sqrt(np.mean(white**2) / max(np.mean(fitted.solution.errors**2), _LEAST_LOSS))
-    rows = split(fitted.problem, factors[:, :count].T, lost=lost)
+    scale = math.sqrt(np.mean(white**2) / max(np.mean(fitted.errors**2), _LEAST_LOSS))
+    rows = fit.split(fitted.problem, factors[:, :count].T, lost=lost)
     filtered = [scale * lfilter([1.0], colour, one[::-1], axis=0)[::-1] for one in rows]
     return np.hstack((np.concatenate(filtered).T, factors[:, count:]))
 
@@ -275,15 +260,24 @@ def _mapped(
     """Return a function of the fitted parameters, and its covariance to first order."""
     values = _values(solution)
     logarithms, weights = np.ones(len(solution.logarithms)), np.abs(solution.weights)
-    steps = _STEP * np.concatenate((logarithms, np.where(weights == 0.0, 1.0, weights)))
-    slopes = np.column_stack(
-        [
-            (function(values + step) - function(values - step)) / (2.0 * step.sum())
-            for step in np.diag(steps)
-        ]
-    )
-    acting = slopes @ effects[: len(values)]
+    steps = np.concatenate((logarithms, np.where(weights == 0.0, 1.0, weights)))
+    acting = slopes_of(function, values, steps) @ effects[: len(values)]
     return function(values), acting @ acting.T
+
+
+def slopes_of(function: Callable[[Array], Array], values: Array, scales: Array) -> Array:
+    """Return the derivatives of a function by central differences, a column for each value.
+
+    Args:
+        function: The function.
+        values: Where it is differentiated.
+        scales: Size of each value, of which a step is a millionth.
+    """
+    columns = [
+        (function(values + step) - function(values - step)) / (2.0 * step.sum())
+        for step in np.diag(_STEP * scales)
+    ]
+    return np.column_stack(columns)
 
 
 def _model(problem: Problem, fitted: Array) -> tuple[Array, Array]:
@@ -311,13 +305,14 @@ def _fit(targets: Array, residuals: Array) -> float:
     return 1.0 - float(np.linalg.norm(residuals)) / spread if spread else math.nan
 
 
-def _cross_fit(problem: Problem, solution: Solution) -> float:
+def _cross_fit(solution: Solution) -> float:
     """Return how well a fit to the first part of the data simulates the rest.
 
     A battery's own voltage at another charge is not predicted: it is fitted to the rest.
     """
+    problem = solution.problem
     trained, tested = _halves(problem)
-    fitted = refine(trained, solution.logarithms)
+    fitted = fit.refine(trained, solution.logarithms)
     kept = len(problem.powers) if problem.drift else problem.shared
     simulated = _simulated(tested, fitted.logarithms, fitted.weights[:kept])
     return _fit(tested.targets, tested.targets - simulated)
@@ -334,10 +329,10 @@ def _simulated(problem: Problem, logarithms: Array, weights: Array) -> Array:
         logarithms: Of a_1 ... a_m.
         weights: Factors of the first columns; those of the others are fitted to the output.
     """
-    matrix = columns(problem, logarithms)
+    matrix = fit.columns(problem, logarithms)
     driven, free = np.split(matrix, [len(weights)], axis=1)
     forced = driven @ weights
-    initial, _ = weighed(free, problem.targets - forced)
+    initial, _ = fit.weighed(free, problem.targets - forced)
     simulated: Array = forced + free @ initial
     return simulated
 

@@ -30,7 +30,7 @@ async def watch(
     broker: Mqtt,
     drive: str,
     timeout_s: float,
-    around: view.Surroundings = view.WATCH,
+    around: view.ViewExtras = view.WATCH,
     services: Iterable[Coroutine[Any, Any, None]] = (),
 ) -> bool:
     """Show a drive until `q` is pressed or a signal comes; a stop under way is waited for.

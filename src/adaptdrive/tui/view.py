@@ -94,8 +94,8 @@ Takes = Callable[[str], KeyCommand | bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
-    """Context that a view shows around a drive.
+class ViewExtras:
+    """What a view shows in addition to a drive.
 
     Attributes:
         keys: What each key does.
@@ -116,7 +116,7 @@ class Surroundings:
     takes: Takes = lambda _: False
 
 
-WATCH = Surroundings()
+WATCH = ViewExtras()
 
 
 def faint(said: Iterable[str]) -> list[Text]:
@@ -124,7 +124,7 @@ def faint(said: Iterable[str]) -> list[Text]:
     return [Text(f" {line}", DIM) for line in said]
 
 
-def screen(record: WatchRecord, size: tuple[int, int], around: Surroundings = WATCH) -> Layout:
+def screen(record: WatchRecord, size: tuple[int, int], around: ViewExtras = WATCH) -> Layout:
     """Return the whole screen.
 
     Args:
@@ -201,7 +201,7 @@ def _plot(record: WatchRecord, longest_s: float, size: tuple[int, int]) -> Table
     return titled(title, plot(points, list(record.marks), now_s, window_s, room))
 
 
-def _middle(record: WatchRecord, around: Surroundings, size: tuple[int, int]) -> Table | Text:
+def _middle(record: WatchRecord, around: ViewExtras, size: tuple[int, int]) -> Table | Text:
     """Return the tables, side by side, or what covers them."""
     if around.cover is not None:
         return around.cover
@@ -302,7 +302,7 @@ def _event(event: Payload) -> Text:
     return Text.assemble((f" {time[11:19]} ", DIM), (f"{kind:<11} ", "bold"), (detail, style))
 
 
-def _footer(record: WatchRecord, around: Surroundings, width: int) -> list[Text]:
+def _footer(record: WatchRecord, around: ViewExtras, width: int) -> list[Text]:
     """Return what is counted, the last answer, and the keys; digits disturb a simulated plant."""
     offered = [
         f"{digit} {commands.printable(one.get('text'))}"

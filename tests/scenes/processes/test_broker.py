@@ -8,7 +8,7 @@ from pathlib import Path
 
 import aiomqtt
 
-from adaptdrive.processes.owned import Ports
+from adaptdrive.processes import BROKER, Ports
 from tests.support import Spawn
 
 HOST = "127.0.0.1"
@@ -28,7 +28,7 @@ async def listening(port: int) -> None:
 
 
 async def test_a_client_hears_only_what_it_asked_for(spawn: Spawn, free_tcp_port: int) -> None:
-    spawn(sys.executable, "-m", "adaptdrive.processes.broker", f"{HOST}:{free_tcp_port}")
+    spawn(sys.executable, "-m", BROKER, f"{HOST}:{free_tcp_port}")
     await listening(free_tcp_port)
     async with aiomqtt.Client(HOST, free_tcp_port) as other:
         await other.subscribe("others/state", qos=1)
@@ -41,7 +41,7 @@ async def test_a_client_hears_only_what_it_asked_for(spawn: Spawn, free_tcp_port
 
 
 async def test_it_ends_when_asked(spawn: Spawn, free_tcp_port: int, tmp_path: Path) -> None:
-    process = spawn(sys.executable, "-m", "adaptdrive.processes.broker", f"{HOST}:{free_tcp_port}")
+    process = spawn(sys.executable, "-m", BROKER, f"{HOST}:{free_tcp_port}")
     await listening(free_tcp_port)
     process.terminate()
     assert await asyncio.to_thread(process.wait, 20.0) == 0
@@ -52,7 +52,7 @@ async def test_a_web_page_reaches_it_over_a_websocket(spawn: Spawn, free_tcp_por
     ports = Ports()
     port, page = free_tcp_port, ports.take()
     addresses = (f"{HOST}:{port}", f"{HOST}:{page}")
-    spawn(sys.executable, "-m", "adaptdrive.processes.broker", *addresses)
+    spawn(sys.executable, "-m", BROKER, *addresses)
     await listening(page)
     async with (
         aiomqtt.Client(HOST, page, transport="websockets", websocket_path="/mqtt") as client,

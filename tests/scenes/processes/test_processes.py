@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.processes import tether
-from adaptdrive.processes.owned import Household, Ports, ProcessDiedError
+from adaptdrive.processes import TETHER, Ports, ProcessDiedError, ProcessGroup
 from tests.support import Spawn, free_port
 
 pytestmark = pytest.mark.usefixtures("outside")
@@ -32,7 +31,7 @@ time.sleep(60)
 
 
 @pytest.fixture
-def household_environment(tmp_path: Path) -> dict[str, str]:
+def environment(tmp_path: Path) -> dict[str, str]:
     """Makes `python -m sleeper` work."""
     (tmp_path / "sleeper.py").write_text(SLEEPER)
     return {**os.environ, "PYTHONPATH": str(tmp_path)}
@@ -56,35 +55,35 @@ def alive(pid: int) -> bool:
 
 
 async def test_the_last_one_started_ends_first(
-    tmp_path: Path, household_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    async with Household(household_environment) as household:
+    async with ProcessGroup(environment) as processes:
         for name in ("broker", "drive", "daemon"):
-            await household.start(name, "sleeper", ["ends", name], tmp_path / f"{name}.log")
+            await processes.start(name, "sleeper", ["ends", name], tmp_path / f"{name}.log")
             while not (tmp_path / name).exists():  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
     assert (tmp_path / "ends").read_text().split() == ["daemon", "drive", "broker"]
 
 
 async def test_the_first_death_is_told_with_the_end_of_its_log(
-    tmp_path: Path, household_environment: dict[str, str]
+    tmp_path: Path, environment: dict[str, str]
 ) -> None:
     (tmp_path / "broken.py").write_text("raise SystemExit('the capacitor is missing')")
     log = tmp_path / "daemon.log"
-    async with Household(household_environment) as household:
-        await household.start("daemon", "broken", [], log)
+    async with ProcessGroup(environment) as processes:
+        await processes.start("daemon", "broken", [], log)
         with pytest.raises(ProcessDiedError) as died:
-            await household.watch()
+            await processes.watch()
     assert str(died.value) == f"the daemon ended with status 1; see {log}"
     assert died.value.tail == ["the capacitor is missing"]
 
 
-def test_a_leashed_process_dies_with_its_parent(tmp_path: Path, spawn: Spawn) -> None:
+def test_a_tied_process_dies_with_its_parent(tmp_path: Path, spawn: Spawn) -> None:
     child = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
     parent = (
         "import os, subprocess, sys\n"
-        f"subprocess.Popen([sys.executable, {tether.__file__!r}, str(os.getpid()),"
+        f"subprocess.Popen([sys.executable, '-c', {TETHER!r}, str(os.getpid()),"
         f" sys.executable, '-c', {child!r}], start_new_session=True).wait()"
     )
     process = spawn(sys.executable, "-c", parent)
@@ -98,8 +97,8 @@ def test_a_leashed_process_dies_with_its_parent(tmp_path: Path, spawn: Spawn) ->
         time.sleep(0.02)
 
 
-def test_a_leash_without_its_parent_does_not_start_anything(tmp_path: Path, spawn: Spawn) -> None:
-    process = spawn(sys.executable, tether.__file__, "1", sys.executable, "-c", "print('started')")
+def test_a_process_whose_parent_is_gone_is_not_started(tmp_path: Path, spawn: Spawn) -> None:
+    process = spawn(sys.executable, "-c", TETHER, "1", sys.executable, "-c", "print('started')")
     assert process.wait(timeout=PATIENCE_S) == 1
     assert "is gone" in (tmp_path / "process-0.log").read_text()
 

@@ -1,11 +1,15 @@
 """The processes that one terminal owns: started on free ports, watched, and ended in order.
 
 Each gets a separate session, so that Ctrl-C on the terminal reaches this process alone, which
-then ends them one by one; and a leash, so that none outlives it however it dies.
+then ends them one by one; and it is tied to this process, so that none outlives it however it dies.
+
+`python -m adaptdrive.processes HOST:PORT [WEBSOCKET_HOST:PORT]` is the embedded broker. It
+implements MQTT 3.1.1, keeps nothing on disk and needs no password: for demonstrations and desks.
 """
 
 import asyncio
 import contextlib
+import logging
 import os
 import signal
 import socket
@@ -15,9 +19,8 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import NoReturn, Self
+from typing import Any, NoReturn, Self
 
-from adaptdrive.processes import tether
 from adaptdrive.util.errors import AdaptdriveError
 
 # Free ports of the loopback interface, and what listens there.
@@ -81,8 +84,21 @@ def is_listening(host: str, port: int, wait_s: float = 1.0) -> bool:
 
 # The processes that one terminal owns: started, watched, and ended in order.
 
-BROKER = "adaptdrive.processes.broker"
+BROKER = "adaptdrive.processes"
 """Module of the embedded broker; its arguments are its listeners."""
+
+TETHER = """
+import ctypes, os, signal, sys
+parent, command = int(sys.argv[1]), sys.argv[2:]
+libc = ctypes.CDLL(None, use_errno=True)
+if libc.prctl(1, signal.SIGTERM, 0, 0, 0) != 0:  # PR_SET_PDEATHSIG
+    sys.exit(f"cannot tie {command[0]} to its parent: {os.strerror(ctypes.get_errno())}")
+if os.getppid() != parent:  # it was gone before
+    sys.exit(f"process {parent}, which started {command[0]}, is gone")
+os.execv(command[0], command)
+"""
+"""Program with the arguments PARENT COMMAND ARGUMENT ...: becomes a command that the kernel ends by
+SIGTERM when the parent dies, which outlasts `exec`. It needs the standard library only."""
 
 PATIENCE_s = 20.0
 """Time for a process to end before it is killed: the daemon closes its session."""
@@ -104,7 +120,7 @@ class ProcessDiedError(AdaptdriveError):
 
 @dataclass(frozen=True, slots=True)
 class Child:
-    """One process of a household."""
+    """One process of a group."""
 
     name: str
     process: asyncio.subprocess.Process
@@ -132,7 +148,7 @@ class Child:
         raise self.death
 
 
-class Household:
+class ProcessGroup:
     """All processes of one terminal; the last one started is the first to end.
 
     Use it as an async context manager: whatever happens, none is left behind.
@@ -164,7 +180,7 @@ class Household:
         """
         with log.open("ab") as output:
             process = await asyncio.create_subprocess_exec(
-                *_leashed(module, arguments),
+                *_tied(module, arguments),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
@@ -190,7 +206,7 @@ class Household:
         Returns:
             Its exit status.
         """
-        command = _leashed(module, arguments)
+        command = _tied(module, arguments)
         process = await asyncio.create_subprocess_exec(*command, env=self._environment)
         try:
             return await process.wait()
@@ -218,9 +234,10 @@ class Household:
             await _end(self._children.pop().process)
 
 
-def _leashed(module: str, arguments: Sequence[str]) -> list[str]:
-    leashed = [sys.executable, "-I", "-S", tether.__file__, str(os.getpid())]
-    return [*leashed, sys.executable, "-m", module, *arguments]
+def _tied(module: str, arguments: Sequence[str]) -> list[str]:
+    """Return the command that runs a module for as long as this process lives."""
+    tied = [sys.executable, "-I", "-S", "-c", TETHER, str(os.getpid())]
+    return [*tied, sys.executable, "-m", module, *arguments]
 
 
 def last_lines(log: Path) -> list[str]:
@@ -250,3 +267,54 @@ async def _end(process: asyncio.subprocess.Process) -> None:
         with contextlib.suppress(ProcessLookupError):
             process.kill()
         await process.wait()
+
+
+# The embedded broker.
+
+_ANYBODY = "amqtt.plugins.authentication.AnonymousAuthPlugin"
+
+
+async def serve_broker(address: str, websocket: str | None = None) -> None:
+    """Serve until SIGTERM or SIGINT.
+
+    Args:
+        address: HOST:PORT to listen at.
+        websocket: HOST:PORT of the listener for web pages, None for none.
+    """
+    listeners = {"default": {"type": "tcp", "bind": address}}
+    if websocket is not None:
+        listeners["page"] = {"type": "ws", "bind": websocket}
+    asked = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, asked.set)
+    broker = _broker({"listeners": listeners, "plugins": {_ANYBODY: {"allow_anonymous": True}}})
+    await broker.start()
+    await asked.wait()
+    await broker.shutdown()
+
+
+def _broker(config: dict[str, Any]) -> Any:  # noqa: ANN401 - amqtt is untyped
+    """Return amqtt, without the retained messages that it sends to clients which never asked.
+
+    To every client that connects, amqtt 0.12 sends what is retained on any topic that any client
+    has subscribed to.
+    """
+    from amqtt.broker import Broker  # noqa: PLC0415 - an extra, which the broker alone needs
+
+    class EmbeddedBroker(Broker):  # type: ignore[misc]
+        async def _publish_retained_messages_for_subscription(
+            self,
+            subscription: tuple[str, int],
+            session: Any,  # noqa: ANN401
+        ) -> None:
+            subscribers = self._subscriptions.get(subscription[0], [])
+            if any(one.client_id == session.client_id for one, _ in subscribers):
+                await super()._publish_retained_messages_for_subscription(subscription, session)
+
+    return EmbeddedBroker(config)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING)
+    asyncio.run(serve_broker(*sys.argv[1:]))
