@@ -18,7 +18,7 @@ import can
 from adaptdrive.config.bus import CanLink
 from adaptdrive.devices import faults, port
 from adaptdrive.devices.bus import BusBackoff
-from adaptdrive.devices.can.bus import open_bus
+from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.integrity import ArrivalClock
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import BusError
@@ -148,48 +148,41 @@ Serve = Callable[[Callable[[], None]], Awaitable[str]]
 """Use of an open bus until it is lost; calls its argument when it has begun, returns the reason."""
 
 
-class FrameUser(FrameTaker, Protocol):
-    """A port on a CAN bus."""
-
-    @property
-    def description(self) -> str:
-        """The bus in one phrase."""
-
-    def hand_out(self) -> None:
-        """Pass the newest reading on: no more frames wait."""
-
-
 class CanConnection(Generic[Hearer]):
     """One bus of one port.
 
     Attributes:
+        description: The bus in one phrase, in reports of its state.
         bus: The open bus, None while it is lost.
         listener: Receiver of values and of the state of the bus, None before `run`.
         uptake: Whether the open bus takes the commands of its drive.
         asked: Frames that ask for others, and the time from each to the same again, in s.
+        caught_up: Called when frames were taken, and no more of them wait.
     """
 
     def __init__(
-        self, config: CanLink, user: FrameUser, arrivals: ArrivalClock, counts: Counter[str]
+        self, config: CanLink, taker: FrameTaker, arrivals: ArrivalClock, counts: Counter[str]
     ) -> None:
         """Open nothing yet.
 
         Args:
             config: Which bus.
-            user: Receiver of the frames.
+            taker: Receiver of the frames.
             arrivals: Dates the frames.
             counts: `received`, `sent`, `send_drops` and `reconnects` are counted here.
         """
         self._config = config
-        self._user = user
+        self._taker = taker
         self._arrivals = arrivals
         self._counts = counts
         self._reader: FrameReader | None = None
+        self.description = describe_bus(config)
         self.bus: can.BusABC | None = None
         self.listener: Hearer | None = None
         self._reported = True, ""
         self.uptake = faults.Uptake()
         self.asked: tuple[Sequence[can.Message], float] = (), 0.0
+        self.caught_up: Callable[[], None] = lambda: None
 
     async def run(
         self,
@@ -228,25 +221,25 @@ class CanConnection(Generic[Hearer]):
             announce, missed = self._return, True
             await asyncio.sleep(backoff.next_s())
 
-    async def read_after(self, announce: Callable[[], None], farewell: Callable[[], object]) -> str:
+    async def read_after(self, announce: Callable[[], None], stop: Callable[[], object]) -> str:
         """Announce that the bus is in use, and read it until it is lost; return the reason.
 
         Args:
             announce: Called first.
-            farewell: Sends the last frame when an error ends the reading.
+            stop: Sends the last frame when an error ends the reading.
         """
         try:
             announce()
             return await self.read()
         except Exception:
-            farewell()
+            stop()
             raise
 
     async def read(self) -> str:
-        """Hand every frame to the user until the bus is lost; return the reason."""
+        """Hand every frame to the taker until the bus is lost; return the reason."""
         if self.bus is None:
             return "closed"
-        self._reader = FrameReader(self.bus, self._user, self._arrivals, self._user.hand_out)
+        self._reader = FrameReader(self.bus, self._taker, self._arrivals, self.caught_up)
         frames, period_s = self.asked
         with pulsing(period_s, *[partial(self.send, one) for one in frames]):
             return await self._reader.run()
@@ -289,8 +282,8 @@ class CanConnection(Generic[Hearer]):
         """Report the state of the bus to the listener, where it is another than before."""
         before, self._reported = self._reported, (up, detail)
         if self.listener is not None and before != self._reported:
-            parts = [self._user.description, detail]
-            self.listener.on_bus(up=up, detail=": ".join(filter(None, parts)))
+            parts = filter(None, (self.description, detail))
+            self.listener.on_bus(up=up, detail=": ".join(parts))
 
     async def _use(self, bus: can.BusABC, serve: Serve, announce: Callable[[], None]) -> str:
         self.bus = bus

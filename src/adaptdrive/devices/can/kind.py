@@ -24,7 +24,7 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
 from adaptdrive.devices.can import codec, connection, integrity, port
-from adaptdrive.devices.can.bus import describe_bus, requests
+from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.database import open_catalogue
 from adaptdrive.devices.can.mapping import (
     CanMapping,
@@ -147,7 +147,6 @@ class CanSensorPort(CountingPort):
         self, config: Config, messages: tuple[StatusFrame, ...], clock: Callable[[], float]
     ) -> None:
         super().__init__()
-        self.description = describe_bus(config)
         self._config = config
         self._messages = {one.codec.key: one for one in messages}
         self._clock = clock
@@ -155,6 +154,7 @@ class CanSensorPort(CountingPort):
         self._connection = connection.CanConnection[SensorListener](
             config, self, self._arrivals, self._counts
         )
+        self.description = self._connection.description
         asked = requests(config, [one.codec for one in messages])
         self._connection.asked = asked, config.cycle_s
         self._heard_s = 0.0
@@ -188,9 +188,6 @@ class CanSensorPort(CountingPort):
             integrity.FrameVerdict.COUNTER_LOST,
         }:
             self._counts[decoded.verdict] += 1
-
-    def hand_out(self) -> None:
-        """Nothing waits: each good frame is passed on at once."""
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""

@@ -22,7 +22,7 @@ from adaptdrive.config.timing import OBEY_S
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import bus, port
 from adaptdrive.devices.can import assembly, connection, integrity
-from adaptdrive.devices.can.bus import as_received, describe_bus, requests
+from adaptdrive.devices.can.bus import as_received, requests
 from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.devices.can.mapping import CanMapping, StatusFrame
 from adaptdrive.devices.can.orders import CommandFrame, bridge_first
@@ -73,6 +73,7 @@ class CanPort:
         )
         asked = requests(config, [one.codec for one in mapping.statuses])
         self._connection.asked = asked, mapping.timing.reading_s
+        self._connection.caught_up = self.hand_out
         self._assembly = assembly.StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
@@ -81,7 +82,7 @@ class CanPort:
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._stopping = bridge_first(mapping.orders)
-        self.description = describe_bus(config)
+        self.description = self._connection.description
         self.counter_modulus = mapping.counter_modulus
         self.stop_slack_s = self._assembly.bridge_slack_s
         self.bridge_cycle_s = self._assembly.bridge_cycle_s

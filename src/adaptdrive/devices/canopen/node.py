@@ -44,7 +44,6 @@ class Reports:
         self,
         mapping: CanOpenMapping,
         control: profile.DriveControl,
-        unseen: profile.UnseenStop,
         counts: Counter[str],
     ) -> None:
         """Expect PDOs; none has come yet.
@@ -52,14 +51,12 @@ class Reports:
         Args:
             mapping: PDOs of a reading, and fault words of the drive.
             control: Follows the statusword.
-            unseen: Watches the time between two statuswords.
             counts: Counts of the port, to which refused PDOs are added.
         """
         self._values = newest_values(mapping)
         self.faults = self._values.faults
         self._statuses = {status.codec.name: status for status in mapping.statuses}
         self._control = control
-        self._unseen = unseen
         self._counts = counts
         self._heard: set[str] = set()
         self._sampled_s: float | None = None
@@ -157,8 +154,7 @@ class Reports:
         self.faults.see(values)
         statusword = found.get(_STATUSWORD)
         if statusword is not None:
-            self._control.hear(int(statusword))
-            self._unseen.hear(arrival_s)
+            self._control.follow(int(statusword), arrival_s)
             values[binding.BRIDGE] = float(self._control.state in profile.POWERED)
         return values
 
@@ -194,6 +190,7 @@ class NodePort(bus.CountingPort, ABC):
         self._connection = connection.CanConnection[port.Listener](
             config, self, self._arrivals, self._counts
         )
+        self._connection.description = self.description
         self._sdo = sdo.SdoLink(config, self._connection.put)
         self._takers: dict[int, Callable[[can.Message], None]] = {
             0x580 + config.node_id: self._sdo.take_reply
@@ -222,9 +219,6 @@ class NodePort(bus.CountingPort, ABC):
             self._counts["foreign"] += 1
         else:
             taker(frame)
-
-    def hand_out(self) -> None:
-        """Nothing waits: a reading is handed out when it is whole."""
 
     @abstractmethod
     async def _serve(self, announce: Callable[[], None]) -> str:

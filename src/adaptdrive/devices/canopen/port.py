@@ -60,9 +60,8 @@ class CanOpenPort(NodePort):
         """
         super().__init__(config, mapping, clock)
         self.counter_modulus = mapping.counter_modulus
-        self._control = profile.DriveControl()
-        self._unseen = profile.UnseenStop(self._control, timing)
-        self._reports = Reports(mapping, self._control, self._unseen, self._counts)
+        self._control = profile.DriveControl(timing.reported_seldom_s)
+        self._reports = Reports(mapping, self._control, self._counts)
         self._master = master.Master(config, self._set_up, self._connection.put, clock)
         self._emergency: master.Emergency | None = None
         self._half_cycle_s = timing.half_cycle_s
@@ -71,6 +70,7 @@ class CanOpenPort(NodePort):
         self._been_up = False
         self._rival = faults.Rival(clock)
         self._takers |= self._make_takers()
+        self._connection.caught_up = self.hand_out
 
     @property
     def complaint(self) -> str | None:
@@ -101,9 +101,7 @@ class CanOpenPort(NodePort):
         Raises:
             ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
         """
-        self._unseen.look(self._clock())
-        word = self._control.controlword(command)
-        self._unseen.note(word)
+        word = self._control.controlword(command, self._clock())
         frames = [order.encode(command, word) for order in self._mapping.orders]
         if command != SAFE_COMMAND:
             self._obedience.forget()

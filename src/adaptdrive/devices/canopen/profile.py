@@ -11,11 +11,10 @@ A fault is reset by an edge of bit 7, and only when that is asked for.
 
 import math
 from collections.abc import Iterator
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 from functools import cache
 from typing import Final
 
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Command
 
 CONTROLWORD = (0x6040, 0)
@@ -47,16 +46,11 @@ class DriveState(StrEnum):
     UNKNOWN = "unknown"
 
 
-class Goal(IntEnum):
-    """Degree to which a command switches the drive on."""
-
-    REST = 0
-    SWITCHED_ON = 2
-    ENABLED = 3
-
-
 _LADDER = ("SWITCH_ON_DISABLED", "READY", "SWITCHED_ON", "ENABLED")
 _RUNGS = {DriveState[name]: rung for rung, name in enumerate(_LADDER)}
+_REST, _SWITCHED_ON, _ENABLED = 0, 2, 3
+"""Rungs to which a command switches the drive on."""
+
 _UP = (SHUTDOWN, SWITCH_ON, ENABLE_OPERATION)
 """Words that lead from each rung to the next one; the last one up to a goal also holds it."""
 
@@ -88,17 +82,12 @@ def state_of(statusword: int) -> DriveState:
     return next(found, DriveState.UNKNOWN)
 
 
-def goal_of(command: Command) -> Goal:
-    """Return the degree to which a command switches the drive on."""
-    if command.bridge:
-        return Goal.ENABLED
-    if command.current_scale_S or command.boost_reference_V:
-        return Goal.SWITCHED_ON
-    return Goal.REST
-
-
 class DriveControl:
     """Follows one drive's state, and derives the next controlword.
+
+    A drive that was on is not driven on before it has reported again. One that was only commanded
+    on may be yet to come on, or have stopped, where it reports *switched on* after a silence in
+    which its own time-out may have ended: it falls.
 
     Attributes:
         state: State heard last, None before the first.
@@ -106,11 +95,19 @@ class DriveControl:
         fallen: Why the drive is not brought up any further, None while all is well.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limit_s: float) -> None:
+        """Expect no statusword yet.
+
+        Args:
+            limit_s: Longest time between two statuswords of a drive that is commanded on, in s.
+        """
+        self._limit_s = limit_s
         self.state: DriveState | None = None
         self.powered = False
         self.fallen: str | None = None
-        self._goal = Goal.REST
+        self._reported_s = math.inf
+        self._commanded_on = False
+        self._goal = _REST
         self._rested = False
         self._reached = 0
         self._resets: Iterator[int] = iter(())
@@ -120,23 +117,30 @@ class DriveControl:
         """True if the drive is in a fault, or reacts to one."""
         return self.state in _FAULTS
 
-    def hear(self, statusword: int) -> None:
-        """Take the drive's state."""
+    def follow(self, statusword: int, arrival_s: float) -> None:
+        """Take the drive's state.
+
+        Args:
+            statusword: Its statusword.
+            arrival_s: Arrival of that by the monotonic clock.
+        """
         self.state = state = state_of(statusword)
         self.powered = state in POWERED
         if state is DriveState.SWITCH_ON_DISABLED:
             self._rested = True
-        if self._goal is Goal.REST or not self._rested:
-            return
-        rung = _RUNGS.get(state)
-        if rung is None or rung < self._reached:
-            self.fall(f"the drive left its state by itself: {state}")
-        else:
-            self._reached = min(rung, self._goal)
+        if self._goal != _REST and self._rested:
+            rung = _RUNGS.get(state)
+            if rung is None or rung < self._reached:
+                self.fall(f"the drive left its state by itself: {state}")
+            else:
+                self._reached = min(rung, self._goal)
+        if state is not DriveState.ENABLED:
+            self._check_silence(arrival_s)
+        self._reported_s = arrival_s
 
     def fall(self, reason: str) -> None:
         """Bring an energised drive to rest, and keep it there until it is commanded safe."""
-        if self._goal is not Goal.REST and self.fallen is None:
+        if self._goal != _REST and self.fallen is None:
             self.fallen = reason
 
     def forget(self) -> None:
@@ -147,14 +151,33 @@ class DriveControl:
         """Let the coming controlwords reset a fault, if there is one."""
         self._resets = iter(_RESET)
 
-    def controlword(self, command: Command) -> int:
-        """The word to send with a command.
+    def controlword(self, command: Command, now_s: float) -> int:
+        """The word to send with a command; a drive that was silent for too long falls before.
 
         Args:
             command: Command to the drive.
+            now_s: The monotonic clock.
         """
-        goal = goal_of(command)
-        if goal is Goal.REST:
+        self._check_silence(now_s)
+        word = self._next_word(command)
+        self._commanded_on = word == ENABLE_OPERATION
+        return word
+
+    def _check_silence(self, now_s: float) -> None:
+        silent_s = now_s - self._reported_s
+        if self._commanded_on and silent_s > self._limit_s:
+            self.fall(
+                "the drive left its state by itself, or may have: nothing was heard of it for "
+                f"{silent_s * 1e3:.0f} ms while it was commanded on"
+            )
+
+    def _next_word(self, command: Command) -> int:
+        goal = _REST
+        if command.bridge:
+            goal = _ENABLED
+        elif command.current_scale_S or command.boost_reference_V:
+            goal = _SWITCHED_ON
+        if goal == _REST:
             return self._rest()
         self._goal, self._resets = goal, iter(())
         self._reached = min(self._reached, goal)
@@ -163,51 +186,11 @@ class DriveControl:
         return _UP[min(self._reached, goal - 1)]
 
     def _rest(self) -> int:
-        if self._goal is not Goal.REST:
-            self._goal, self._rested, self._reached = Goal.REST, False, 0
+        if self._goal != _REST:
+            self._goal, self._rested, self._reached = _REST, False, 0
         self.fallen = None
         word = next(self._resets, DISABLE_VOLTAGE)
         if word == FAULT_RESET and self.state is not DriveState.FAULT:
             self._resets = iter(())  # nor does it reset a fault that comes later
             return DISABLE_VOLTAGE
         return word
-
-
-class UnseenStop:
-    """Watches the time between two statuswords of a drive that is commanded to enable operation.
-
-    A drive that was on is not driven on before it has reported again. One that was only commanded
-    on may be yet to come on, or have stopped, where it reports *switched on* after a silence in
-    which its own time-out may have ended: it falls.
-    """
-
-    def __init__(self, control: DriveControl, timing: Timing) -> None:
-        """Expect no statusword yet.
-
-        Args:
-            control: Follows the statusword.
-            timing: Times of the drive; each reading has a statusword.
-        """
-        self._control = control
-        self._limit_s = timing.reported_seldom_s
-        self._heard_s = math.inf
-        self._commanded_on = False
-
-    def hear(self, heard_s: float) -> None:
-        """Take the arrival of a statusword, which the control has heard."""
-        if self._control.state is not DriveState.ENABLED:
-            self.look(heard_s)
-        self._heard_s = heard_s
-
-    def look(self, now_s: float) -> None:
-        """Let a drive fall that has been silent for too long, before it is commanded."""
-        silent_s = now_s - self._heard_s
-        if self._commanded_on and silent_s > self._limit_s:
-            self._control.fall(
-                "the drive left its state by itself, or may have: nothing was heard of it for "
-                f"{silent_s * 1e3:.0f} ms while it was commanded on"
-            )
-
-    def note(self, controlword: int) -> None:
-        """Take the controlword that is sent."""
-        self._commanded_on = controlword == ENABLE_OPERATION

@@ -31,7 +31,6 @@ from adaptdrive.devices.canopen.mapping import (
     SYNC_ID,
     SYNC_PERIOD,
     CanOpenMapping,
-    Channel,
     Pdo,
 )
 from adaptdrive.devices.canopen.profile import CONTROLWORD, DISABLE_VOLTAGE
@@ -273,8 +272,8 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
     for address, data in sync_writes(bus, mapping, half_cycle_s):
         known = address in mapping.present or bus.sync == "drive"
         (server.settle if known else server.offer)(address, data)
-    for channel in mapping.unused:
-        _switch_off(server, channel)
+    for pdo in mapping.unused:
+        _switch_off(server, pdo)
     for status in mapping.statuses:
         _describe(server, status.pdo, _EACH_SYNC)
     for order in mapping.orders:
@@ -330,21 +329,20 @@ def _end_quick_stops(server: Server, mapping: CanOpenMapping) -> None:
 
 def _describe(server: Server, pdo: Pdo, transmission: int) -> None:
     """Write the mapping of a PDO, which is switched off meanwhile."""
-    channel = pdo.channel
-    remote = _switch_off(server, channel) & _NO_REMOTE_REQUEST
-    server.write((channel.communication, 2), bytes((transmission,)))
-    count = channel.mapping, 0
+    remote = _switch_off(server, pdo) & _NO_REMOTE_REQUEST
+    server.write((pdo.communication, 2), bytes((transmission,)))
+    count = pdo.mapping, 0
     server.write(count, b"\0")
     for number, entry in enumerate(pdo.entries, start=1):
         mapped = entry.address[0] << 16 | entry.address[1] << 8 | entry.bits
-        server.write_surely((channel.mapping, number), mapped.to_bytes(4, "little"))
+        server.write_surely((pdo.mapping, number), mapped.to_bytes(4, "little"))
     server.write_surely(count, bytes((len(pdo.entries),)))
-    server.write((channel.communication, 1), (channel.cob_id | remote).to_bytes(4, "little"))
+    server.write((pdo.communication, 1), (pdo.cob_id | remote).to_bytes(4, "little"))
 
 
-def _switch_off(server: Server, channel: Channel) -> int:
+def _switch_off(server: Server, pdo: Pdo) -> int:
     """Make a PDO invalid; its frame id as it was."""
-    address = channel.communication, 1
+    address = pdo.communication, 1
     cob_id = server.number(address)
     if not cob_id & _INVALID:
         server.write(address, (cob_id | _INVALID).to_bytes(4, "little"))
