@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.polled import ScpiBus, ScpiValue
-from adaptdrive.devices.scpi.port import describe_supply
+from adaptdrive.devices.scpi import describe_supply
 from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive, run_half_cycles
 from adaptdrive_sim.devices.frames import QUANTITIES, quantities_of

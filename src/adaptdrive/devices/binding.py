@@ -11,13 +11,13 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Generic, Literal, TypeVar
+from dataclasses import replace
+from threading import Event
+from typing import Any, Generic, Literal
 
 from adaptdrive.config import root, section
 from adaptdrive.config.bus import (
     CODE,
-    COMMANDED,
     MEASURED,
     WORDS,
     CommandSignals,
@@ -26,8 +26,8 @@ from adaptdrive.config.bus import (
     SignalSource,
     SwitchSource,
 )
-from adaptdrive.control.signals import Command
 from adaptdrive.devices import description, faults
+from adaptdrive.devices.description import Item, Sink, Source
 from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import Flaw, nearest
 
@@ -46,8 +46,6 @@ _ROUNDING = 1e-6
 
 _PRECISION = 1e-12
 """Share of itself by which a value of more than 40 bits may do so."""
-
-Item = TypeVar("Item")
 
 Given = tuple[str, SignalSource, str]
 """A quantity, its entry in the configuration, and the place of that."""
@@ -75,78 +73,6 @@ def watched_words(sources: Iterable[Source[Any]]) -> dict[str, faults.FaultWord]
 def sensor_entries(bus: root.SensorBusSection, place: str) -> Iterator[Given]:
     """Yield every quantity that sensors send."""
     return ((name, given, f"{place}.signals.{name}") for name, given in bus.signals.items())
-
-
-@dataclass(frozen=True, slots=True)
-class Source(Generic[Item]):
-    """Source of a quantity.
-
-    Attributes:
-        quantity: Field of `Reading`, or one of its other values.
-        item: What the description of the device has for it.
-        field: How that is coded.
-        scale: SI units per unit of the field.
-        offset: SI value where the field is zero.
-        on: Value of a switch that means on, None where any but 0 does.
-        place: Its place in the configuration.
-        word: What is a fault or a warning in it, None for another quantity.
-    """
-
-    quantity: str
-    item: Item
-    field: Field
-    scale: float
-    offset: float
-    on: float | None
-    place: str
-    word: faults.FaultWord | None = None
-
-
-@dataclass(slots=True)
-class ResetLevel:
-    """Level of the reset of a fault, which is no part of a `Command`: no tick commands it.
-
-    Attributes:
-        on: Whether the reset is given now.
-    """
-
-    on: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Sink(Generic[Item]):
-    """Destination of a part of the command: base + factor × that field of `Command`.
-
-    Attributes:
-        name: Field of `Command`; the reference of a constant, whose factor is 0.
-        item: What the description of the device has for it.
-        field: How that is coded.
-        base: Value of the field of the device where that of the command is 0 or False.
-        factor: Units of the field per unit of that of the command.
-        only: Bridge of the commands that it is written with, None for all.
-        reset: Level of the reset of a fault, which takes the place of that field.
-    """
-
-    name: str
-    item: Item
-    field: Field
-    base: float
-    factor: float
-    only: bool | None = None
-    reset: ResetLevel | None = None
-
-    @property
-    def is_commanded(self) -> bool:
-        """True for a part of the command that is no constant, and no copy of what is measured."""
-        return self.reset is not None or self.name in COMMANDED
-
-    def value(self, command: Command) -> float:
-        """The value in the unit of the field."""
-        if not self.factor:
-            return self.base
-        if self.reset is not None:  # only of a drive that is off
-            return self.base + self.factor * (self.reset.on and not command.bridge)
-        return self.base + self.factor * float(getattr(command, self.name))
 
 
 class Catalogue(ABC, Generic[Item]):
@@ -244,7 +170,7 @@ class Catalogue(ABC, Generic[Item]):
             item = None if entry is None else self.find(entry.signal, f"{_COMMAND}.{name}")
             if entry is not None and item is not None:
                 found.append(self._value(name, entry, item, demands))
-        resets = (replace(one, reset=ResetLevel()) for one in self._switches(command.reset, RESET))
+        resets = (replace(one, reset=Event()) for one in self._switches(command.reset, RESET))
         return [*found, *self._switches(command.bridge), *resets]
 
     def settings(

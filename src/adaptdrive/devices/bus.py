@@ -15,7 +15,8 @@ from typing import Any, TypeVar
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices import binding, description
+from adaptdrive.devices import description
+from adaptdrive.devices.description import Sink
 from adaptdrive.devices.port import Port, PortStatistics, SensorPort
 from adaptdrive.util.clock import look_up
 from adaptdrive.util.errors import Flaw
@@ -195,26 +196,19 @@ class CountingPort:
         """No-op: the drive clears its fault word by itself."""
 
 
-class BusBackoff:
-    """Delays that double until the bus has carried something."""
+def backoff_s(received: Callable[[], int]) -> Iterator[float]:
+    """Yield the delay before each attempt, in s: it doubles until the bus has carried something.
 
-    def __init__(self, heard: Callable[[], int]) -> None:
-        """Start with the shortest delay.
-
-        Args:
-            heard: Returns the number of frames or replies since the port was built.
-        """
-        self._heard = heard
-        self._before = heard()
-        self._delay_s = _FIRST_S
-
-    def next_s(self) -> float:
-        """Return the delay before the next attempt, in s; the shortest after any reception."""
-        heard = self._heard()
-        if heard > self._before:
-            self._before, self._delay_s = heard, _FIRST_S
-        delay_s, self._delay_s = self._delay_s, min(2.0 * self._delay_s, _LONGEST_S)
-        return delay_s
+    Args:
+        received: Returns the number of frames or replies since the port was built.
+    """
+    before, delay_s = received(), _FIRST_S
+    while True:
+        now = received()
+        if now > before:
+            before, delay_s = now, _FIRST_S
+        yield delay_s
+        delay_s = min(2.0 * delay_s, _LONGEST_S)
 
 
 # Reset of a drive's fault by a part of its command: on for a moment, and off again.
@@ -226,7 +220,7 @@ _LEAST_S = 0.1
 """Shortest time of a level: drives look at such a bit every few milliseconds."""
 
 
-async def pulse_reset(sinks: Iterable[binding.Sink[Any]], reading_s: float) -> None:
+async def pulse_reset(sinks: Iterable[Sink[Any]], reading_s: float) -> None:
     """Switch the reset of a fault on and off with the next commands; nothing where there is none.
 
     Args:
@@ -234,12 +228,14 @@ async def pulse_reset(sinks: Iterable[binding.Sink[Any]], reading_s: float) -> N
         reading_s: Time from one reading of the drive to the next.
     """
     resets = [sink.reset for sink in sinks if sink.reset is not None]
+    if not resets:
+        return
     level_s = max(_LEAST_S, _READINGS * reading_s)
-    for level in (True, False) if resets else ():
-        try:
-            for reset in resets:
-                reset.on = level
-            await asyncio.sleep(level_s)
-        finally:
-            for reset in resets:
-                reset.on = False
+    try:
+        for reset in resets:
+            reset.set()
+        await asyncio.sleep(level_s)
+    finally:
+        for reset in resets:
+            reset.clear()
+    await asyncio.sleep(level_s)

@@ -17,7 +17,7 @@ import can
 
 from adaptdrive.config.bus import CanLink
 from adaptdrive.devices import faults, port
-from adaptdrive.devices.bus import BusBackoff
+from adaptdrive.devices.bus import backoff_s
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.integrity import ArrivalClock
 from adaptdrive.util.clock import pulsing
@@ -205,7 +205,7 @@ class CanConnection(Generic[Hearer]):
         """
         self.listener, ids = listener, tuple(ids)
         # error frames are received, too: a shorted bus that restarts by itself carries nothing else
-        backoff = BusBackoff(lambda: self._counts["received"] - self._counts["foreign"])
+        delays_s = backoff_s(lambda: self._counts["received"] - self._counts["foreign"])
         announce, missed = opened or (lambda: None), False
         while True:
             try:
@@ -219,7 +219,7 @@ class CanConnection(Generic[Hearer]):
             if not missed:
                 self.report(up=False, detail=problem)
             announce, missed = self._return, True
-            await asyncio.sleep(backoff.next_s())
+            await asyncio.sleep(next(delays_s))
 
     async def read_after(self, announce: Callable[[], None], stop: Callable[[], object]) -> str:
         """Announce that the bus is in use, and read it until it is lost; return the reason.

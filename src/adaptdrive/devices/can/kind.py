@@ -33,7 +33,7 @@ from adaptdrive.devices.can.mapping import (
     map_drive,
     status_frame,
 )
-from adaptdrive.devices.port import Port, SensorListener
+from adaptdrive.devices.port import SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Signals of a DBC, as candidates for the quantities of a configuration.
@@ -91,7 +91,7 @@ def build_can_sensors(
     clock: Callable[[], float],
     source: Path | str = "configuration",
     demands: description.Demands = description.NO_DEMANDS,
-) -> CanSensorPort:
+) -> SensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
     Args:
@@ -104,7 +104,7 @@ def build_can_sensors(
     Raises:
         ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
     """
-    return CanSensorPort(bus, map_sensors(bus, place, source, demands), clock)
+    return SensorPort(bus, map_sensors(bus, place, source, demands), clock)
 
 
 def map_sensors(
@@ -136,7 +136,7 @@ def map_sensors(
     return tuple(status_frame(catalogue, bus, *item, bus.cycle_s) for item in found.items())
 
 
-class CanSensorPort(CountingPort):
+class SensorPort(CountingPort):
     """One connection to the sensors on one CAN bus.
 
     Attributes:
@@ -225,8 +225,8 @@ class CanSensorPort(CountingPort):
 
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
-) -> Port:
-    return port.CanPort(
+) -> port.Port:
+    return port.Port(
         bus_of(configuration, CanBus), _mapped(configuration, source), clock, hears_all=passive
     )
 

@@ -25,6 +25,7 @@ from adaptdrive.devices.can.orders import (
     find_copies,
     find_orders,
 )
+from adaptdrive.devices.description import Source
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -183,7 +184,7 @@ def _source(
     bus: CanBus,
     timing: Timing,
     clock: Message | None,
-    source: binding.Source[database.Located],
+    source: Source[database.Located],
 ) -> CanSource:
     message, signal = source.item
     cycle = _cycle(message, bus, timing, pages=_pages(message, signal))

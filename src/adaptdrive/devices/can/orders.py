@@ -17,10 +17,10 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity, Signals
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.binding import BRIDGE, Sink, is_word
+from adaptdrive.devices.binding import BRIDGE, is_word
 from adaptdrive.devices.can import database, layout
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.description import NO_DEMANDS, Demands
+from adaptdrive.devices.description import NO_DEMANDS, Demands, Sink
 from adaptdrive.util.errors import nearest
 
 _NOTHING: Mapping[str, float] = MappingProxyType({})

@@ -35,7 +35,7 @@ started anew, and forgotten the requests for its messages."""
 _GOOD: Final[integrity.FrameVerdict] = integrity.FrameVerdict.GOOD  # found at once by compiled code
 
 
-class CanPort:
+class Port:
     """One connection to one drive on a CAN bus.
 
     Attributes:

@@ -20,6 +20,7 @@ from adaptdrive.devices.can.bus import channel_flaws
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
+from adaptdrive.devices.description import Sink, Source
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -115,7 +116,7 @@ def _signal(entry: Entry, start: int) -> Signal:
 
 # Mapping of objects to quantities: checks the configuration against its EDS.
 
-Bound = TypeVar("Bound", binding.Source[Entry], binding.Sink[Entry])
+Bound = TypeVar("Bound", Source[Entry], Sink[Entry])
 
 DEVICE_TYPE = (0x1000, 0)
 SYNC_ID = (0x1005, 0)
@@ -150,7 +151,7 @@ class StatusPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sources: tuple[binding.Source[Entry], ...]
+    sources: tuple[Source[Entry], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +160,7 @@ class CommandPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sinks: tuple[binding.Sink[Entry], ...]
+    sinks: tuple[Sink[Entry], ...]
 
     def encode(self, command: Command, word: int) -> tuple[int, bytes]:
         """Return the id and the bytes of its frame.
@@ -206,7 +207,7 @@ class CanOpenMapping:
     faults: Mapping[str, FaultWord]
 
     @property
-    def sources(self) -> tuple[binding.Source[Entry], ...]:
+    def sources(self) -> tuple[Source[Entry], ...]:
         """Every quantity that is measured."""
         return tuple(source for status in self.statuses for source in status.sources)
 

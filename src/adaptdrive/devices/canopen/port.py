@@ -19,7 +19,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices import description, faults, port
+from adaptdrive.devices import description, faults
 from adaptdrive.devices.bus import BusKind, Row, bus_of, stale_limits
 from adaptdrive.devices.can.integrity import PROMPT_S
 from adaptdrive.devices.canopen import master, profile, sdo
@@ -40,7 +40,7 @@ _LOOK_S = 0.005
 """Time between two looks whether the fault is gone: short compared with the longest wait."""
 
 
-class CanOpenPort(NodePort):
+class Port(NodePort):
     """One connection to one drive on CANopen."""
 
     def __init__(
@@ -289,11 +289,11 @@ _LOST_HEARTBEATS = 2
 
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
-) -> port.Port:
+) -> Port | CanOpenWatch:
     bus, mapping = bus_of(configuration, CanOpenBus), _mapped(configuration, source)
     if passive:
         return CanOpenWatch(bus, mapping, clock)
-    return CanOpenPort(bus, mapping, configuration.timing, clock)
+    return Port(bus, mapping, configuration.timing, clock)
 
 
 def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from adaptdrive.devices.bus import BusBackoff, CountingPort
+from adaptdrive.devices.bus import CountingPort, backoff_s
 from adaptdrive.devices.polled.registers import Exchange
 from adaptdrive.devices.port import Listener, SensorListener
 from adaptdrive.util.clock import find
@@ -329,7 +329,7 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
             await worker
 
     async def _work(self, link: Link | None, problem: str) -> None:
-        backoff = BusBackoff(lambda: self._counts["received"])
+        delays_s = backoff_s(lambda: self._counts["received"])
         while True:
             if link is not None:
                 try:
@@ -341,7 +341,7 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
                 return
             self._note_bus(up=False, problem=problem)
             self._wake.clear()  # what was urgent when the link was lost does not hurry it back
-            await self._sleep(backoff.next_s())
+            await self._sleep(next(delays_s))
             if self._closing:
                 return
             link, problem = await self._try()

@@ -14,6 +14,7 @@ from adaptdrive.config.bus import CommandSwitch, Signals
 from adaptdrive.config.polled import ModbusBus, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
+from adaptdrive.devices.description import Sink, Source
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled.registers import (
@@ -36,7 +37,7 @@ _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
 
 
-Bound = TypeVar("Bound", binding.Source["Named"], binding.Sink["Named"])
+Bound = TypeVar("Bound", Source["Named"], Sink["Named"])
 
 
 class Named(NamedTuple):
@@ -69,7 +70,7 @@ class RegisterCatalogue(binding.Catalogue[Named]):
 
     def _switches(
         self, switch: CommandSwitch | None, name: str = binding.BRIDGE
-    ) -> Iterator[binding.Sink[Named]]:
+    ) -> Iterator[Sink[Named]]:
         if switch is None or switch.off_signal is None or name != binding.BRIDGE:
             yield from super()._switches(switch, name)
             return
@@ -81,14 +82,14 @@ class RegisterCatalogue(binding.Catalogue[Named]):
             if item.register.table != "coil":
                 self.note(place, f"{coil!r} is no coil, which off_signal needs")
             field = self.field(item, "command")
-            yield binding.Sink(binding.BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
+            yield Sink(binding.BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
 
     def switch(self, item: Named) -> tuple[float, float]:
         """Return the counts that switch on and off."""
         return float(item.register.on), float(item.register.off)
 
 
-def value_in(source: binding.Source[Named], block: Block, words: list[int]) -> float | None:
+def value_in(source: Source[Named], block: Block, words: list[int]) -> float | None:
     """Return a quantity from the registers of its block, None when it must not be used."""
     taken = _words(source, block, words)
     value = decode(source.item.register, source.field, taken)
@@ -101,21 +102,21 @@ def value_in(source: binding.Source[Named], block: Block, words: list[int]) -> f
     return value * source.scale + source.offset
 
 
-def explain(source: binding.Source[Named], block: Block, words: list[int]) -> str:
+def explain(source: Source[Named], block: Block, words: list[int]) -> str:
     """Return why a quantity must not be used: its name, its place and what is there."""
     register, taken = source.item.register, _words(source, block, words)
     place = f"{source.quantity}: {Block(register.table, register.address, register.words)}"
     return f"{place} {refusal(register, source.field, taken)}"
 
 
-def _words(source: binding.Source[Named], block: Block, words: list[int]) -> list[int]:
+def _words(source: Source[Named], block: Block, words: list[int]) -> list[int]:
     register = source.item.register
     start = register.address - block.address
     return words[start : start + register.words]
 
 
 def block_words(
-    block: Block, sinks: Iterable[binding.Sink[Named]], command: Command, heartbeat: int
+    block: Block, sinks: Iterable[Sink[Named]], command: Command, heartbeat: int
 ) -> list[int]:
     """Return the registers of a block; fields of one register are put together.
 
@@ -130,7 +131,7 @@ def block_words(
     return words
 
 
-def written(sink: binding.Sink[Named], command: Command, heartbeat: int) -> list[int]:
+def written(sink: Sink[Named], command: Command, heartbeat: int) -> list[int]:
     """Return the registers of a part of a command, or of the daemon's heartbeat.
 
     Raises:
@@ -157,11 +158,11 @@ class Poll:
         faults: Watched words of the drive, of faults and warnings.
     """
 
-    reads: tuple[tuple[Block, tuple[binding.Source[Named], ...]], ...]
-    writes: tuple[tuple[Block, tuple[binding.Sink[Named], ...]], ...]
+    reads: tuple[tuple[Block, tuple[Source[Named], ...]], ...]
+    writes: tuple[tuple[Block, tuple[Sink[Named], ...]], ...]
     combined: bool
     interval_s: float = 0.0
-    setup: tuple[tuple[Block, binding.Sink[Named], bool], ...] = ()
+    setup: tuple[tuple[Block, Sink[Named], bool], ...] = ()
     other: tuple[str, ...] = ()
     faults: Mapping[str, FaultWord] = field(default_factory=dict)
 
@@ -171,7 +172,7 @@ class Poll:
         return next((read[0] for read in self.reads if _has_bridge(read)), None)
 
     @property
-    def bridge_last(self) -> tuple[tuple[Block, tuple[binding.Source[Named], ...]], ...]:
+    def bridge_last(self) -> tuple[tuple[Block, tuple[Source[Named], ...]], ...]:
         """The reads, that of the bridge last: a command that follows knows the newest report."""
         return tuple(sorted(self.reads, key=_has_bridge))
 
@@ -184,7 +185,7 @@ class Poll:
             yield Exchange(write=block)
 
 
-def _has_bridge(block: tuple[Block, tuple[binding.Source[Named], ...]]) -> bool:
+def _has_bridge(block: tuple[Block, tuple[Source[Named], ...]]) -> bool:
     return any(source.quantity == binding.BRIDGE for source in block[1])
 
 
@@ -214,12 +215,10 @@ def map_drive(
     if bus.heartbeat.drive is not None:
         beat = Named(bus.heartbeat.drive, bus.registers[bus.heartbeat.drive])
         field = catalogue.field(beat, "word")
-        sources.append(
-            binding.Source(HEARTBEAT, beat, field, 1.0, 0.0, None, "bus.heartbeat.drive")
-        )
+        sources.append(Source(HEARTBEAT, beat, field, 1.0, 0.0, None, "bus.heartbeat.drive"))
     if bus.heartbeat.daemon is not None:
         beat = Named(bus.heartbeat.daemon, bus.registers[bus.heartbeat.daemon])
-        sinks.append(binding.Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
+        sinks.append(Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
     reads = plan_blocks((one.item.register for one in sources), bus.max_gap, bus.max_block)
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))

@@ -25,7 +25,7 @@ _MIXED_UP = (
 )
 
 
-class PolledPort(Polling[PolledLink, Listener]):
+class Port(Polling[PolledLink, Listener]):
     """One connection to one drive that is polled."""
 
     _explain = staticmethod(explain)
@@ -45,11 +45,10 @@ class PolledPort(Polling[PolledLink, Listener]):
         self._poll = poll
         self.stop_slack_s = 0.0 if poll.bridge_block else None
         look_s = reports.look_limit_s(bus.timeout_s, len(poll.writes))
-        self._witness = reports.PollWitness(poll.bridge_block is not None, timing, look_s, clock)
-        self._commander = commander.Commander(poll, self._witness, self._counts, clock, timing)
+        self._history = reports.PollHistory(poll.bridge_block is not None, timing, look_s, clock)
+        self._commander = commander.Commander(poll, self._history, self._counts, clock, timing)
         self._link: PolledLink | None = None
-        self._assembly = reports.PollAssembly(poll, self._explain)
-        self._heartbeat = reports.DriveHeartbeat(bus.heartbeat)
+        self._assembly = reports.PollAssembly(poll, bus.heartbeat, self._explain)
         self._failure = ""
 
     @property
@@ -123,13 +122,13 @@ class PolledPort(Polling[PolledLink, Listener]):
     async def _serve(self, link: PolledLink) -> None:
         """Poll over an open link until it is lost or the port is closed; leave the drive safe."""
         self._link = link
-        self._heartbeat.forget()
+        self._assembly.forget_heartbeat()
         self._commander.begin()
         next_s, hurried = self._clock(), False
         try:
             await self._set_up(link)
             while link.lost is None and not self._closing:
-                self._witness.note_step()
+                self._history.note_step()
                 start_s = self._clock()
                 await self._poll_once(link)
                 hurried = not hurried and self._commander.is_starved(start_s)
@@ -181,7 +180,7 @@ class PolledPort(Polling[PolledLink, Listener]):
         """Exchange one part of the set-up; a safe command that is urgent goes before it."""
         if self._commander.urgent:
             await self._commander.write(link)
-        self._witness.note_step()
+        self._history.note_step()
         return await link.exchange(exchange, words)
 
     async def _idle(self, link: PolledLink, until_s: float) -> None:
@@ -239,11 +238,11 @@ class PolledPort(Polling[PolledLink, Listener]):
         """Hand out the reading of a poll; a drive that stands still has said nothing."""
         if not self._is_alive(start_s):
             return
-        assembly, sent = self._assembly, self._witness.bridge
+        assembly, sent = self._assembly, self._history.bridge
         reading = assembly.reading(self._clock(), start_s, bridge_sent=sent)
         powered = assembly.bridge(sent)
         if powered is not None:
-            self._witness.note_bridge(powered=powered)
+            self._history.note_bridge(powered=powered)
         if reading is None:
             return
         self._silent = 0
@@ -253,7 +252,7 @@ class PolledPort(Polling[PolledLink, Listener]):
             self._listener.on_reading(reading)
 
     def _is_alive(self, start_s: float) -> bool:
-        alive = self._heartbeat.beats(self._assembly.heartbeat, start_s)
+        alive = self._assembly.is_alive(start_s)
         if alive is False:
             self._counts["counter_stuck"] += 1
             self._failure = reports.STANDS_STILL

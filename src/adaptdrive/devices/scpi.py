@@ -12,11 +12,10 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices import binding
 from adaptdrive.devices.bus import BusKind, bus_of, polled_cautions, tcp_locks
+from adaptdrive.devices.description import Source
 from adaptdrive.devices.polled import link, mapping, port
 from adaptdrive.devices.polled.registers import Block, Exchange, count, encode_count
-from adaptdrive.devices.port import Port
 
 _COMPLETE = "*OPC?"
 """Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
@@ -148,7 +147,7 @@ def describe_supply(config: ScpiBus) -> str:
     return f"scpi {config.host}:{config.port}"
 
 
-class ScpiPort(port.PolledPort):
+class Port(port.Port):
     """One connection to one supply."""
 
     def __init__(
@@ -171,7 +170,7 @@ class ScpiPort(port.PolledPort):
         refused = [line for line in super().details() if line.startswith("refused")]
         return [*(f"{question} {reply}" for question, reply in self._replies.items()), *refused]
 
-    def _explain(self, source: binding.Source[mapping.Named], *_: object) -> str:
+    def _explain(self, source: Source[mapping.Named], *_: object) -> str:
         """Name the reply that is refused."""
         question = self._supply.values[source.item.name].query or ""
         reply = self._replies[question]
@@ -192,7 +191,7 @@ def _build(
 ) -> Port:
     bus = bus_of(configuration, ScpiBus)
     poll = mapping.planned(configuration, bus.as_registers(), source, passive=passive)
-    return ScpiPort(bus, poll, configuration.timing, clock)
+    return Port(bus, poll, configuration.timing, clock)
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:
