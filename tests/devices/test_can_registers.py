@@ -105,7 +105,7 @@ def test_a_frame_needs_the_bytes_of_its_own_page(
 ) -> None:
     (status,) = mapped(tmp_path, {}).statuses
     decoded = status.codec.decode(data)
-    assert (str(decoded.verdict), dict(decoded.values)) == (verdict, values)
+    assert (str(decoded[0]), dict(decoded[1])) == (verdict, values)
     if verdict == "wrong_length":
         needed = {0: 1, 2: 3, 4: 5}[len(data)]
         assert status.codec.required(data) == needed

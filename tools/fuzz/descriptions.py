@@ -32,8 +32,8 @@ def mqtt(data: bytes) -> object:
 
 def dbc(data: bytes) -> object:
     """Read a DBC, and look at each of its signals."""
-    description = read_dbc(damaged_file("fuzzed.dbc", data))
-    database, catalogue = description.database, SignalCatalogue(description, fd=True)
+    database, remarks = read_dbc(damaged_file("fuzzed.dbc", data))
+    catalogue = SignalCatalogue(database, remarks, fd=True)
     for message in database.messages:
         proofs(message)
         if catalogue.message(message.name, "bus") is not None:

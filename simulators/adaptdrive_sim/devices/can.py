@@ -81,11 +81,11 @@ class CanDrive:
         codec = self._codecs.get((frame.arbitration_id, frame.is_extended_id))
         if codec is None:
             return
-        decoded = codec.decode(bytes(frame.data))
-        if decoded.verdict is not integrity.FrameVerdict.GOOD:
-            self._refuse(decoded.verdict.value)
+        verdict, values, _ = codec.decode(bytes(frame.data))
+        if verdict is not integrity.FrameVerdict.GOOD:
+            self._refuse(verdict.value)
             return
-        self._take_values(codec, decoded.values)
+        self._take_values(codec, values)
 
     def _take_values(self, codec: MessageCodec, values: Mapping[str, float]) -> None:
         orders = [order for order in self._orders if order.codec is codec]

@@ -19,8 +19,8 @@ from adaptdrive.config import polled, root
 from adaptdrive.config.bus import COMMANDED, MEASURED, CanBus, Signals, SignalSource, SwitchSource
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.can import database
-from adaptdrive.devices.can.codec import MessageCodec, counter_modulus
-from adaptdrive.devices.can.layout import compile_field
+from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.can.layout import compile_field, counter_modulus
 from adaptdrive.devices.can.orders import (
     CommandFrame,
     build_orders,

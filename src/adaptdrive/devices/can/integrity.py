@@ -169,7 +169,7 @@ def _profile_1(integrity: FrameIntegrity) -> Checksum:
     return lambda data, _: crc(data)
 
 
-def covered_bytes(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], bytes]:
+def covered(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], bytes]:
     """Return what takes the bytes that the checksum covers out of a frame.
 
     Args:

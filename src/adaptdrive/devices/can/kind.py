@@ -26,6 +26,7 @@ from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_c
 from adaptdrive.devices.can import codec, connection, integrity, port
 from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.database import open_catalogue
+from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.can.mapping import (
     CanMapping,
     CanSource,
@@ -176,18 +177,12 @@ class SensorPort(CountingPort):
             self.take_garbage()
             return
         self._counts["received"] += 1
-        decoded = message.codec.decode(bytes(frame.data))
-        self._counts["counter_lost"] += decoded.lost
-        if decoded.values and decoded.verdict in {
-            integrity.FrameVerdict.GOOD,
-            integrity.FrameVerdict.OUT_OF_RANGE,
-        }:
-            self._pass_on(message, decoded.values, self._clock() - self._arrivals.waited_s(frame))
-        if decoded.verdict not in {
-            integrity.FrameVerdict.GOOD,
-            integrity.FrameVerdict.COUNTER_LOST,
-        }:
-            self._counts[decoded.verdict] += 1
+        verdict, values, lost = message.codec.decode(bytes(frame.data))
+        self._counts["counter_lost"] += lost
+        if values and verdict in {FrameVerdict.GOOD, FrameVerdict.OUT_OF_RANGE}:
+            self._pass_on(message, values, self._clock() - self._arrivals.waited_s(frame))
+        if verdict not in {FrameVerdict.GOOD, FrameVerdict.COUNTER_LOST}:
+            self._counts[verdict] += 1
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""

@@ -16,7 +16,7 @@ from adaptdrive.config.bus import CanBus, CanDescription, Signals
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import database, layout
-from adaptdrive.devices.can.codec import MessageCodec, counter_modulus
+from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.orders import (
     CommandFrame,
     are_apart,
@@ -162,7 +162,7 @@ def map_drive(
         setup=tuple(build_orders(catalogue, bus.integrity, setup, codecs)),
         clock=bus.clock_message,
         page=bus.clock_signal,
-        counter_modulus=None if counter is None else counter_modulus(counter.field),
+        counter_modulus=None if counter is None else layout.counter_modulus(counter.field),
         faults=binding.watched_words(bound.values()),
         others=binding.other_names(bound.values()),
         timing=timing,
@@ -230,7 +230,7 @@ def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cy
 
 def _pages(message: Message, signal: Signal) -> int:
     """Return the number of pages of a multiplexed message between two frames of a signal."""
-    if not layout.is_multiplexed(signal):
+    if not signal.multiplexer_ids:
         return 1
     selector = signal.multiplexer_signal
     siblings = [one for one in message.signals if one.multiplexer_signal == selector]

@@ -250,21 +250,20 @@ class Port:
     def _take_status(self, status: StatusFrame, frame: can.Message) -> None:
         waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - waited_s
-        decoded = status.codec.decode(bytes(frame.data))
-        verdict = decoded.verdict
-        if decoded.lost:
-            self._counts["counter_lost"] += decoded.lost
+        verdict, values, lost = status.codec.decode(bytes(frame.data))
+        if lost:
+            self._counts["counter_lost"] += lost
         if verdict is not _GOOD:
             self._refuse(status, verdict, frame)
             if verdict is integrity.FrameVerdict.COUNTER_LOST:
                 self._doubt(arrival_s)
             if verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
-                self._assembly.doubt(status, decoded.values)
+                self._assembly.doubt(status, values)
                 return
         elif self._refusals.any:
             self._refusals.accept(status.codec.label)
-        self._assembly.keep(status, decoded.values, arrival_s, whole=verdict is _GOOD)
-        if status is self._clocking and self._has_page(status, decoded.values, frame):
+        self._assembly.keep(status, values, arrival_s, whole=verdict is _GOOD)
+        if status is self._clocking and self._has_page(status, values, frame):
             self._asked_s = max(self._asked_s, arrival_s)
             stopped = self._obedience.awaited
             reading = self._assembly.reading(

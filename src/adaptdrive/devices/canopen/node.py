@@ -85,15 +85,16 @@ class Reports:
         Returns:
             Whether it was the last of its set.
         """
-        decoded, name = status.codec.decode(data), status.codec.name
-        if decoded.verdict is not integrity.FrameVerdict.GOOD:
-            self._counts[decoded.verdict] += 1
+        verdict, found, _ = status.codec.decode(data)
+        name = status.codec.name
+        if verdict is not integrity.FrameVerdict.GOOD:
+            self._counts[verdict] += 1
             self._refused += 1
-            if decoded.verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
+            if verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
                 return False
         elif self._sampled_s is None:
             self._counts["counter_stuck"] += 1
-        values = self._hear(status, decoded.values, arrival_s)
+        values = self._hear(status, found, arrival_s)
         if name in self._heard:
             self.begin(None)
             self._repeated = name
