@@ -15,17 +15,7 @@ from dataclasses import replace
 from threading import Event
 from typing import Any, Generic, Literal
 
-from adaptdrive.config import root, section
-from adaptdrive.config.bus import (
-    CODE,
-    MEASURED,
-    WORDS,
-    CommandSignals,
-    CommandSwitch,
-    FaultSource,
-    SignalSource,
-    SwitchSource,
-)
+from adaptdrive.config import bus, root, section
 from adaptdrive.devices import description, faults
 from adaptdrive.devices.description import Item, Sink, Source
 from adaptdrive.devices.field import Field
@@ -47,13 +37,13 @@ _ROUNDING = 1e-6
 _PRECISION = 1e-12
 """Share of itself by which a value of more than 40 bits may do so."""
 
-Given = tuple[str, SignalSource, str]
+Given = tuple[str, bus.SignalSource, str]
 """A quantity, its entry in the configuration, and the place of that."""
 
 
 def is_word(quantity: str) -> bool:
     """Return whether a quantity is an integer as it stands."""
-    return quantity.partition(".")[0] in WORDS
+    return quantity.partition(".")[0] in bus.WORDS
 
 
 def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
@@ -61,7 +51,7 @@ def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
     return tuple(
         one.quantity
         for one in sources
-        if one.quantity not in MEASURED and not is_word(one.quantity)
+        if one.quantity not in bus.MEASURED and not is_word(one.quantity)
     )
 
 
@@ -70,9 +60,9 @@ def watched_words(sources: Iterable[Source[Any]]) -> dict[str, faults.FaultWord]
     return {one.quantity: one.word for one in sources if one.word is not None}
 
 
-def sensor_entries(bus: root.SensorBusSection, place: str) -> Iterator[Given]:
+def sensor_entries(sensors: root.SensorBusSection, place: str) -> Iterator[Given]:
     """Yield every quantity that sensors send."""
-    return ((name, given, f"{place}.signals.{name}") for name, given in bus.signals.items())
+    return ((name, given, f"{place}.signals.{name}") for name, given in sensors.signals.items())
 
 
 class Catalogue(ABC, Generic[Item]):
@@ -154,7 +144,7 @@ class Catalogue(ABC, Generic[Item]):
         return found
 
     def sinks(
-        self, command: CommandSignals, demands: description.Demands = description.NO_DEMANDS
+        self, command: bus.CommandSignals, demands: description.Demands = description.NO_DEMANDS
     ) -> list[Sink[Item]]:
         """Find the destination of each part of the command; what does not fit is collected.
 
@@ -166,7 +156,7 @@ class Catalogue(ABC, Generic[Item]):
         if command.copies and not self.has_copies:
             self.note(f"{_COMMAND}.copies", "are for a drive that is described by a DBC")
         for name in ("current_scale_S", "boost_reference_V"):
-            entry: SignalSource | None = getattr(command, name)
+            entry: bus.SignalSource | None = getattr(command, name)
             item = None if entry is None else self.find(entry.signal, f"{_COMMAND}.{name}")
             if entry is not None and item is not None:
                 found.append(self._value(name, entry, item, demands))
@@ -217,16 +207,16 @@ class Catalogue(ABC, Generic[Item]):
         else:
             self.check_unit(entry, field, demands.unit_of(quantity), place)
             self._check_trip(given, field, demands)
-        if isinstance(entry, FaultSource):
+        if isinstance(entry, bus.FaultSource):
             word = self._watched(quantity, entry, field, place)
-        elif quantity.endswith(CODE):
-            label, of = self._label(entry), quantity.removesuffix(CODE)
+        elif quantity.endswith(bus.CODE):
+            label, of = self._label(entry), quantity.removesuffix(bus.CODE)
             word = faults.FaultWord(label, -1, field.names, code_of=of)
-        if isinstance(entry, SwitchSource):
+        if isinstance(entry, bus.SwitchSource):
             on = self._on(entry, field, f"{place}.on")
         return Source(quantity, item, field, entry.scale, entry.offset, on, place, word)
 
-    def check_unit(self, entry: SignalSource, field: Field, wanted: str, place: str) -> None:
+    def check_unit(self, entry: bus.SignalSource, field: Field, wanted: str, place: str) -> None:
         """Collect what is wrong with the unit of an entry, which should lead to the wanted one."""
         problem = section.unit_problem(entry, field.unit, wanted)
         self.note(place, problem and f"{entry.signal}: {problem}")
@@ -254,7 +244,7 @@ class Catalogue(ABC, Generic[Item]):
         self.note(place, problem)
 
     def _watched(
-        self, quantity: str, entry: FaultSource, field: Field, place: str
+        self, quantity: str, entry: bus.FaultSource, field: Field, place: str
     ) -> faults.FaultWord:
         """Return a watched word.
 
@@ -279,12 +269,12 @@ class Catalogue(ABC, Generic[Item]):
         )
 
     @staticmethod
-    def _label(entry: SignalSource) -> str:
+    def _label(entry: bus.SignalSource) -> str:
         """Return the name of a word for a trip: of a signal its own, of an object all of it."""
         numbered = entry.signal[:2].lower() == "0x"
         return entry.signal if numbered else entry.signal.rpartition(".")[2]
 
-    def _on(self, entry: SwitchSource, field: Field, place: str) -> float | None:
+    def _on(self, entry: bus.SwitchSource, field: Field, place: str) -> float | None:
         """Return the value that means on; one that no good report has is a flaw."""
         given = self.on if entry.on is None else entry.on
         on = None if given is None else self.resolve(field, given, place)
@@ -303,7 +293,9 @@ class Catalogue(ABC, Generic[Item]):
             self.cautions.append(Flaw(place, problem))
         return on
 
-    def _switches(self, switch: CommandSwitch | None, name: str = BRIDGE) -> Iterator[Sink[Item]]:
+    def _switches(
+        self, switch: bus.CommandSwitch | None, name: str = BRIDGE
+    ) -> Iterator[Sink[Item]]:
         place = f"{_COMMAND}.{name}"
         item = None if switch is None else self.find(switch.signal, place)
         if switch is None or item is None:
@@ -320,7 +312,7 @@ class Catalogue(ABC, Generic[Item]):
             yield Sink(name, item, field, off, on - off)
 
     def _value(
-        self, name: str, entry: SignalSource, item: Item, demands: description.Demands
+        self, name: str, entry: bus.SignalSource, item: Item, demands: description.Demands
     ) -> Sink[Item]:
         """Return where a value goes; one that cannot be 0, or what the limits allow, is a flaw."""
         place, field = f"{_COMMAND}.{name}", self.field(item, "command")

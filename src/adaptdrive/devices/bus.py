@@ -12,14 +12,11 @@ from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from typing import Any, TypeVar
 
-from adaptdrive.config import Configuration
-from adaptdrive.config.bus import MEASURED
+from adaptdrive.config import Configuration, bus
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices import description
-from adaptdrive.devices.description import Sink
 from adaptdrive.devices.port import Port, PortStatistics, SensorPort
-from adaptdrive.util.clock import look_up
-from adaptdrive.util.errors import Flaw
+from adaptdrive.util import clock, errors
 
 # The parts by which one kind of bus takes its place in the daemon.
 
@@ -52,12 +49,12 @@ def stale_limits(configuration: Configuration, _: Path | str) -> Iterator[Row]:
         configuration: The drive.
     """
     signals = configuration.signals
-    given = [name for name in MEASURED if getattr(signals, name) is not None]
+    given = [name for name in bus.MEASURED if getattr(signals, name) is not None]
     for name in (*given, *signals.other):
         yield f"stale {name}", configuration.interlocks.stale_s, "interlocks.stale_s"
 
 
-def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator[Flaw]:
+def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator[errors.Flaw]:
     """Yield one word on a drive's time-out that is not stated, or ends before pauses of the daemon.
 
     One command may be lost, and the next one late; the drive or the daemon may be silent.
@@ -69,7 +66,7 @@ def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator
     """
     timeout_s, every_ms = timing.command_timeout_s, timing.reading_s * 1e3
     if timeout_s is None:
-        yield Flaw(
+        yield errors.Flaw(
             "bus.command_timeout_s",
             "is left out: a drive without a time-out of its own stays energised when the daemon, "
             "its computer or the cable fails; state it, or wire a contactor for that",
@@ -85,14 +82,14 @@ def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator
     if longer:
         named = ", nor than ".join(f"{pause_s:.4g} s, {meaning}" for pause_s, meaning, _ in longer)
         keys = " and ".join(one for _, _, one in longer)
-        yield Flaw(
+        yield errors.Flaw(
             "bus.command_timeout_s",
             f"{timeout_s:g} s is not longer than {named}: the drive stops by itself before; set a "
             f"longer time-out in the drive, or lower {keys}",
         )
 
 
-def polled_cautions(configuration: Configuration) -> Iterator[Flaw]:
+def polled_cautions(configuration: Configuration) -> Iterator[errors.Flaw]:
     """Yield what the own time-out of a drive that is polled does not fit."""
     return timeout_cautions(configuration.timing, "bus.poll_ticks")
 
@@ -107,7 +104,7 @@ def tcp_locks(kind: str, host: str, port: int, rest: str = "") -> Iterator[str]:
         rest: The rest of its address, such as the id of the device.
     """
     with contextlib.suppress(OSError, ValueError, TimeoutError):
-        found = look_up(host, port).result(_LOOK_UP_S)
+        found = clock.look_up(host, port).result(_LOOK_UP_S)
         for address in sorted({*map(_plain, found)}):
             yield f"{kind} address {address} port {port}{rest}"
 
@@ -139,7 +136,7 @@ class BusKind:
     """
 
     build_port: BuildPort
-    cautions: Callable[[Configuration], Iterator[Flaw]]
+    cautions: Callable[[Configuration], Iterator[errors.Flaw]]
     build_sensors: BuildSensors | None = None
     time_limits: Callable[[Configuration, Path | str], Iterator[Row]] = stale_limits
     lock_names: Callable[[Configuration], Iterator[str]] = lambda _: iter(())
@@ -220,7 +217,7 @@ _LEAST_S = 0.1
 """Shortest time of a level: drives look at such a bit every few milliseconds."""
 
 
-async def pulse_reset(sinks: Iterable[Sink[Any]], reading_s: float) -> None:
+async def pulse_reset(sinks: Iterable[description.Sink[Any]], reading_s: float) -> None:
     """Switch the reset of a fault on and off with the next commands; nothing where there is none.
 
     Args:

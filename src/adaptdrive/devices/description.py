@@ -12,9 +12,7 @@ from textwrap import shorten
 from threading import Event
 from typing import Generic, TypeVar
 
-from adaptdrive.config import Configuration
-from adaptdrive.config.bus import COMMANDED
-from adaptdrive.config.section import WANTED
+from adaptdrive.config import Configuration, bus, section
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
@@ -98,7 +96,7 @@ class Demands:
         """The unit of a quantity, empty for one of any unit."""
         if quantity in {"boost_voltage_V", "boost_reference_V"}:
             return self.drive_unit
-        return self.output_unit if quantity == "output" else WANTED.get(quantity, "")
+        return self.output_unit if quantity == "output" else section.WANTED.get(quantity, "")
 
 
 NO_DEMANDS = Demands()
@@ -179,7 +177,7 @@ class Sink(Generic[Item]):
     @property
     def is_commanded(self) -> bool:
         """True for a part of the command that is no constant, and no copy of what is measured."""
-        return self.reset is not None or self.name in COMMANDED
+        return self.reset is not None or self.name in bus.COMMANDED
 
     def value(self, command: Command) -> float:
         """The value in the unit of the field."""

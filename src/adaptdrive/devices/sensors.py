@@ -15,15 +15,7 @@ from types import MappingProxyType
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.root import Derived, Rule, needed_names
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.port import (
-    FAREWELL_GAP_S,
-    FAREWELLS,
-    Listener,
-    Port,
-    PortStatistics,
-    Reading,
-    SensorPort,
-)
+from adaptdrive.devices import port as ports
 
 
 @dataclass(slots=True)
@@ -44,7 +36,7 @@ class SensorBus:
     """
 
     name: str
-    port: SensorPort
+    port: ports.SensorPort
     stale_s: float
     needed: tuple[str, ...]
     report: Callable[[bool, str], None] = lambda _up, _detail: None
@@ -129,7 +121,7 @@ class SensoredPort:
 
     def __init__(
         self,
-        drive: Port,
+        drive: ports.Port,
         buses: Sequence[SensorBus],
         derived: Mapping[str, Derived],
         clock: Callable[[], float],
@@ -158,7 +150,7 @@ class SensoredPort:
         self._derived = derived
         self._voltage_parts = needed_names(derived, ("boost_voltage_V",))
         self._clock = clock
-        self._listener: Listener | None = None
+        self._listener: ports.Listener | None = None
         self._ends = False
         self.sampled: Callable[[], None] = lambda: None
         """Called after a reading of the drive that had new values of a sensor bus."""
@@ -170,7 +162,7 @@ class SensoredPort:
         return "; ".join([self._drive.description, *sensors])
 
     @property
-    def statistics(self) -> PortStatistics:
+    def statistics(self) -> ports.PortStatistics:
         """Counts of the drive's own port."""
         return self._drive.statistics
 
@@ -187,7 +179,7 @@ class SensoredPort:
         """Time at which the safe command in force was taken, infinite while none is in force."""
         return self._drive.safe_s
 
-    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+    async def run(self, listener: ports.Listener, opened: Callable[[], None]) -> None:
         """Serve the drive and the sensors until cancelled; the sensors end first.
 
         Args:
@@ -211,16 +203,16 @@ class SensoredPort:
             await bus.port.run(bus)
         except Exception:
             self._ends = True  # no other command goes out from now on
-            for _ in range(FAREWELLS):
+            for _ in range(ports.FAREWELLS):
                 self._drive.send(SAFE_COMMAND)
-                await asyncio.sleep(FAREWELL_GAP_S)
+                await asyncio.sleep(ports.FAREWELL_GAP_S)
             raise
 
     def send(self, command: Command) -> bool:
         """Send one command to the drive now, the safe one once a sensor bus has failed."""
         return self._drive.send(SAFE_COMMAND if self._ends else command)
 
-    def on_reading(self, reading: Reading) -> None:
+    def on_reading(self, reading: ports.Reading) -> None:
         """Complete a reading of the drive and pass it on."""
         if self._listener is not None:
             self._listener.on_reading(self.completed(reading))
@@ -235,7 +227,7 @@ class SensoredPort:
         if self._listener is not None:
             self._listener.on_bus(up, detail)
 
-    def completed(self, reading: Reading) -> Reading:
+    def completed(self, reading: ports.Reading) -> ports.Reading:
         """Return a reading with the values of the sensors and those that are derived.
 
         Args:
@@ -251,7 +243,7 @@ class SensoredPort:
         found = {name: values.get(name, math.nan) for name in MEASURED}
         return replace(reading, other=values, voltage_s=self._voltage_s(reading), **found)
 
-    def _voltage_s(self, reading: Reading) -> float | None:
+    def _voltage_s(self, reading: ports.Reading) -> float | None:
         """Return when the oldest sensor value of which v_bst is made was taken."""
         times = [
             bus.taken_s[name]

@@ -13,11 +13,10 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity, SignalRange
-from adaptdrive.devices import binding
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import codec, layout
 from adaptdrive.devices.can.bus import channel_flaws
 from adaptdrive.devices.can.integrity import CHECK_INPUT, crc_function
-from adaptdrive.devices.description import read_description
 from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
@@ -51,7 +50,7 @@ def read_dbc(path: Path, source: Path | str = "configuration", bus: str = "bus")
     Raises:
         ConfigurationError: The file cannot be read or is no DBC.
     """
-    return read_description(path, source, f"{bus}.database", _described)
+    return description.read_description(path, source, f"{bus}.database", _described)
 
 
 def describe(

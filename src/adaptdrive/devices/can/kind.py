@@ -23,17 +23,9 @@ from adaptdrive.config.root import CanSensorSection as Config
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
-from adaptdrive.devices.can import codec, connection, integrity, port
+from adaptdrive.devices.can import codec, connection, integrity, mapping, port
 from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.database import open_catalogue
-from adaptdrive.devices.can.integrity import FrameVerdict
-from adaptdrive.devices.can.mapping import (
-    CanMapping,
-    CanSource,
-    StatusFrame,
-    map_drive,
-    status_frame,
-)
 from adaptdrive.devices.port import SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -113,7 +105,7 @@ def map_sensors(
     place: str,
     source: Path | str,
     demands: description.Demands = description.NO_DEMANDS,
-) -> tuple[StatusFrame, ...]:
+) -> tuple[mapping.StatusFrame, ...]:
     """Find every configured signal in the DBC.
 
     Args:
@@ -126,15 +118,15 @@ def map_sensors(
         ConfigurationError: Something does not fit; every flaw is listed.
     """
     catalogue = open_catalogue(bus, source, place)
-    found: dict[str, list[CanSource]] = {}
+    found: dict[str, list[mapping.CanSource]] = {}
     for one in catalogue.sources(binding.sensor_entries(bus, place), demands):
         message, signal = one.item
-        value = CanSource(one.quantity, signal.name, one.scale, one.offset)
+        value = mapping.CanSource(one.quantity, signal.name, one.scale, one.offset)
         found.setdefault(message.name, []).append(value)
     catalogue.check_uses({f"{place}.signals": found})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
-    return tuple(status_frame(catalogue, bus, *item, bus.cycle_s) for item in found.items())
+    return tuple(mapping.status_frame(catalogue, bus, *item, bus.cycle_s) for item in found.items())
 
 
 class SensorPort(CountingPort):
@@ -145,7 +137,7 @@ class SensorPort(CountingPort):
     """
 
     def __init__(
-        self, config: Config, messages: tuple[StatusFrame, ...], clock: Callable[[], float]
+        self, config: Config, messages: tuple[mapping.StatusFrame, ...], clock: Callable[[], float]
     ) -> None:
         super().__init__()
         self._config = config
@@ -179,9 +171,9 @@ class SensorPort(CountingPort):
         self._counts["received"] += 1
         verdict, values, lost = message.codec.decode(bytes(frame.data))
         self._counts["counter_lost"] += lost
-        if values and verdict in {FrameVerdict.GOOD, FrameVerdict.OUT_OF_RANGE}:
+        if values and verdict in {integrity.FrameVerdict.GOOD, integrity.FrameVerdict.OUT_OF_RANGE}:
             self._pass_on(message, values, self._clock() - self._arrivals.waited_s(frame))
-        if verdict not in {FrameVerdict.GOOD, FrameVerdict.COUNTER_LOST}:
+        if verdict not in {integrity.FrameVerdict.GOOD, integrity.FrameVerdict.COUNTER_LOST}:
             self._counts[verdict] += 1
 
     async def _serve(self, announce: Callable[[], None]) -> str:
@@ -192,7 +184,9 @@ class SensorPort(CountingPort):
             message.codec.resume()
         return await self._connection.read_beside(self._watch_silence(), "silence")
 
-    def _pass_on(self, message: StatusFrame, values: Mapping[str, float], arrival_s: float) -> None:
+    def _pass_on(
+        self, message: mapping.StatusFrame, values: Mapping[str, float], arrival_s: float
+    ) -> None:
         found = {
             one.quantity: value * one.scale + one.offset
             for one in message.sources
@@ -226,10 +220,14 @@ def _build(
     )
 
 
-def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanMapping:
+def _mapped(
+    configuration: Configuration, source: Path | str = "configuration"
+) -> mapping.CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
     timing, demands = configuration.timing, description.demands_of(configuration)
-    return map_drive(bus_of(configuration, CanBus), configuration.signals, timing, source, demands)
+    return mapping.map_drive(
+        bus_of(configuration, CanBus), configuration.signals, timing, source, demands
+    )
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
@@ -243,17 +241,17 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
-    timing, mapping = configuration.timing, _mapped(configuration)
-    sources = [(status.codec.name, one) for status in mapping.statuses for one in status.sources]
+    timing, mapped = configuration.timing, _mapped(configuration)
+    sources = [(status.codec.name, one) for status in mapped.statuses for one in status.sources]
     slack_s = min(one.slack_s for _, one in sources)
     yield from timeout_cautions(timing, "bus.clock_ticks", slack_s)
     for message, one in sources:
         if one.quantity == "bridge":
             yield from _bridge_cautions(timing, message, one)
-    yield from mapping.cautions
+    yield from mapped.cautions
 
 
-def _bridge_cautions(timing: Timing, message: str, bridge: CanSource) -> Iterator[Flaw]:
+def _bridge_cautions(timing: Timing, message: str, bridge: mapping.CanSource) -> Iterator[Flaw]:
     """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
     timeout_s, limit_s = timing.command_timeout_s, timing.silent_s
     every_s, says = bridge.cycle_s, f"comes every {bridge.cycle_s * 1e3:.4g} ms"

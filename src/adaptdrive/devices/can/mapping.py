@@ -25,7 +25,6 @@ from adaptdrive.devices.can.orders import (
     find_copies,
     find_orders,
 )
-from adaptdrive.devices.description import Source
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -132,25 +131,25 @@ def map_drive(
             _source(catalogue, bus, timing, clock, one)
         )
     sinks = catalogue.sinks(signals.command, demands)
-    orders = find_orders(catalogue, [*sinks, *find_copies(catalogue, signals, demands)])
+    parts = find_orders(catalogue, [*sinks, *find_copies(catalogue, signals, demands)])
     setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
     if clock is not None:
         catalogue.note("bus.clock", _clock_problem(bus, sources))
-    check_rates(catalogue, bus.send_every_s, orders)
-    for message in bus.polled.keys() & {**orders, **setup}:
+    check_rates(catalogue, bus.send_every_s, parts)
+    for message in bus.polled.keys() & {**parts, **setup}:
         catalogue.note(f"bus.polled.{message}", "it carries the command: name one that is read")
     own = [
         name
         for name in setup
-        if name not in orders or not are_apart(catalogue.known(name), setup[name], orders[name])
+        if name not in parts or not are_apart(catalogue.known(name), setup[name], parts[name])
     ]
-    catalogue.check_uses({"signals": sources, "signals.command": orders, "bus.setup": own})
+    catalogue.check_uses({"signals": sources, "signals.command": parts, "bus.setup": own})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     counter = bound.get("counter")
     commanded = tuple(
         replace(one, every_s=bus.send_every_s.get(one.codec.name, 0.0))
-        for one in build_orders(catalogue, bus.integrity, orders)
+        for one in build_orders(catalogue, bus.integrity, parts)
     )
     codecs = {one.codec.name: one.codec for one in commanded}
     return CanMapping(
@@ -184,7 +183,7 @@ def _source(
     bus: CanBus,
     timing: Timing,
     clock: Message | None,
-    source: Source[database.Located],
+    source: description.Source[database.Located],
 ) -> CanSource:
     message, signal = source.item
     cycle = _cycle(message, bus, timing, pages=_pages(message, signal))

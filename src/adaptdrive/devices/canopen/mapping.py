@@ -18,9 +18,9 @@ from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can.bus import channel_flaws
 from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
-from adaptdrive.devices.description import Sink, Source
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -116,25 +116,24 @@ def _signal(entry: Entry, start: int) -> Signal:
 
 # Mapping of objects to quantities: checks the configuration against its EDS.
 
-Bound = TypeVar("Bound", Source[Entry], Sink[Entry])
+Bound = TypeVar("Bound", description.Source[Entry], description.Sink[Entry])
 
-DEVICE_TYPE = (0x1000, 0)
-SYNC_ID = (0x1005, 0)
-SYNC_PERIOD = (0x1006, 0)
-HEARTBEATS_HEARD = (0x1016, 1)
-HEARTBEAT_SENT = (0x1017, 0)
-ABORT_OPTION = (0x6007, 0)
-QUICK_STOP_OPTION = (0x605A, 0)
-
-_OPTIONAL = (SYNC_ID, SYNC_PERIOD, ABORT_OPTION, QUICK_STOP_OPTION)
+_OPTIONAL = (
+    dictionary.SYNC_ID,
+    dictionary.SYNC_PERIOD,
+    dictionary.ABORT_OPTION,
+    dictionary.QUICK_STOP_OPTION,
+)
 _ASKED = {
-    SYNC_ID: "its SYNC is taken to be 0x080, as CiA 301 has it",
-    HEARTBEATS_HEARD: "the drive is asked for it, and not used without: it monitors the daemon",
+    dictionary.SYNC_ID: "its SYNC is taken to be 0x080, as CiA 301 has it",
+    dictionary.HEARTBEATS_HEARD: (
+        "the drive is asked for it, and not used without: it monitors the daemon"
+    ),
 }
 """Objects that the drive may have although its EDS does not list them, and what is done then."""
 
 _NEEDED = {
-    HEARTBEAT_SENT: "its heartbeat could not be monitored",
+    dictionary.HEARTBEAT_SENT: "its heartbeat could not be monitored",
     CONTROLWORD: "it is no CiA 402 drive",
     STATUSWORD: "it is no CiA 402 drive",
 }
@@ -151,7 +150,7 @@ class StatusPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sources: tuple[Source[Entry], ...]
+    sources: tuple[description.Source[Entry], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +159,7 @@ class CommandPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sinks: tuple[Sink[Entry], ...]
+    sinks: tuple[description.Sink[Entry], ...]
 
     def encode(self, command: Command, word: int) -> tuple[int, bytes]:
         """Return the id and the bytes of its frame.
@@ -207,7 +206,7 @@ class CanOpenMapping:
     faults: Mapping[str, FaultWord]
 
     @property
-    def sources(self) -> tuple[Source[Entry], ...]:
+    def sources(self) -> tuple[description.Source[Entry], ...]:
         """Every quantity that is measured."""
         return tuple(source for status in self.statuses for source in status.sources)
 
@@ -238,11 +237,9 @@ def map_drive(
     taken = [catalogue.at(CONTROLWORD), *(one.item for one in sinks)]
     transmits, unsent = _plan(catalogue, bus.node_id, "TPDO", sent)
     receives, untaken = _plan(catalogue, bus.node_id, "RPDO", taken)
-    if catalogue.at(ABORT_OPTION) is None:
-        lacks = (
-            f"has no {label(ABORT_OPTION)}: the daemon cannot make the drive disable its voltage"
-        )
-        advice = "when the heartbeat stops; see in its manual that it does, and try it"
+    if catalogue.at(dictionary.ABORT_OPTION) is None:
+        lacks = f"has no {label(dictionary.ABORT_OPTION)}: the daemon cannot make the drive disable"
+        advice = "its voltage when the heartbeat stops; see in its manual that it does, and try it"
         catalogue.cautions.append(Flaw("bus.eds", f"{lacks} {advice}"))
     setup = tuple(_setup(catalogue, bus, {one.item.address for one in sinks}))
     if catalogue.flaws:

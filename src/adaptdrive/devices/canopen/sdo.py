@@ -22,17 +22,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.devices.canopen import dictionary
-from adaptdrive.devices.canopen.mapping import (
-    ABORT_OPTION,
-    DEVICE_TYPE,
-    HEARTBEAT_SENT,
-    HEARTBEATS_HEARD,
-    QUICK_STOP_OPTION,
-    SYNC_ID,
-    SYNC_PERIOD,
-    CanOpenMapping,
-    Pdo,
-)
+from adaptdrive.devices.canopen.mapping import CanOpenMapping, Pdo
 from adaptdrive.devices.canopen.profile import CONTROLWORD, DISABLE_VOLTAGE
 from adaptdrive.util.errors import BusError
 
@@ -266,7 +256,7 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
     server.offer(CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))
     for address, data in watch_writes(bus, mapping):
         # a consumer that is written anew waits for a first heartbeat: its time-out would not end
-        if address != HEARTBEATS_HEARD or server.read(address, len(data)) != data:
+        if address != dictionary.HEARTBEATS_HEARD or server.read(address, len(data)) != data:
             server.write_surely(address, data)
     _end_quick_stops(server, mapping)
     for address, data in sync_writes(bus, mapping, half_cycle_s):
@@ -285,24 +275,24 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
 
 def watch_writes(bus: CanOpenBus, mapping: CanOpenMapping) -> Iterator[Write]:
     """Heartbeats, and what the drive does when the daemon's stop."""
-    yield HEARTBEAT_SENT, _milliseconds(bus.heartbeat_s).to_bytes(2, "little")
+    yield dictionary.HEARTBEAT_SENT, _milliseconds(bus.heartbeat_s).to_bytes(2, "little")
     consumer = bus.own_node_id << 16 | _milliseconds(bus.heartbeat_timeout_s)
-    yield HEARTBEATS_HEARD, consumer.to_bytes(4, "little")
-    if ABORT_OPTION in mapping.present:
-        yield ABORT_OPTION, _TO_DISABLE_VOLTAGE.to_bytes(2, "little")
+    yield dictionary.HEARTBEATS_HEARD, consumer.to_bytes(4, "little")
+    if dictionary.ABORT_OPTION in mapping.present:
+        yield dictionary.ABORT_OPTION, _TO_DISABLE_VOLTAGE.to_bytes(2, "little")
 
 
 def sync_writes(bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_s: float) -> Iterator[Write]:
     """Return the writes that select the sender of SYNC and its period."""
-    yield SYNC_ID, SYNC_COB_ID.to_bytes(4, "little")
-    if SYNC_PERIOD in mapping.present:
-        yield SYNC_PERIOD, round(1e6 * half_cycle_s).to_bytes(4, "little")
+    yield dictionary.SYNC_ID, SYNC_COB_ID.to_bytes(4, "little")
+    if dictionary.SYNC_PERIOD in mapping.present:
+        yield dictionary.SYNC_PERIOD, round(1e6 * half_cycle_s).to_bytes(4, "little")
     if bus.sync == "drive":
-        yield SYNC_ID, (SYNC_COB_ID | _PRODUCES_SYNC).to_bytes(4, "little")
+        yield dictionary.SYNC_ID, (SYNC_COB_ID | _PRODUCES_SYNC).to_bytes(4, "little")
 
 
 def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
-    profile = server.number(DEVICE_TYPE) & 0xFFFF
+    profile = server.number(dictionary.DEVICE_TYPE) & 0xFFFF
     if profile != _PROFILE:
         raise server.refuse(f"is no CiA 402 drive: its device type 0x1000 names profile {profile}")
     names = {dictionary.VENDOR: "vendor", dictionary.PRODUCT: "product"}
@@ -320,11 +310,11 @@ def _end_quick_stops(server: Server, mapping: CanOpenMapping) -> None:
 
     One that stays is ended by the next command to enable operation, before anybody has seen it.
     """
-    if QUICK_STOP_OPTION not in mapping.present:
+    if dictionary.QUICK_STOP_OPTION not in mapping.present:
         return
-    option = server.number(QUICK_STOP_OPTION)
+    option = server.number(dictionary.QUICK_STOP_OPTION)
     if option in _STAYING_STOPS:
-        server.write_surely(QUICK_STOP_OPTION, (option - _ENDED).to_bytes(2, "little"))
+        server.write_surely(dictionary.QUICK_STOP_OPTION, (option - _ENDED).to_bytes(2, "little"))
 
 
 def _describe(server: Server, pdo: Pdo, transmission: int) -> None:
