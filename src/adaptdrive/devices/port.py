@@ -12,7 +12,7 @@ of its quantity: that one keeps its own time and ages.
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.faults import FaultLatch, FaultWord
@@ -207,6 +207,9 @@ class SensorListener(Protocol):
 
     def on_bus(self, up: bool, detail: str) -> None:
         """Take note that the bus was lost (`up` False) or came back."""
+
+
+AnyListener = TypeVar("AnyListener", Listener, SensorListener)
 
 
 class SensorPort(Protocol):

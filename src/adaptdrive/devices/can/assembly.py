@@ -15,7 +15,7 @@ class StatusAssembly:
     """The newest values of one drive, and the readings that are made of them.
 
     Attributes:
-        faults: Faults since the last reading that was handed out.
+        newest: The values, by quantity.
         bridge_slack_s: Additional age of the report of the bridge, None for a drive that never
             reports it.
         bridge_cycle_s: Time from one report of the bridge to the next, 0 for a drive that never
@@ -34,21 +34,15 @@ class StatusAssembly:
         self.bridge_slack_s = None if bridge is None else bridge.slack_s
         self.bridge_cycle_s = 0.0 if bridge is None else bridge.cycle_s
         slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
-        self._newest = NewestValues(slacks, mapping.others, mapping.faults)
+        self.newest = NewestValues(slacks, mapping.others, mapping.faults)
         self._carried_on = self._come_on = False
         self.stop_seen = False
-        self.faults = self._newest.faults
-
-    @property
-    def powered(self) -> bool:
-        """True if the drive's last report has its bridge on."""
-        return self._newest.powered
 
     def forget(self) -> None:
         """Await a report of the bridge: the bus was opened again; counters may have advanced."""
         for status in self._statuses:
             status.codec.resume()
-        self._newest.forget("bridge")
+        self.newest.forget("bridge")
 
     def keep(
         self,
@@ -69,7 +63,7 @@ class StatusAssembly:
         values = self._quantities(status, found)
         expected = () if whole else status.sources
         refused = [one.quantity for one in expected if one.quantity not in values]
-        self._newest.keep(values, arrival_s, refused)
+        self.newest.keep(values, arrival_s, refused)
 
     def doubt(self, status: StatusFrame, found: Mapping[str, float]) -> None:
         """Look at a message that may be an old one: its alive counter leapt, or stands.
@@ -80,7 +74,7 @@ class StatusAssembly:
             status: The message.
             found: Good values by signal.
         """
-        self._newest.doubt(self._quantities(status, found))
+        self.newest.doubt(self._quantities(status, found))
 
     def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
         """Return the values of a message by quantity, and note its report of the bridge."""
@@ -113,10 +107,10 @@ class StatusAssembly:
             reading: The reading.
         """
         if reading.fault or reading.warning:
-            self.faults.clear(reading.fault)
+            self.newest.faults.clear(reading.fault)
         self.stop_seen = self.stop_seen and reading.bridge
         self._carried_on = reading.bridge and self.bridge_slack_s is not None
-        self._come_on = self.powered
+        self._come_on = self.newest.powered
 
     def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
         """Return the newest values and each fault since the last reading; None before all came.
@@ -130,21 +124,17 @@ class StatusAssembly:
                 assumed to follow.
             stopped: Whether the safe command is in force.
         """
-        reading = self._newest.reading(arrival_s, bridge=bridge_sent)
+        reading = self.newest.reading(arrival_s, bridge=bridge_sent)
         if reading is not None and self.stop_seen and not stopped:  # it was driven meanwhile
             return replace(reading, bridge=bridge_sent and not self._carried_on)
         return reading
-
-    def fresh(self, now_s: float, stale_s: float) -> dict[str, float]:
-        """Return the values that are not stale, as `NewestValues.fresh` does."""
-        return self._newest.fresh(now_s, stale_s)
 
     def oldest(self) -> tuple[StatusFrame, CanSource, float, float]:
         """Return the value that is out of date first: its message, its source, and its arrival.
 
         The last item is the arrival of the newest value; an arrival is -inf before the first.
         """
-        quantity, oldest_s, newest_s = self._newest.oldest()
+        quantity, oldest_s, newest_s = self.newest.oldest()
         return *self._sources[quantity], oldest_s, newest_s
 
 

@@ -245,7 +245,8 @@ class MessageCodec:
         span = self._span
         if span is None:
             return True
-        covered, held = self._covered(data), span.read(data)
+        first, end, order = span
+        covered, held = self._covered(data), int.from_bytes(data[first:end], order)
         if self._seen is None:
             return held == self._checksum(covered, 0)
         seen = self._seen(data)
@@ -257,7 +258,9 @@ class MessageCodec:
     def _with_checksum(self, data: bytes, counter: int) -> bytes:
         if self._span is None:
             return data
-        return self._span.write(data, self._checksum(self._covered(data), counter))
+        first, end, order = self._span
+        checksum = self._checksum(self._covered(data), counter)
+        return data[:first] + checksum.to_bytes(end - first, order) + data[end:]
 
     def _judge(self, raw: Mapping[str, Raw], *, repeated: bool) -> _Decoded:
         verdict, lost = self._follow(raw)

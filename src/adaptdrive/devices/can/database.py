@@ -278,7 +278,7 @@ class SignalCatalogue(binding.Catalogue[Located]):
         if key == "checksum":
             bits = integrity.crc.width if integrity.crc else 8
             span = layout.checksum_span(message, signal.name)
-            fits = span and 8 * span.length == bits and not signal.multiplexer_ids
+            fits = span and 8 * (span[1] - span[0]) == bits and not signal.multiplexer_ids
             size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
             return None if fits else f"signal {signal.name!r} must fill {size} of every frame"
         fits = signal.length == _NIBBLE_BITS and _is_count(signal)

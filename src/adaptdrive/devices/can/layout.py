@@ -154,7 +154,8 @@ def checksum_span(message: Message, checksum: str) -> Span | None:
     first_bit = signal.start if little else signal.start - 7
     if signal.length % 8 or first_bit % 8 or signal.is_float:
         return None
-    return Span(first_bit // 8, signal.length // 8, "little" if little else "big")
+    first = first_bit // 8
+    return first, first + signal.length // 8, "little" if little else "big"
 
 
 # Lines of a DBC that its parser refuses, although nothing may use them.

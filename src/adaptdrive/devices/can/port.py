@@ -26,7 +26,7 @@ from adaptdrive.devices.can.bus import as_received, requests
 from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.devices.can.mapping import CanMapping, StatusFrame
 from adaptdrive.devices.can.orders import CommandFrame, bridge_first
-from adaptdrive.devices.faults import LEAPT, Obedience, Relink, Rival
+from adaptdrive.devices.faults import LEAPT, Obedience, OtherSender, Relink
 
 _ASK_AGAIN_S = 1.0
 """Silence of the clock of a drive that is off after which its set-up is sent again: it may have
@@ -77,7 +77,7 @@ class Port:
         self._assembly = assembly.StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
-        self._rival = Rival(clock)
+        self._other_sender = OtherSender(clock)
         self._refusals = assembly.Refusals()
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
@@ -104,16 +104,16 @@ class Port:
     def complaint(self) -> str | None:
         """Another sender, a fault not carried yet, commands not taken, or a stop unheard."""
         return (
-            self._rival.complaint
-            or self._assembly.faults.complaint
-            or self._connection.uptake.complaint
+            self._other_sender.complaint
+            or self._assembly.newest.faults.complaint
+            or self._connection.complaint
             or self._relink.complaint
         )
 
     @property
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
-        return self._obedience.heard_s
+        return self._obedience.since_s
 
     def run(self, listener: port.Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -151,26 +151,26 @@ class Port:
         safe = not bridge and command == SAFE_COMMAND
         if not safe:
             self._obedience.forget()
-        self._relink.note(bridge=bridge, safe=safe)
+        self._relink.note_command(bridge=bridge, safe=safe)
         if self._disobeyed or self._must_report(bridge=bridge):
             self._counts["withheld_commands"] += 1
             return False
         if not bridge and self._clock() > self._asked_s + _ASK_AGAIN_S:
             self._set_up()
         if bridge and not self._bridge_sent and not self._set_up():  # it may have started anew
-            self._connection.uptake.note(taken=False)
+            self._connection.note_command(taken=False)
             return False
         taken = 0
         for frame in frames:
             taken += self._connection.send(frame)
-        self._connection.uptake.note(taken=taken == len(frames))
+        self._connection.note_command(taken=taken == len(frames))
         if taken < len(frames):  # the frame that energises may be one of those that went out
             self._bridge_sent = self._bridge_sent or (bridge and taken > 0)
             return False
         self._bridge_sent = bridge
         self._sent_s |= {order.codec.key: self._clock() for order in orders if order.every_s}
         if safe:
-            self._obedience.hear()
+            self._obedience.note_safe()
         return True
 
     def catch_up(self) -> None:
@@ -245,7 +245,7 @@ class Port:
             self._refusals.note(f"0x{frame.arbitration_id:03X}{sender}", None, bytes(frame.data))
         if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
             self._counts["foreign_commands"] += 1
-            self._rival.hear(self._commands[key])
+            self._other_sender.note(self._commands[key])
 
     def _take_status(self, status: StatusFrame, frame: can.Message) -> None:
         waited_s = self._arrivals.waited_s(frame)
@@ -305,9 +305,9 @@ class Port:
         reading, self._newest = self._newest, None
         if reading is not None and (listener := self._connection.listener) is not None:
             self._assembly.carry(reading)
-            self._connection.uptake.hear()
+            self._connection.note_reading()
             if reading.bridge_reported_s > self._leapt_s:
-                self._relink.hear(bridge=reading.bridge)
+                self._relink.note_reading(bridge=reading.bridge)
             listener.on_reading(reading)
 
     def _must_report(self, *, bridge: bool) -> bool:
@@ -317,7 +317,7 @@ class Port:
     @property
     def _disobeyed(self) -> bool:
         """True in every other second of a drive that is energised long after the safe command."""
-        seconds = self._obedience.overdue_s(powered=self._assembly.powered) / OBEY_S
+        seconds = self._obedience.overdue_s(powered=self._assembly.newest.powered) / OBEY_S
         return seconds >= 0.0 and int(seconds) % 2 == 0
 
     def _due(self, orders: Sequence[CommandFrame], *, bridge: bool) -> Sequence[CommandFrame]:
@@ -331,7 +331,7 @@ class Port:
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         stale_s = self._mapping.timing.stale_s
-        measured = self._assembly.fresh(self._clock(), stale_s) if order.copies else {}
+        measured = self._assembly.newest.fresh(self._clock(), stale_s) if order.copies else {}
         data, fast = order.encode(command, measured), self._config.bitrate_switch
         return order.codec.frame(data, bitrate_switch=fast)
 
@@ -345,7 +345,7 @@ class Port:
         """Use the open bus until it is lost; return the reason."""
         self._newest = None
         self._obedience.forget()
-        self._relink.open(bridge=self._bridge_sent, glimpsed=self._assembly.powered)
+        self._relink.open(bridge=self._bridge_sent, glimpsed=self._assembly.newest.powered)
         self._bridge_sent = False
         self._sent_s.clear()
         self._assembly.forget()

@@ -11,7 +11,6 @@ Emergency (EMCY) frames in words: classes of CiA 301 by the library, single code
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable
-from enum import IntEnum
 
 from canopen.emcy import EmcyError
 
@@ -40,13 +39,8 @@ _TAKING_S = 0.05
 none: several commands, and several of its cycles."""
 
 
-class NodeState(IntEnum):
-    """State of a node in its heartbeat."""
-
-    BOOT_UP = 0
-    STOPPED = 4
-    OPERATIONAL = 5
-    PRE_OPERATIONAL = 127
+BOOT_UP, OPERATIONAL = 0, 5
+"""States of a node in its heartbeat."""
 
 
 class Master:
@@ -115,9 +109,9 @@ class Master:
         """Take a heartbeat or a boot-up message."""
         self._heard_s = self._clock()
         self._state = state
-        if state == NodeState.BOOT_UP:
+        if state == BOOT_UP:
             self._booted, self.mapped = True, False
-        if self.ready and state != NodeState.OPERATIONAL:
+        if self.ready and state != OPERATIONAL:
             left = f"is not operational any more (state {state})"
             self._lose("has been restarted" if self._booted else left)
         self._heard.set()
@@ -148,7 +142,7 @@ class Master:
             raise BusError(describe_node(self._bus), "does not become operational")
 
     def _has_started(self) -> bool:
-        return self._state == NodeState.OPERATIONAL and not self._booted
+        return self._state == OPERATIONAL and not self._booted
 
     async def _watch(self, others_quiet: Callable[[], bool]) -> None:
         """Wait until the node is lost."""

@@ -68,14 +68,14 @@ class Port(NodePort):
         self._obedience = faults.Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
         self._been_up = False
-        self._rival = faults.Rival(clock)
+        self._other_sender = faults.OtherSender(clock)
         self._takers |= self._make_takers()
         self._connection.caught_up = self.hand_out
 
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for no reason."""
-        for seen in (self._rival, self._reports.faults, self._connection.uptake):
+        for seen in (self._other_sender, self._reports.faults, self._connection):
             if seen.complaint is not None:
                 return seen.complaint
         if self._connection.bus is None and self._control.fallen is None:
@@ -86,7 +86,7 @@ class Port(NodePort):
     @property
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
-        return self._obedience.heard_s
+        return self._obedience.since_s
 
     def send(self, command: Command) -> bool:
         """Send one command now, and the daemon's heartbeat when it is due.
@@ -111,13 +111,13 @@ class Port(NodePort):
                 self._disable_lost()
             return False
         taken = [self._connection.put(*frame) for frame in frames]
-        self._connection.uptake.note(taken=all(taken))
+        self._connection.note_command(taken=all(taken))
         if not all(taken):
             return False
         if self._obedience.overdue_s(powered=self._control.powered) <= 0.0:
             self._beat()
         if command == SAFE_COMMAND:
-            self._obedience.hear()
+            self._obedience.note_safe()
         return True
 
     def catch_up(self) -> None:
@@ -156,31 +156,31 @@ class Port(NodePort):
         that itself.
         """
         node, own, taken_by = self._config.node_id, self._config.own_node_id, functools.partial
-        another = taken_by(self._take_rival, "SYNC of another node")
+        another = taken_by(self._take_foreign_command, "SYNC of another node")
         takers: dict[int, Callable[[can.Message], None]] = {
             sdo.SYNC_COB_ID: self._take_sync if self._config.sync == "drive" else another,
             0x080 + node: self._take_emergency,
             0x600 + node: self._take_sdo_request,
             0x700 + node: self._take_heartbeat,
             0x700 + own: taken_by(
-                self._take_rival, "heartbeat of another node with bus.own_node_id"
+                self._take_foreign_command, "heartbeat of another node with bus.own_node_id"
             ),
         }
         for status in self._mapping.statuses:
             takers[status.codec.frame_id] = taken_by(self._take_pdo, status)
         for order in self._mapping.orders:
-            takers[order.codec.frame_id] = taken_by(self._take_rival, order.codec.name)
+            takers[order.codec.frame_id] = taken_by(self._take_foreign_command, order.codec.name)
         return takers
 
-    def _take_rival(self, name: str, frame: can.Message) -> None:
+    def _take_foreign_command(self, name: str, frame: can.Message) -> None:
         self._counts["foreign"] += 1
         self._counts["foreign_commands"] += 1
-        self._rival.hear(f"0x{frame.arbitration_id:03X} ({name})")
+        self._other_sender.note(f"0x{frame.arbitration_id:03X} ({name})")
 
     def _take_sdo_request(self, frame: can.Message) -> None:
         """Note that another sender writes an object; one that reads objects does no harm."""
         if frame.data and frame.data[0] >> 5 in _SDO_WRITES:
-            self._take_rival("SDO write", frame)
+            self._take_foreign_command("SDO write", frame)
             self._master.overwritten = True
         else:
             self._counts["foreign"] += 1
@@ -193,7 +193,7 @@ class Port(NodePort):
             self._counts["wrong_length"] += 1
             return
         state = frame.data[0] & 0x7F
-        if state == master.NodeState.BOOT_UP:
+        if state == master.BOOT_UP:
             self._emergency = None
         self._master.hear(state)
 
@@ -219,7 +219,7 @@ class Port(NodePort):
         """Pass the newest reading on: no more frames wait."""
         listener = self._connection.listener
         if listener is not None and (reading := self._reports.hand_out()) is not None:
-            self._connection.uptake.hear()
+            self._connection.note_reading()
             listener.on_reading(reading)
 
     async def _set_up(self) -> None:
@@ -243,9 +243,7 @@ class Port(NodePort):
         now_s = self._clock()
         if now_s - self._beat_s > self._config.heartbeat_s - self._half_cycle_s:
             self._beat_s = now_s
-            self._connection.put(
-                0x700 + self._config.own_node_id, bytes((master.NodeState.OPERATIONAL,))
-            )
+            self._connection.put(0x700 + self._config.own_node_id, bytes((master.OPERATIONAL,)))
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""
@@ -253,7 +251,9 @@ class Port(NodePort):
         try:
             with pulsing(self._half_cycle_s, *syncs):
                 announce()
-                node = self._master.run(self._report_node, lambda: self._rival.complaint is None)
+                node = self._master.run(
+                    self._report_node, lambda: self._other_sender.complaint is None
+                )
                 return await self._connection.read_beside(node, "node")
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong

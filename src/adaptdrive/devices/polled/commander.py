@@ -122,7 +122,7 @@ class Commander:
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
         on = self._obedience.overdue_s(powered=self._history.may_be_on) > 0.0
-        untaken_s = self._clock() - max(self._obedience.heard_s, self._begun_s)
+        untaken_s = self._clock() - max(self._obedience.since_s, self._begun_s)
         return on or (self.safe_s == math.inf and untaken_s > self._taken_s)
 
     @property
@@ -339,7 +339,7 @@ class Commander:
         self._written = None
         self._history.attempt(command)
         if command == SAFE_COMMAND:
-            self._obedience.hear()
+            self._obedience.note_safe()
         else:
             self.safe_s = math.inf
 

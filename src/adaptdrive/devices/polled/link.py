@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 
 from adaptdrive.devices.bus import CountingPort, backoff_s
 from adaptdrive.devices.polled.registers import Exchange
-from adaptdrive.devices.port import Listener, SensorListener
+from adaptdrive.devices.port import AnyListener
 from adaptdrive.util.clock import find
 from adaptdrive.util.errors import AdaptdriveError, BusError
 
@@ -286,13 +286,12 @@ class PolledLink(ABC):
 # A link that is polled: opened, served until it is lost, and opened again until the end.
 
 Link = TypeVar("Link", bound=PolledLink)
-Hearer = TypeVar("Hearer", Listener, SensorListener)
 
 _SILENT_CYCLES = 3
 """Cycles without a reading, or any reply, after which the bus is reported lost."""
 
 
-class Polling(CountingPort, ABC, Generic[Link, Hearer]):
+class Polling(CountingPort, ABC, Generic[Link, AnyListener]):
     """Parts that the port of a drive and that of sensors have in common.
 
     Attributes:
@@ -304,7 +303,7 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
         self.description = description
         self._cycle_s = cycle_s
         self._clock = clock
-        self._listener: Hearer | None = None
+        self._listener: AnyListener | None = None
         self._up: bool | None = None
         self._wake = asyncio.Event()
         self._closing = self._alike = False

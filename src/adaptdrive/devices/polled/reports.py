@@ -64,7 +64,7 @@ class PollHistory:
 
     def renew(self, command: Command) -> None:
         """Note that a new command was decided."""
-        self._relink.note(bridge=command.bridge, safe=command == SAFE_COMMAND)
+        self._relink.note_command(bridge=command.bridge, safe=command == SAFE_COMMAND)
         self._outdated = False
 
     def attempt(self, command: Command) -> None:
@@ -113,7 +113,7 @@ class PollHistory:
         self._powered = self.may_be_on = powered
         self._seen_s = self._read_s = self.reported_s
         self._blank = False
-        self._relink.hear(bridge=powered)
+        self._relink.note_reading(bridge=powered)
 
     def forget_report(self) -> None:
         """Begin a poll: reports of the one before do not count for its commands."""
