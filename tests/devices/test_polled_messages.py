@@ -261,7 +261,7 @@ async def test_an_unused_id_of_j1939_is_listed_with_its_sender(
         config,
         map_drive(config, motor_signals(), TIMING),
         asyncio.get_running_loop().time,
-        hears_all=True,
+        takes_all=True,
     )
     with open_bus(config) as other:
         async with running(port, Ear()):

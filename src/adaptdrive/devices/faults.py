@@ -1,6 +1,6 @@
 """Faults that a drive reports, and doubts whether it has stopped, obeys, and has one master.
 
-A drive that stopped while nothing was heard of it is not energised afterwards. One that does not
+A drive that stopped while nothing came from it is not energised afterwards. One that does not
 obey the safe command must not be kept from stopping by itself, by commands or by heartbeats; how it
 is kept from that is a matter of its bus. Two masters must not drive one load.
 """
@@ -72,7 +72,7 @@ class FaultLatch:
         watched = {name: word for name, word in words.items() if not word.code_of}
         self._seen = {name: 0 for name, word in watched.items() if not word.warns}
         self._warned = {name: 0 for name, word in watched.items() if word.warns}
-        self._told: dict[str, str] = {}
+        self._codes_of: dict[str, str] = {}
 
     @property
     def word(self) -> int:
@@ -84,7 +84,7 @@ class FaultLatch:
         for name, known in self._words.items():
             value = values.get(name)
             if value and known.code_of:
-                self._told[known.code_of] = f", {known.name(int(value))}"
+                self._codes_of[known.code_of] = f", {known.name(int(value))}"
             elif value:
                 word, seen = int(value) & known.mask, self._warned if known.warns else self._seen
                 if word not in known.healthy and not (name in self._codes and seen[name]):
@@ -102,7 +102,7 @@ class FaultLatch:
             elif carried == word or (len(self._seen) > 1 and not word & ~carried):
                 self._seen[quantity] = 0
         self._warned = dict.fromkeys(self._warned, 0)
-        self._told.clear()
+        self._codes_of.clear()
 
     @property
     def name(self) -> str:
@@ -116,7 +116,7 @@ class FaultLatch:
 
     def _named(self, seen: Mapping[str, int]) -> str:
         named = [
-            self._words[one].name(word) + self._told.get(one, "")
+            self._words[one].name(word) + self._codes_of.get(one, "")
             for one, word in seen.items()
             if word
         ]
@@ -175,18 +175,18 @@ class Relink:
         """Reason not to energise the drive, None for none."""
         return f"{_STOPPED}; {self._how}" if self._stopped else None
 
-    def open(self, *, bridge: bool, how: str = LOST, glimpsed: bool = False) -> None:
+    def open(self, *, bridge: bool, how: str = LOST, reported_on: bool = False) -> None:
         """Begin a connection, or a silence of one.
 
         Args:
             bridge: Whether the last command that reached the drive had the bridge on.
-            how: Why nothing is heard of the drive.
-            glimpsed: Whether its last report, also one that no reading carries, has it on.
+            how: Why nothing comes from the drive.
+            reported_on: Whether its last report, also one that no reading carries, has it on.
         """
         if not (self._was_on and how in {UNREAD, LEAPT}):  # what was there before says more
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
-        self._reported_on = self._reported_on or glimpsed
+        self._reported_on = self._reported_on or reported_on
 
     def note_reading(self, *, bridge: bool) -> None:
         """Note a reading.
@@ -246,7 +246,7 @@ class Obedience:
             self.since_s = self._clock()
 
     def forget(self) -> None:
-        """Note another command, or the loss of a bus on which nothing shows what was heard."""
+        """Note another command, or the loss of a bus on which nothing shows what it received."""
         self.since_s = math.inf
 
     def overdue_s(self, *, powered: bool) -> float:

@@ -32,7 +32,7 @@ class SensorBus:
         taken_s: When each was measured, at the earliest; monotonic.
         up: Whether the bus answers.
         detail: Its latest report.
-        news: Whether values have come since this was last cleared.
+        is_new: Whether values have come since this was last cleared.
     """
 
     name: str
@@ -44,13 +44,13 @@ class SensorBus:
     taken_s: dict[str, float] = field(default_factory=dict)
     up: bool = True
     detail: str = ""
-    news: bool = False
+    is_new: bool = False
 
     def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
         """Keep checked values."""
         self.values.update(values)
         self.taken_s.update(dict.fromkeys(values, taken_s))
-        self.news = True
+        self.is_new = True
 
     def on_bus(self, up: bool, detail: str) -> None:
         """Store the state, and report it."""
@@ -216,10 +216,10 @@ class SensoredPort:
         """Complete a reading of the drive and pass it on."""
         if self._listener is not None:
             self._listener.on_reading(self.completed(reading))
-            news = [bus for bus in self.buses if bus.news]
-            for bus in news:
-                bus.news = False
-            if news:
+            renewed = [bus for bus in self.buses if bus.is_new]
+            for bus in renewed:
+                bus.is_new = False
+            if renewed:
                 self.sampled()
 
     def on_bus(self, up: bool, detail: str) -> None:

@@ -150,11 +150,11 @@ class SensorPort(CountingPort):
         self.description = self._connection.description
         asked = requests(config, [one.codec for one in messages])
         self._connection.asked = asked, config.cycle_s
-        self._heard_s = 0.0
+        self._good_s = 0.0
         self._silent = False
 
     async def run(self, listener: SensorListener) -> None:
-        """Hear the bus until cancelled; one that is lost or not there is opened again.
+        """Read the bus until cancelled; one that is lost or not there is opened again.
 
         Args:
             listener: Receiver of values and of the state of the bus.
@@ -179,7 +179,7 @@ class SensorPort(CountingPort):
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""
         announce()
-        self._heard_s, self._silent = self._clock(), False
+        self._good_s, self._silent = self._clock(), False
         for message in self._messages.values():
             message.codec.resume()
         return await self._connection.read_beside(self._watch_silence(), "silence")
@@ -192,7 +192,7 @@ class SensorPort(CountingPort):
             for one in message.sources
             if (value := values.get(one.signal)) is not None
         }
-        self._heard_s = self._clock()
+        self._good_s = self._clock()
         if self._silent:
             self._silent = False
             self._connection.report(up=True)
@@ -204,7 +204,7 @@ class SensorPort(CountingPort):
         limit_s = self._config.oldest_s
         while True:
             await asyncio.sleep(self._config.cycle_s)
-            if not self._silent and self._clock() - self._heard_s > limit_s:
+            if not self._silent and self._clock() - self._good_s > limit_s:
                 self._silent = True
                 self._connection.report(up=False, detail=f"no good frame for {limit_s:g} s")
 
@@ -216,7 +216,7 @@ def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> port.Port:
     return port.Port(
-        bus_of(configuration, CanBus), _mapped(configuration, source), clock, hears_all=passive
+        bus_of(configuration, CanBus), _mapped(configuration, source), clock, takes_all=passive
     )
 
 

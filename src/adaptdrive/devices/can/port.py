@@ -1,7 +1,7 @@
 """The port of a drive on a CAN bus.
 
 Every message keeps its last good values and their arrival. When a good clocking frame arrives and
-every quantity has been heard once, there is a reading, as old as its oldest value. One whose frame
+every quantity has come once, there is a reading, as old as its oldest value. One whose frame
 was read as soon as it came is handed out at once. One whose frame has waited is held back until no
 more frames wait: of readings that piled up while the process did not run, only the newest is worth
 a tick. A frame that fails a check is counted and changes nothing, but for the other values of one
@@ -52,7 +52,7 @@ class Port:
         clock: Callable[[], float],
         wall_clock: Callable[[], float] = time.time,
         *,
-        hears_all: bool = False,
+        takes_all: bool = False,
     ) -> None:
         """Open nothing yet.
 
@@ -61,7 +61,7 @@ class Port:
             mapping: Messages and properties of the drive.
             clock: Monotonic clock, in seconds.
             wall_clock: The clock with which the bus stamps frames, in seconds.
-            hears_all: Whether to receive and record frames with unused ids, too.
+            takes_all: Whether to receive and record frames with unused ids, too.
         """
         self._config = config
         self._mapping = mapping
@@ -79,7 +79,7 @@ class Port:
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
         self._other_sender = OtherSender(clock)
         self._refusals = assembly.Refusals()
-        self._hears_all = hears_all
+        self._takes_all = takes_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._stopping = bridge_first(mapping.orders)
         self.description = self._connection.description
@@ -125,7 +125,7 @@ class Port:
         Raises:
             BusError: The bus cannot be opened at the first attempt.
         """
-        ids = [] if self._hears_all else [*self._statuses, *self._commands]
+        ids = [] if self._takes_all else [*self._statuses, *self._commands]
         return self._connection.run(ids, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:
@@ -240,7 +240,7 @@ class Port:
     def _take_foreign(self, key: int, frame: can.Message) -> None:
         """Count a frame that is no measurement; no bus returns what this port has sent."""
         self._counts["foreign"] += 1
-        if self._hears_all:
+        if self._takes_all:
             sender = f" from 0x{key & 0xFF:02X} of J1939" if frame.is_extended_id else ""
             self._refusals.note(f"0x{frame.arbitration_id:03X}{sender}", None, bytes(frame.data))
         if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
@@ -345,11 +345,11 @@ class Port:
         """Use the open bus until it is lost; return the reason."""
         self._newest = None
         self._obedience.forget()
-        self._relink.open(bridge=self._bridge_sent, glimpsed=self._assembly.newest.powered)
+        self._relink.open(bridge=self._bridge_sent, reported_on=self._assembly.newest.powered)
         self._bridge_sent = False
         self._sent_s.clear()
         self._assembly.forget()
-        if not self._hears_all:
+        if not self._takes_all:
             self._set_up()
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
 

@@ -73,8 +73,8 @@ class Master:
         self._set_up = set_up
         self._send = send
         self._clock = clock
-        self._heard = asyncio.Event()
-        self._heard_s = 0.0
+        self._beat = asyncio.Event()
+        self._beat_s = 0.0
         self._state: int | None = None
         self._booted = False
         self.ready = self.mapped = self.overwritten = False
@@ -105,16 +105,16 @@ class Master:
             if self.mapped:
                 await asyncio.sleep(_TAKING_S)
 
-    def hear(self, state: int) -> None:
+    def note_state(self, state: int) -> None:
         """Take a heartbeat or a boot-up message."""
-        self._heard_s = self._clock()
+        self._beat_s = self._clock()
         self._state = state
         if state == BOOT_UP:
             self._booted, self.mapped = True, False
         if self.ready and state != OPERATIONAL:
             left = f"is not operational any more (state {state})"
             self._lose("has been restarted" if self._booted else left)
-        self._heard.set()
+        self._beat.set()
 
     def leave(self, problem: str) -> None:
         """The bus is gone, and the node with it."""
@@ -148,16 +148,16 @@ class Master:
         """Wait until the node is lost."""
         timeout_s = self._bus.heartbeat_timeout_s
         while self.ready:
-            heard_s = self._heard_s
-            silent_s = self._clock() - heard_s
+            beat_s = self._beat_s
+            silent_s = self._clock() - beat_s
             if self.overwritten and others_quiet():
                 self._lose("is set up again: another sender has written its objects")
             elif silent_s <= timeout_s:
-                self._heard.clear()
-                await self._await(timeout_s - silent_s + 0.001, self._heard.is_set)
+                self._beat.clear()
+                await self._await(timeout_s - silent_s + 0.001, self._beat.is_set)
             else:
                 await asyncio.sleep(_LOOK_AGAIN_S)
-                if heard_s == self._heard_s:
+                if beat_s == self._beat_s:
                     self._lose(f"heartbeat lost for {1e3 * silent_s:.0f} ms")
 
     async def _await(self, limit_s: float, done: Callable[[], bool]) -> None:
@@ -165,8 +165,8 @@ class Master:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(limit_s):
                 while not done():
-                    self._heard.clear()
-                    await self._heard.wait()
+                    self._beat.clear()
+                    await self._beat.wait()
 
     def _command(self, command: int) -> None:
         self._state = None

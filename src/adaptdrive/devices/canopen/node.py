@@ -58,7 +58,7 @@ class Reports:
         self._statuses = {status.codec.name: status for status in mapping.statuses}
         self._control = control
         self._counts = counts
-        self._heard: set[str] = set()
+        self._came: set[str] = set()
         self._sampled_s: float | None = None
         self._repeated = ""
         self._refused = 0
@@ -67,11 +67,11 @@ class Reports:
     @property
     def missing(self) -> list[str]:
         """Names of the PDOs that have not come since the last SYNC."""
-        return [name for name in self._statuses if name not in self._heard]
+        return [name for name in self._statuses if name not in self._came]
 
     def begin(self, sampled_s: float | None) -> None:
         """Begin a set: a SYNC has passed, and the drive measures now; None to end one."""
-        self._heard.clear()
+        self._came.clear()
         self._sampled_s = sampled_s
 
     def take(self, status: StatusPdo, data: bytes, arrival_s: float) -> bool:
@@ -94,13 +94,13 @@ class Reports:
                 return False
         elif self._sampled_s is None:
             self._counts["counter_stuck"] += 1
-        values = self._hear(status, found, arrival_s)
-        if name in self._heard:
+        values = self._follow(status, found, arrival_s)
+        if name in self._came:
             self.begin(None)
             self._repeated = name
         if self._sampled_s is None:
             return False
-        self._heard.add(name)
+        self._came.add(name)
         carried = (source.quantity for source in status.sources)
         refused = [quantity for quantity in carried if quantity not in values]
         self._values.keep(values, self._sampled_s, refused)
@@ -143,7 +143,7 @@ class Reports:
         self._newest = None
         self._values.forget(binding.BRIDGE)
 
-    def _hear(
+    def _follow(
         self, status: StatusPdo, found: Mapping[str, float], arrival_s: float
     ) -> dict[str, float]:
         """Follow statusword and faults of a PDO; return its values by quantity."""

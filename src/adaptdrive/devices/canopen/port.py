@@ -195,7 +195,7 @@ class Port(NodePort):
         state = frame.data[0] & 0x7F
         if state == master.BOOT_UP:
             self._emergency = None
-        self._master.hear(state)
+        self._master.note_state(state)
 
     def _take_emergency(self, frame: can.Message) -> None:
         emergency = master.parse_emergency(bytes(frame.data))

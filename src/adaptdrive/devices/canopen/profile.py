@@ -90,8 +90,8 @@ class DriveControl:
     which its own time-out may have ended: it falls.
 
     Attributes:
-        state: State heard last, None before the first.
-        powered: Whether the power stage may be on, by the state heard last, also a forgotten one.
+        state: State reported last, None before the first.
+        powered: Whether the power stage may be on, by that state, also a forgotten one.
         fallen: Why the drive is not brought up any further, None while all is well.
     """
 

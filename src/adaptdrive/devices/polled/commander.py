@@ -43,7 +43,7 @@ class WritePace:
         return age_s >= limited or block in self._switches
 
     def note(self, block: Block, words: list[int] | None = None) -> None:
-        """Note what the drive holds of a block; None for what nobody knows until its reply."""
+        """Note what the drive holds of a block; None for what is unknown until its reply."""
         self._held[block] = words
         self._written_s[block] = self._clock()
 

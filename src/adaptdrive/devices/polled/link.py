@@ -69,16 +69,16 @@ class Stream(asyncio.Protocol):
         received: Bytes that nobody has taken yet.
         transport: Of the connection, None without one.
         waiting: Whether something that comes may be the reply to a request.
-        heard: Called when something has come that is none.
+        unasked: Called when something has come that is none.
     """
 
     def __init__(self) -> None:
         self.received = b""
         self.transport: asyncio.Transport | None = None
         self.waiting = False
-        self.heard: Callable[[], None] = lambda: None
+        self.unasked: Callable[[], None] = lambda: None
         self._ended = False
-        self._news = asyncio.Event()
+        self._changed = asyncio.Event()
 
     async def connect(self, host: str, port: int) -> None:
         """Connect to the first address of a host that accepts.
@@ -127,8 +127,8 @@ class Stream(asyncio.Protocol):
 
     async def more(self) -> None:
         """Wait until more has come, or the connection has ended."""
-        self._news.clear()
-        await self._news.wait()
+        self._changed.clear()
+        await self._changed.wait()
 
     def close(self, *, drop: bool) -> None:
         """Disconnect.
@@ -158,13 +158,13 @@ class Stream(asyncio.Protocol):
         """Keep what comes, and wake whoever waits for it."""
         self.received = (self.received + data)[-_LONGEST:]
         if not self.waiting:
-            self.heard()
-        self._news.set()
+            self.unasked()
+        self._changed.set()
 
     def connection_lost(self, _: Exception | None) -> None:
         """Wake whoever waits: nothing comes any more."""
         self._ended = True
-        self._news.set()
+        self._changed.set()
 
 
 class PolledLink(ABC):
@@ -245,9 +245,6 @@ class PolledLink(ABC):
     def _begin(self, void: Void | None) -> None:
         """Note the time of a request, which must not be sent on a connection that is lost.
 
-        Args:
-            void: Whether it is not wanted any more; None where it is in any case.
-
         Raises:
             ExchangeError: The connection is lost, or the request is not wanted any more.
         """
@@ -311,12 +308,7 @@ class Polling(CountingPort, ABC, Generic[Link, AnyListener]):
         self._foreign = self._known_foreign = 0
 
     async def _run(self, link: Link | None, problem: str) -> None:
-        """Serve one link after the other until cancelled.
-
-        Args:
-            link: An open link, None for the first to be opened later.
-            problem: Why it could not be opened.
-        """
+        """Serve one link after the other until cancelled, from an open one or from why there is none."""
         worker = asyncio.create_task(self._work(link, problem), name="polling")
         try:
             await asyncio.shield(worker)
@@ -399,7 +391,7 @@ class Polling(CountingPort, ABC, Generic[Link, AnyListener]):
         """Report whether the bus answers, once it does not, unless the port is being closed."""
         if self._listener is None or self._closing or up is self._up:
             return
-        news, self._up = self._up is not None or not up, up
-        if news:
+        changed, self._up = self._up is not None or not up, up
+        if changed:
             detail = self.description if up else f"{self.description}: {problem}"
             self._listener.on_bus(up=up, detail=detail)

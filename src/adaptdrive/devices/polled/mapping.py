@@ -164,7 +164,7 @@ class Poll:
 
     @property
     def bridge_last(self) -> tuple[tuple[registers.Block, tuple[Source[Named], ...]], ...]:
-        """The reads, that of the bridge last: a command that follows knows the newest report."""
+        """The reads, that of the bridge last: a command follows the newest report."""
         return tuple(sorted(self.reads, key=_has_bridge))
 
     def exchanges(self) -> Iterator[registers.Exchange]:

@@ -152,7 +152,7 @@ class Port(Polling[PolledLink, Listener]):
         for block, sink, reads in self._poll.setup:
             words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
             try:
-                if not (reads or answered):  # what is heard of a read shows whether the line echoes
+                if not (reads or answered):  # what comes after a read shows whether the line echoes
                     await self._ask(link, registers.Exchange(read=self._poll.reads[0][0]), [])
                 answered = True
                 if reads and await self._ask(link, registers.Exchange(read=block), []) == words:
