@@ -16,7 +16,7 @@ from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.database import read_dbc
 from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.canopen.mapping import map_drive
-from adaptdrive.devices.canopen.master import parse_emergency
+from adaptdrive.devices.canopen.profile import parse_emergency
 from adaptdrive.devices.canopen.sdo import Server
 from adaptdrive.devices.polled.registers import decode_value
 from adaptdrive.util.errors import BusError

@@ -308,7 +308,7 @@ class Polling(CountingPort, ABC, Generic[Link, AnyListener]):
         self._foreign = self._known_foreign = 0
 
     async def _run(self, link: Link | None, problem: str) -> None:
-        """Serve one link after the other until cancelled, from an open one or from why there is none."""
+        """Serve one link after the other until cancelled, and first the open one, if any."""
         worker = asyncio.create_task(self._work(link, problem), name="polling")
         try:
             await asyncio.shield(worker)
