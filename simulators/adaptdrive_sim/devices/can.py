@@ -17,7 +17,7 @@ import can
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.root import CanSensorSection as Config
-from adaptdrive.devices.can import connection, integrity, mapping
+from adaptdrive.devices.can import assembly, connection, integrity
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.util.errors import BusError
@@ -173,7 +173,7 @@ class CanSensors:
     """
 
     def __init__(
-        self, drive: SimulatedDrive, config: Config, messages: tuple[mapping.StatusFrame, ...]
+        self, drive: SimulatedDrive, config: Config, messages: tuple[assembly.StatusFrame, ...]
     ) -> None:
         self.counts: collections.Counter[str] = collections.Counter()
         self._drive = drive
@@ -210,7 +210,7 @@ class CanSensors:
 
     @staticmethod
     def _shown(
-        message: mapping.StatusFrame, values: Mapping[str, float], *, open_circuit: bool
+        message: assembly.StatusFrame, values: Mapping[str, float], *, open_circuit: bool
     ) -> dict[str, float | None]:
         return {
             one.signal: None if open_circuit else (values[one.quantity] - one.offset) / one.scale
@@ -218,7 +218,7 @@ class CanSensors:
         }
 
     def _send(
-        self, bus: can.BusABC, message: mapping.StatusFrame, shown: Mapping[str, float | None]
+        self, bus: can.BusABC, message: assembly.StatusFrame, shown: Mapping[str, float | None]
     ) -> None:
         try:
             bus.send(message.codec.frame(message.codec.encode(shown)))

@@ -19,15 +19,10 @@ from adaptdrive.config import polled, root
 from adaptdrive.config.bus import COMMANDED, MEASURED, CanBus, Signals, SignalSource, SwitchSource
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.can import database
+from adaptdrive.devices.can.assembly import CommandFrame
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.layout import compile_field, counter_modulus
-from adaptdrive.devices.can.orders import (
-    CommandFrame,
-    build_orders,
-    choices,
-    find_orders,
-    is_carried,
-)
+from adaptdrive.devices.can.mapping import build_orders, choices, find_orders, is_carried
 from adaptdrive.devices.description import demands_of
 from adaptdrive.devices.field import Field, Raw
 from adaptdrive.devices.polled.registers import (

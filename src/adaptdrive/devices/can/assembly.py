@@ -1,12 +1,134 @@
-"""Status messages of a drive, put together, and the frames that were refused."""
+"""Messages of a drive on CAN: what each carries, their values put together, and refused frames."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
+from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import Command
+from adaptdrive.devices.binding import BRIDGE
 from adaptdrive.devices.can import integrity
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.can.mapping import CanMapping, CanSource, StatusFrame
+from adaptdrive.devices.can.database import Located
+from adaptdrive.devices.description import Sink
+from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.port import NewestValues, Reading
+from adaptdrive.util.errors import Flaw
+
+# What the messages of a drive carry.
+
+_NOTHING: Mapping[str, float] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class CanSource:
+    """Source of a quantity.
+
+    Attributes:
+        quantity: Field of `Reading`; or one of its other values.
+        signal: Name of the signal of the DBC.
+        scale: SI units per unit of the signal.
+        offset: SI value of a zero signal.
+        slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
+            the clock, with which they are taken, comes less often.
+        cycle_by: What says so of the slower of them: GenMsgCycleTime or a key of `[bus]`.
+        cycle_s: Time from one such value to the next, infinite where nothing says how often its
+            message comes.
+        on: Value of the signal while the bridge is on.
+    """
+
+    quantity: str
+    signal: str
+    scale: float
+    offset: float
+    slack_s: float = 0.0
+    cycle_by: str = ""
+    cycle_s: float = 0.0
+    on: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class StatusFrame:
+    """A message that carries measurements, and what is taken from it."""
+
+    codec: MessageCodec
+    sources: tuple[CanSource, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CommandFrame:
+    """One frame that carries a part of the command.
+
+    Attributes:
+        codec: Codec of its message; frames of one message share it, and its alive counter.
+        parts: What is taken from the command, by signal.
+        fixed: Values that are always the same: constants, and what selects the page.
+        copies: Measured values that are sent back, by signal.
+        every_s: Time from one to the next where it does not go with each command.
+    """
+
+    codec: MessageCodec
+    parts: Mapping[str, Sink[Located]]
+    fixed: Mapping[str, float]
+    copies: Mapping[str, Sink[Located]]
+    every_s: float = 0.0
+
+    def encode(self, command: Command, measured: Mapping[str, float] = _NOTHING) -> bytes:
+        """Make the next frame.
+
+        Args:
+            command: The command.
+            measured: Measured values by name; a copy of one that is missing, or does not fit into
+                its signal, says that it is not available.
+
+        Raises:
+            ValueError: A value is not finite, or its signal cannot hold it.
+        """
+        values: dict[str, float | None] = dict(self.fixed)
+        for signal, part in self.parts.items():
+            values[signal] = part.value(command)
+        for signal, copy in self.copies.items():
+            value = copy.base + copy.factor * measured.get(copy.name, math.nan)
+            values[signal] = None if copy.field.problem(value) else value
+        return self.codec.encode(values)
+
+
+def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
+    """Return frames in their order, those that carry the bridge first: a bus may take one alone."""
+    return tuple(
+        sorted(orders, key=lambda order: all(one.name != BRIDGE for one in order.parts.values()))
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CanMapping:
+    """Messages and properties of one drive, for its port.
+
+    Attributes:
+        statuses: Messages with measurements.
+        orders: Frames of the command, in the order of sending.
+        setup: Frames that are sent once, when the bus is opened.
+        clock: Message whose arrival is the fast tick.
+        page: Signal whose page of that message alone is it, None for all its frames.
+        counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
+        faults: Watched words of the drive, of faults and warnings.
+        others: Names of its values that are no quantity.
+        cautions: What can be used, and is probably not meant.
+        timing: Times of the drive.
+    """
+
+    statuses: tuple[StatusFrame, ...]
+    orders: tuple[CommandFrame, ...]
+    setup: tuple[CommandFrame, ...]
+    clock: str
+    page: str | None
+    counter_modulus: int | None
+    faults: Mapping[str, FaultWord]
+    others: tuple[str, ...]
+    timing: Timing
+    cautions: tuple[Flaw, ...]
+
 
 # Putting the status messages of a drive together: the newest good value of each quantity.
 

@@ -23,7 +23,7 @@ from adaptdrive.config.root import CanSensorSection as Config
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
-from adaptdrive.devices.can import codec, connection, integrity, mapping, port
+from adaptdrive.devices.can import assembly, codec, connection, integrity, mapping, port
 from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.database import open_catalogue
 from adaptdrive.devices.port import SensorListener
@@ -105,7 +105,7 @@ def map_sensors(
     place: str,
     source: Path | str,
     demands: description.Demands = description.NO_DEMANDS,
-) -> tuple[mapping.StatusFrame, ...]:
+) -> tuple[assembly.StatusFrame, ...]:
     """Find every configured signal in the DBC.
 
     Args:
@@ -118,10 +118,10 @@ def map_sensors(
         ConfigurationError: Something does not fit; every flaw is listed.
     """
     catalogue = open_catalogue(bus, source, place)
-    found: dict[str, list[mapping.CanSource]] = {}
+    found: dict[str, list[assembly.CanSource]] = {}
     for one in catalogue.sources(binding.sensor_entries(bus, place), demands):
         message, signal = one.item
-        value = mapping.CanSource(one.quantity, signal.name, one.scale, one.offset)
+        value = assembly.CanSource(one.quantity, signal.name, one.scale, one.offset)
         found.setdefault(message.name, []).append(value)
     catalogue.check_uses({f"{place}.signals": found})
     if catalogue.flaws:
@@ -137,7 +137,7 @@ class SensorPort(CountingPort):
     """
 
     def __init__(
-        self, config: Config, messages: tuple[mapping.StatusFrame, ...], clock: Callable[[], float]
+        self, config: Config, messages: tuple[assembly.StatusFrame, ...], clock: Callable[[], float]
     ) -> None:
         super().__init__()
         self._config = config
@@ -185,7 +185,7 @@ class SensorPort(CountingPort):
         return await self._connection.read_beside(self._watch_silence(), "silence")
 
     def _pass_on(
-        self, message: mapping.StatusFrame, values: Mapping[str, float], arrival_s: float
+        self, message: assembly.StatusFrame, values: Mapping[str, float], arrival_s: float
     ) -> None:
         found = {
             one.quantity: value * one.scale + one.offset
@@ -222,7 +222,7 @@ def _build(
 
 def _mapped(
     configuration: Configuration, source: Path | str = "configuration"
-) -> mapping.CanMapping:
+) -> assembly.CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
     timing, demands = configuration.timing, description.demands_of(configuration)
     return mapping.map_drive(
@@ -251,7 +251,7 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     yield from mapped.cautions
 
 
-def _bridge_cautions(timing: Timing, message: str, bridge: mapping.CanSource) -> Iterator[Flaw]:
+def _bridge_cautions(timing: Timing, message: str, bridge: assembly.CanSource) -> Iterator[Flaw]:
     """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
     timeout_s, limit_s = timing.command_timeout_s, timing.silent_s
     every_s, says = bridge.cycle_s, f"comes every {bridge.cycle_s * 1e3:.4g} ms"

@@ -22,10 +22,9 @@ from adaptdrive.config.timing import OBEY_S
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import bus, port
 from adaptdrive.devices.can import assembly, connection, integrity
+from adaptdrive.devices.can.assembly import CanMapping, CommandFrame, StatusFrame
 from adaptdrive.devices.can.bus import as_received, requests
 from adaptdrive.devices.can.codec import frame_key
-from adaptdrive.devices.can.mapping import CanMapping, StatusFrame
-from adaptdrive.devices.can.orders import CommandFrame, bridge_first
 from adaptdrive.devices.faults import LEAPT, Obedience, OtherSender, Relink
 
 _ASK_AGAIN_S = 1.0
@@ -81,7 +80,7 @@ class Port:
         self._refusals = assembly.Refusals()
         self._takes_all = takes_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
-        self._stopping = bridge_first(mapping.orders)
+        self._stopping = assembly.bridge_first(mapping.orders)
         self.description = self._connection.description
         self.counter_modulus = mapping.counter_modulus
         self.stop_slack_s = self._assembly.bridge_slack_s
