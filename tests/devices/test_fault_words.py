@@ -138,7 +138,7 @@ def test_a_can_drive_has_several_words() -> None:
     mapping = map_drive(MOTOR_BUS, motor_signals(fault=None, faults=FAULTS), TIMING)
     assembly = StatusAssembly(mapping)
     for status in mapping.statuses:
-        found = {source.signal: 0.0 for source in status.sources}
+        found = {source.field.name: 0.0 for source in status.sources}
         found |= {"Fault": 5.0} if status.codec.name == "DriveStatus" else {}
         assembly.keep(status, found, 1.0)
     reading = assembly.reading(1.0, bridge_sent=True, stopped=False)

@@ -213,7 +213,9 @@ class CanSensors:
         message: assembly.StatusFrame, values: Mapping[str, float], *, open_circuit: bool
     ) -> dict[str, float | None]:
         return {
-            one.signal: None if open_circuit else (values[one.quantity] - one.offset) / one.scale
+            one.field.name: None
+            if open_circuit
+            else (values[one.quantity] - one.offset) / one.scale
             for one in message.sources
         }
 

@@ -140,6 +140,11 @@ class Source(Generic[Item]):
         on: Value of a switch that means on, None where any but 0 does.
         place: Its place in the configuration.
         word: What is a fault or a warning in it, None for another quantity.
+        slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
+            the clock, with which they are taken, comes less often.
+        cycle_by: What says so of the slower of them: GenMsgCycleTime or a key of `[bus]`.
+        cycle_s: Time from one such value to the next, infinite where nothing says how often its
+            message comes.
     """
 
     quantity: str
@@ -150,6 +155,9 @@ class Source(Generic[Item]):
     on: float | None
     place: str
     word: FaultWord | None = None
+    slack_s: float = 0.0
+    cycle_by: str = ""
+    cycle_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

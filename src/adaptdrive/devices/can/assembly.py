@@ -7,13 +7,11 @@ from types import MappingProxyType
 
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Command
+from adaptdrive.devices import description, port
 from adaptdrive.devices.binding import BRIDGE
-from adaptdrive.devices.can import integrity
+from adaptdrive.devices.can import database, integrity
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.can.database import Located
-from adaptdrive.devices.description import Sink
 from adaptdrive.devices.faults import FaultWord
-from adaptdrive.devices.port import NewestValues, Reading
 from adaptdrive.util.errors import Flaw
 
 # What the messages of a drive carry.
@@ -22,38 +20,11 @@ _NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
-class CanSource:
-    """Source of a quantity.
-
-    Attributes:
-        quantity: Field of `Reading`; or one of its other values.
-        signal: Name of the signal of the DBC.
-        scale: SI units per unit of the signal.
-        offset: SI value of a zero signal.
-        slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
-            the clock, with which they are taken, comes less often.
-        cycle_by: What says so of the slower of them: GenMsgCycleTime or a key of `[bus]`.
-        cycle_s: Time from one such value to the next, infinite where nothing says how often its
-            message comes.
-        on: Value of the signal while the bridge is on.
-    """
-
-    quantity: str
-    signal: str
-    scale: float
-    offset: float
-    slack_s: float = 0.0
-    cycle_by: str = ""
-    cycle_s: float = 0.0
-    on: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
 class StatusFrame:
     """A message that carries measurements, and what is taken from it."""
 
     codec: MessageCodec
-    sources: tuple[CanSource, ...]
+    sources: tuple[description.Source[database.Located], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +40,9 @@ class CommandFrame:
     """
 
     codec: MessageCodec
-    parts: Mapping[str, Sink[Located]]
+    parts: Mapping[str, description.Sink[database.Located]]
     fixed: Mapping[str, float]
-    copies: Mapping[str, Sink[Located]]
+    copies: Mapping[str, description.Sink[database.Located]]
     every_s: float = 0.0
 
     def encode(self, command: Command, measured: Mapping[str, float] = _NOTHING) -> bytes:
@@ -156,7 +127,7 @@ class StatusAssembly:
         self.bridge_slack_s = None if bridge is None else bridge.slack_s
         self.bridge_cycle_s = 0.0 if bridge is None else bridge.cycle_s
         slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
-        self.newest = NewestValues(slacks, mapping.others, mapping.faults)
+        self.newest = port.NewestValues(slacks, mapping.others, mapping.faults)
         self._carried_on = self._come_on = False
         self.stop_seen = False
 
@@ -202,7 +173,7 @@ class StatusAssembly:
         """Return the values of a message by quantity, and note its report of the bridge."""
         values = {}
         for one in status.sources:
-            value = found.get(one.signal)
+            value = found.get(one.field.name)
             if value is not None:
                 values[one.quantity] = value * one.scale + one.offset
         if "bridge" in values:
@@ -222,7 +193,7 @@ class StatusAssembly:
         else:
             self.stop_seen = self._come_on and not on
 
-    def carry(self, reading: Reading) -> None:
+    def carry(self, reading: port.Reading) -> None:
         """Note a reading that is handed out; a stop seen after it was composed stays.
 
         Args:
@@ -234,7 +205,7 @@ class StatusAssembly:
         self._carried_on = reading.bridge and self.bridge_slack_s is not None
         self._come_on = self.newest.powered
 
-    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
+    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> port.Reading | None:
         """Return the newest values and each fault since the last reading; None before all came.
 
         A drive that came on by command and stopped between two readings has one with its bridge on
@@ -251,7 +222,7 @@ class StatusAssembly:
             return replace(reading, bridge=bridge_sent and not self._carried_on)
         return reading
 
-    def oldest(self) -> tuple[StatusFrame, CanSource, float, float]:
+    def oldest(self) -> tuple[StatusFrame, description.Source[database.Located], float, float]:
         """Return the value that is out of date first: its message, its source, and its arrival.
 
         The last item is the arrival of the newest value; an arrival is -inf before the first.

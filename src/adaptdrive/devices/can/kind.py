@@ -25,7 +25,7 @@ from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
 from adaptdrive.devices.can import assembly, codec, connection, integrity, mapping, port
 from adaptdrive.devices.can.bus import requests
-from adaptdrive.devices.can.database import open_catalogue
+from adaptdrive.devices.can.database import Located, open_catalogue
 from adaptdrive.devices.port import SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -118,11 +118,9 @@ def map_sensors(
         ConfigurationError: Something does not fit; every flaw is listed.
     """
     catalogue = open_catalogue(bus, source, place)
-    found: dict[str, list[assembly.CanSource]] = {}
+    found: dict[str, list[description.Source[Located]]] = {}
     for one in catalogue.sources(binding.sensor_entries(bus, place), demands):
-        message, signal = one.item
-        value = assembly.CanSource(one.quantity, signal.name, one.scale, one.offset)
-        found.setdefault(message.name, []).append(value)
+        found.setdefault(one.item.message.name, []).append(one)
     catalogue.check_uses({f"{place}.signals": found})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
@@ -190,7 +188,7 @@ class SensorPort(CountingPort):
         found = {
             one.quantity: value * one.scale + one.offset
             for one in message.sources
-            if (value := values.get(one.signal)) is not None
+            if (value := values.get(one.field.name)) is not None
         }
         self._good_s = self._clock()
         if self._silent:
@@ -251,7 +249,9 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     yield from mapped.cautions
 
 
-def _bridge_cautions(timing: Timing, message: str, bridge: assembly.CanSource) -> Iterator[Flaw]:
+def _bridge_cautions(
+    timing: Timing, message: str, bridge: description.Source[Located]
+) -> Iterator[Flaw]:
     """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
     timeout_s, limit_s = timing.command_timeout_s, timing.silent_s
     every_s, says = bridge.cycle_s, f"comes every {bridge.cycle_s * 1e3:.4g} ms"

@@ -30,6 +30,7 @@ LONGEST_STALE_S = 10.0
 """Age at which a value is old however seldom its message comes: three cycles of 3.3 s."""
 
 
+_Source = description.Source[database.Located]
 _Part = description.Sink[database.Located]
 
 _Cycle = tuple[float, str, Message]
@@ -61,7 +62,7 @@ def map_drive(
     if clock is not None and bus.clock_signal and not catalogue.find(bus.clock, "bus.clock"):
         clock = None
     bound = {one.quantity: one for one in catalogue.sources(signals.entries(), demands)}
-    sources: dict[str, list[assembly.CanSource]] = {}
+    sources: dict[str, list[_Source]] = {}
     for one in bound.values():
         sources.setdefault(one.item.message.name, []).append(
             _source(catalogue, bus, timing, clock, one)
@@ -105,9 +106,9 @@ def map_drive(
     )
 
 
-def _clock_problem(bus: CanBus, sources: Mapping[str, Iterable[assembly.CanSource]]) -> str | None:
+def _clock_problem(bus: CanBus, sources: Mapping[str, Iterable[_Source]]) -> str | None:
     """Return that nothing is taken from what clocks, None where something is."""
-    signals = (f"{name}.{one.signal}" for name, found in sources.items() for one in found)
+    signals = (f"{name}.{one.field.name}" for name, found in sources.items() for one in found)
     if bus.clock in {*sources, *signals}:
         return None
     what = "signal" if bus.clock_signal else "message"
@@ -119,8 +120,8 @@ def _source(
     bus: CanBus,
     timing: Timing,
     clock: Message | None,
-    source: description.Source[database.Located],
-) -> assembly.CanSource:
+    source: _Source,
+) -> _Source:
     message, signal = source.item
     cycle = _cycle(message, bus, timing, pages=_pages(message, signal))
     if clock is not None:  # a value is taken with the clock: it waits for that
@@ -138,16 +139,8 @@ def _source(
     stated = (
         message.name in {bus.clock_message, *bus.polled} or database.cycle_time_s(message) > 0.0
     )
-    return assembly.CanSource(
-        quantity=source.quantity,
-        signal=signal.name,
-        scale=source.scale,
-        offset=source.offset,
-        slack_s=slack_s,
-        cycle_by=by,
-        cycle_s=cycle_s if stated else math.inf,
-        on=1.0 if source.on is None else source.on,
-    )
+    cycle_s = cycle_s if stated else math.inf
+    return replace(source, slack_s=slack_s, cycle_by=by, cycle_s=cycle_s)
 
 
 def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cycle:
@@ -177,7 +170,7 @@ def status_frame(
     catalogue: database.SignalCatalogue,
     bus: CanDescription,
     name: str,
-    sources: Iterable[assembly.CanSource],
+    sources: Iterable[_Source],
     cycle_s: float,
 ) -> assembly.StatusFrame:
     """Return a message that is read.
@@ -193,9 +186,13 @@ def status_frame(
     codec = MessageCodec(
         catalogue.known(name),
         bus.integrity.get(name),
-        wanted=dict.fromkeys(source.signal for source in sources),
-        measured={source.signal for source in sources if not binding.is_word(source.quantity)},
-        states={source.signal: source.on for source in sources if source.quantity == "bridge"},
+        wanted=dict.fromkeys(one.field.name for one in sources),
+        measured={one.field.name for one in sources if not binding.is_word(one.quantity)},
+        states={
+            one.field.name: 1.0 if one.on is None else one.on
+            for one in sources
+            if one.quantity == binding.BRIDGE
+        },
         cycle_s=cycle_s,
     )
     return assembly.StatusFrame(codec, sources)

@@ -187,7 +187,7 @@ class Port:
         """Return the oldest value, its source, its age, and the likeliest cause of that."""
         now_s = self._clock()
         status, source, oldest_s, newest_s = self._assembly.oldest()
-        value = f"{source.quantity} ({status.codec.label}, {source.signal})"
+        value = f"{source.quantity} ({status.codec.label}, {source.field.name})"
         age_s, came = now_s - oldest_s, oldest_s > -math.inf
         # not the age of the reading, which may be that of a value that has come since
         found = f"is the oldest value, {age_s * 1e3:.0f} ms old" if came else "has never come"
@@ -357,7 +357,7 @@ def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.M
     """Frames as a drive without a fault might send them, each from a function that repeats it."""
     for status in mapping.statuses:
         codec = status.codec
-        faults = [one.signal for one in status.sources if one.quantity in mapping.faults]
+        faults = [one.field.name for one in status.sources if one.quantity in mapping.faults]
         data = codec.example(dict.fromkeys(faults, 0.0))
         if data is not None:
             yield as_received(config, codec.frame(data))
