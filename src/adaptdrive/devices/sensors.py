@@ -109,6 +109,7 @@ class SensoredPort:
     """A drive and its separate sensors, as one port.
 
     Attributes:
+        description: The drive's bus and those of the sensors in one phrase.
         counter_modulus: As of the drive's own port, like all that follow.
         stop_slack_s: Additional time for the report of the bridge.
         bridge_cycle_s: Time from one report of the bridge to the next.
@@ -147,6 +148,8 @@ class SensoredPort:
         self.details = drive.details
         self.reset_fault = drive.reset_fault
         self.buses = tuple(buses)
+        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in buses]
+        self.description = "; ".join([drive.description, *sensors])
         self._derived = derived
         self._voltage_parts = needed_names(derived, ("boost_voltage_V",))
         self._clock = clock
@@ -154,12 +157,6 @@ class SensoredPort:
         self._ends = False
         self.sampled: Callable[[], None] = lambda: None
         """Called after a reading of the drive that had new values of a sensor bus."""
-
-    @property
-    def description(self) -> str:
-        """The drive's bus and those of the sensors in one phrase."""
-        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self.buses]
-        return "; ".join([self._drive.description, *sensors])
 
     @property
     def statistics(self) -> ports.PortStatistics:
