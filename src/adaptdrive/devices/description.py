@@ -65,11 +65,9 @@ def read_description(
     """
     try:
         return parse(description_text(path))
-    except Exception as problem:  # parsers raise errors of many kinds
-        text = shorten(str(problem) or type(problem).__name__, _LONGEST_PROBLEM, placeholder="…")
-        raise ConfigurationError(
-            source, [Flaw(place, f"{path} cannot be used: {text}")]
-        ) from problem
+    except Exception as error:  # parsers raise errors of many kinds
+        text = shorten(str(error) or type(error).__name__, _LONGEST_PROBLEM, placeholder="…")
+        raise ConfigurationError(source, [Flaw(place, f"{path} cannot be used: {text}")]) from error
 
 
 # Values that the description of a drive must be able to carry.

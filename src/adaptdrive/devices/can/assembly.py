@@ -9,8 +9,9 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import description, port
 from adaptdrive.devices.binding import BRIDGE
-from adaptdrive.devices.can import database, integrity
+from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.util.errors import Flaw
 
@@ -237,13 +238,13 @@ _KINDS_HELD = 64
 """Kinds of refused frames remembered: a flood of ids must not fill the memory."""
 
 _REMEDIES = {
-    integrity.FrameVerdict.WRONG_LENGTH: "DLC {0}, needed {1}: the DBC describes another version "
+    FrameVerdict.WRONG_LENGTH: "DLC {0}, needed {1}: the DBC describes another version "
     "of the message",
-    integrity.FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; "
+    FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; "
     "look at the cable",
-    integrity.FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
-    integrity.FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
-    integrity.FrameVerdict.OUT_OF_RANGE: "{2}; a sensor of the drive is broken, or the DBC has "
+    FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
+    FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
+    FrameVerdict.OUT_OF_RANGE: "{2}; a sensor of the drive is broken, or the DBC has "
     "another sign or range",
 }
 
@@ -262,7 +263,7 @@ class Refusals:
     """Refused frames of each message, and frames that are not of this drive."""
 
     def __init__(self) -> None:
-        self._seen: dict[str, dict[integrity.FrameVerdict | None, _Refusal]] = {}
+        self._seen: dict[str, dict[FrameVerdict | None, _Refusal]] = {}
 
     @property
     def any(self) -> bool:
@@ -272,7 +273,7 @@ class Refusals:
     def note(
         self,
         frame: str,
-        verdict: integrity.FrameVerdict | None,
+        verdict: FrameVerdict | None,
         data: bytes,
         codec: MessageCodec | None = None,
     ) -> None:
@@ -317,10 +318,8 @@ class Refusals:
                 yield f"refused {frame}: {why}"
 
 
-def _remedy(verdict: integrity.FrameVerdict, refusal: _Refusal) -> str:
+def _remedy(verdict: FrameVerdict, refusal: _Refusal) -> str:
     codec, data = refusal.codec, refusal.data
-    needed = codec.required(data) if codec and verdict is integrity.FrameVerdict.WRONG_LENGTH else 0
-    outside = (
-        codec.outside(data) if codec and verdict is integrity.FrameVerdict.OUT_OF_RANGE else ""
-    )
+    needed = codec.required(data) if codec and verdict is FrameVerdict.WRONG_LENGTH else 0
+    outside = codec.outside(data) if codec and verdict is FrameVerdict.OUT_OF_RANGE else ""
     return _REMEDIES[verdict].format(len(data), needed, outside or "its alive counter")

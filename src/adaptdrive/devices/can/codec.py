@@ -78,14 +78,12 @@ class MessageCodec:
             )
             for signal in message.signals
         }
-        self._prepare_integrity(message, integrity, cycle_s)
+        self._prepare_proofs(message, integrity, cycle_s)
         idle = {name: one.idle for name, one in self._fields.items()}
         self._pack = _packer(message, {**idle, **self._fixed})
         self._prepare_decoding(message, wanted)
 
-    def _prepare_integrity(
-        self, message: Message, integrity: FrameIntegrity, cycle_s: float
-    ) -> None:
+    def _prepare_proofs(self, message: Message, integrity: FrameIntegrity, cycle_s: float) -> None:
         self._counter = integrity.counter
         modulus = layout.counter_modulus(self._fields[self._counter]) if self._counter else 1
         self._modulus = modulus

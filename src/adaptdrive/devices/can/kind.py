@@ -29,6 +29,8 @@ from adaptdrive.devices.can.database import Located, open_catalogue
 from adaptdrive.devices.port import SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
+_Source = description.Source[Located]
+
 # Signals of a DBC, as candidates for the quantities of a configuration.
 
 _COMMANDING = re.compile(r"cmd|command|ctrl|control|set|req|host|order", re.IGNORECASE)
@@ -118,7 +120,7 @@ def map_sensors(
         ConfigurationError: Something does not fit; every flaw is listed.
     """
     catalogue = open_catalogue(bus, source, place)
-    found: dict[str, list[description.Source[Located]]] = {}
+    found: dict[str, list[_Source]] = {}
     for one in catalogue.sources(binding.sensor_entries(bus, place), demands):
         found.setdefault(one.item.message.name, []).append(one)
     catalogue.check_uses({f"{place}.signals": found})
@@ -249,9 +251,7 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     yield from mapped.cautions
 
 
-def _bridge_cautions(
-    timing: Timing, message: str, bridge: description.Source[Located]
-) -> Iterator[Flaw]:
+def _bridge_cautions(timing: Timing, message: str, bridge: _Source) -> Iterator[Flaw]:
     """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
     timeout_s, limit_s = timing.command_timeout_s, timing.silent_s
     every_s, says = bridge.cycle_s, f"comes every {bridge.cycle_s * 1e3:.4g} ms"

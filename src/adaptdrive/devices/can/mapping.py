@@ -64,9 +64,8 @@ def map_drive(
     bound = {one.quantity: one for one in catalogue.sources(signals.entries(), demands)}
     sources: dict[str, list[_Source]] = {}
     for one in bound.values():
-        sources.setdefault(one.item.message.name, []).append(
-            _source(catalogue, bus, timing, clock, one)
-        )
+        found = _source(catalogue, bus, timing, clock, one)
+        sources.setdefault(one.item.message.name, []).append(found)
     sinks = catalogue.sinks(signals.command, demands)
     parts = find_orders(catalogue, [*sinks, *_copies(catalogue, signals, demands)])
     setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
@@ -136,9 +135,7 @@ def _source(
     if timing.stale_s + slack_s > LONGEST_STALE_S:
         age = f"age for {timing.stale_s + slack_s:.4g} s, limit {LONGEST_STALE_S:g} s"
         catalogue.note(source.place, f"bus.stale_cycles lets a value of {named} {age}")
-    stated = (
-        message.name in {bus.clock_message, *bus.polled} or database.cycle_time_s(message) > 0.0
-    )
+    stated = message.name in {bus.clock_message, *bus.polled} or database.cycle_time_s(message) > 0
     cycle_s = cycle_s if stated else math.inf
     return replace(source, slack_s=slack_s, cycle_by=by, cycle_s=cycle_s)
 
@@ -285,11 +282,7 @@ def _check_rates(
             catalogue.note(place, f"message {name!r} {problem}")
 
 
-def _are_apart(
-    message: Message,
-    setup: Sequence[_Part],
-    command: Sequence[_Part],
-) -> bool:
+def _are_apart(message: Message, setup: Sequence[_Part], command: Sequence[_Part]) -> bool:
     """Return whether no frame of a set-up carries a signal of the command."""
     commanded = [one.item.signal for one in command if not one.item.signal.is_multiplexer]
     return not any(
@@ -369,16 +362,14 @@ def _problems(message: Message, draft: Sequence[_Part]) -> Iterator[str]:
                 yield f"{other!r} and {name!r} share bits: both are sent"
         for selector in message.signals:
             if selector.is_multiplexer and is_carried(message, selector, fixed):
-                yield from _selection_problems(message, selector, fixed)
+                yield from _page_problems(message, selector, fixed)
     for signal in message.signals:
         if signal.name not in given and layout.initial_value(signal) is None:
             value = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
             yield f"signal {signal.name!r} of {signal.length} bits cannot hold its {value}"
 
 
-def _selection_problems(
-    message: Message, selector: Signal, fixed: Mapping[str, float]
-) -> Iterator[str]:
+def _page_problems(message: Message, selector: Signal, fixed: Mapping[str, float]) -> Iterator[str]:
     """Yield why a frame cannot be encoded with the value that its multiplexer has."""
     if selector.name in fixed and not layout.compile_field(selector).is_word:
         yield f"its multiplexer {selector.name!r} has a factor or an offset"

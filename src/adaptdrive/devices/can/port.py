@@ -76,7 +76,7 @@ class Port:
         self._assembly = assembly.StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
-        self._other_sender = OtherSender(clock)
+        self._others = OtherSender(clock)
         self._refusals = assembly.Refusals()
         self._takes_all = takes_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
@@ -103,7 +103,7 @@ class Port:
     def complaint(self) -> str | None:
         """Another sender, a fault not carried yet, commands not taken, or a stop unheard."""
         return (
-            self._other_sender.complaint
+            self._others.complaint
             or self._assembly.newest.faults.complaint
             or self._connection.complaint
             or self._relink.complaint
@@ -244,16 +244,17 @@ class Port:
             self._refusals.note(f"0x{frame.arbitration_id:03X}{sender}", None, bytes(frame.data))
         if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
             self._counts["foreign_commands"] += 1
-            self._other_sender.note(self._commands[key])
+            self._others.note(self._commands[key])
 
     def _take_status(self, status: StatusFrame, frame: can.Message) -> None:
         waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - waited_s
-        verdict, values, lost = status.codec.decode(bytes(frame.data))
+        data = bytes(frame.data)
+        verdict, values, lost = status.codec.decode(data)
         if lost:
             self._counts["counter_lost"] += lost
         if verdict is not _GOOD:
-            self._refuse(status, verdict, frame)
+            self._refuse(status, verdict, data)
             if verdict is integrity.FrameVerdict.COUNTER_LOST:
                 self._doubt(arrival_s)
             if verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
@@ -262,22 +263,19 @@ class Port:
         elif self._refusals.any:
             self._refusals.accept(status.codec.label)
         self._assembly.keep(status, values, arrival_s, whole=verdict is _GOOD)
-        if status is self._clocking and self._has_page(status, values, frame):
+        if status is self._clocking and self._has_page(status, values, data):
             self._asked_s = max(self._asked_s, arrival_s)
-            stopped = self._obedience.awaited
             reading = self._assembly.reading(
-                arrival_s, bridge_sent=self._bridge_sent, stopped=stopped
+                arrival_s, bridge_sent=self._bridge_sent, stopped=self._obedience.awaited
             )
             self._newest = reading or self._newest
             if frame.timestamp and waited_s < integrity.PROMPT_S:
                 self.hand_out()
 
-    def _has_page(
-        self, status: StatusFrame, found: Mapping[str, float], frame: can.Message
-    ) -> bool:
+    def _has_page(self, status: StatusFrame, found: Mapping[str, float], data: bytes) -> bool:
         """Return whether a good frame of the clocking message has the page that clocks."""
         page = self._mapping.page
-        return page is None or page in found or status.codec.carries(bytes(frame.data), page)
+        return page is None or page in found or status.codec.carries(data, page)
 
     def _doubt(self, arrival_s: float) -> None:
         """Let what energises wait for the next report of the bridge: the drive may be a new one.
@@ -289,15 +287,13 @@ class Port:
         self._leapt_s = arrival_s
         self._relink.open(bridge=self._bridge_sent, how=LEAPT)
 
-    def _refuse(
-        self, status: StatusFrame, verdict: integrity.FrameVerdict, frame: can.Message
-    ) -> None:
+    def _refuse(self, status: StatusFrame, verdict: integrity.FrameVerdict, data: bytes) -> None:
         """Count a frame that failed a check, and remember it for reports."""
         # a counter that leapt is in `counter_lost` already, with the length of its leap
         if verdict is not integrity.FrameVerdict.COUNTER_LOST:
             self._counts[verdict] += 1
         codec = status.codec
-        self._refusals.note(codec.label, verdict, bytes(frame.data), codec)
+        self._refusals.note(codec.label, verdict, data, codec)
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""
@@ -323,10 +319,8 @@ class Port:
         """Return the frames that go with a command now; all of them where the bridge changes."""
         if bridge is not self._bridge_sent:
             self._sent_s.clear()
-        soon_s, sent_s = self._clock() + 0.5 * self._mapping.timing.reading_s, self._sent_s
-        return [
-            one for one in orders if soon_s >= sent_s.get(one.codec.key, -math.inf) + one.every_s
-        ]
+        by_s, sent_s = self._clock() + 0.5 * self._mapping.timing.reading_s, self._sent_s
+        return [one for one in orders if by_s >= sent_s.get(one.codec.key, -math.inf) + one.every_s]
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         stale_s = self._mapping.timing.stale_s

@@ -171,9 +171,7 @@ class CommandPdo:
         Raises:
             ValueError: A value is not finite, or its object cannot hold it.
         """
-        values: dict[str, float | None] = {
-            sink.item.label: sink.value(command) for sink in self.sinks
-        }
+        values: dict[str, float | None] = {one.item.label: one.value(command) for one in self.sinks}
         if any(entry.address == CONTROLWORD for entry in self.pdo.entries):
             values[label(CONTROLWORD)] = word
         return self.codec.frame_id, self.codec.encode(values)

@@ -289,14 +289,12 @@ class Master:
         self.ready = self.mapped = self.overwritten = False
         self.problem = "not heard yet"
 
-    async def run(
-        self, report: Callable[[str | None], None], others_quiet: Callable[[], bool]
-    ) -> None:
+    async def run(self, report: Callable[[str | None], None], is_quiet: Callable[[], bool]) -> None:
         """Bring the node up whenever it is lost, until cancelled.
 
         Args:
             report: Called with None when the node is ready, and with the reason whenever it is not.
-            others_quiet: Returns whether other senders leave the node alone: only then is one that
+            is_quiet: Returns whether other senders leave the node alone: only then is one that
                 they have written to set up again.
         """
         while True:
@@ -309,7 +307,7 @@ class Master:
                 continue
             self.ready = True
             report(None)
-            await self._watch(others_quiet)
+            await self._watch(is_quiet)
             report(self.problem)
             if self.mapped:
                 await asyncio.sleep(_TAKING_S)
@@ -353,13 +351,13 @@ class Master:
     def _has_started(self) -> bool:
         return self._state == OPERATIONAL and not self._booted
 
-    async def _watch(self, others_quiet: Callable[[], bool]) -> None:
+    async def _watch(self, is_quiet: Callable[[], bool]) -> None:
         """Wait until the node is lost."""
         timeout_s = self._bus.heartbeat_timeout_s
         while self.ready:
             beat_s = self._beat_s
             silent_s = self._clock() - beat_s
-            if self.overwritten and others_quiet():
+            if self.overwritten and is_quiet():
                 self._lose("is set up again: another sender has written its objects")
             elif silent_s <= timeout_s:
                 self._beat.clear()

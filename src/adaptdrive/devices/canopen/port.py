@@ -62,14 +62,14 @@ class Port(node.NodePort):
         self._obedience = faults.Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
         self._been_up = False
-        self._other_sender = faults.OtherSender(clock)
+        self._others = faults.OtherSender(clock)
         self._takers |= self._make_takers()
         self._connection.caught_up = self.hand_out
 
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for no reason."""
-        for seen in (self._other_sender, self._reports.faults, self._connection):
+        for seen in (self._others, self._reports.faults, self._connection):
             if seen.complaint is not None:
                 return seen.complaint
         if self._connection.bus is None and self._control.fallen is None:
@@ -188,7 +188,7 @@ class Port(node.NodePort):
     def _take_foreign_command(self, name: str, frame: can.Message) -> None:
         self._counts["foreign"] += 1
         self._counts["foreign_commands"] += 1
-        self._other_sender.note(f"0x{frame.arbitration_id:03X} ({name})")
+        self._others.note(f"0x{frame.arbitration_id:03X} ({name})")
 
     def _take_sdo_request(self, frame: can.Message) -> None:
         """Note that another sender writes an object; one that reads objects does no harm."""
@@ -264,9 +264,7 @@ class Port(node.NodePort):
         try:
             with pulsing(self._half_cycle_s, *syncs):
                 announce()
-                node = self._master.run(
-                    self._report_node, lambda: self._other_sender.complaint is None
-                )
+                node = self._master.run(self._report_node, lambda: self._others.complaint is None)
                 return await self._connection.read_beside(node, "node")
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong

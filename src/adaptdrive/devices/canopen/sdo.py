@@ -22,6 +22,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.devices.canopen import dictionary
+from adaptdrive.devices.canopen.dictionary import label
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, Pdo
 from adaptdrive.devices.canopen.profile import CONTROLWORD, DISABLE_VOLTAGE
 from adaptdrive.util.errors import BusError
@@ -76,9 +77,7 @@ class Server:
                     data += part
                     if len(data) > _LONGEST_BYTES:
                         self._client.abort()
-                        raise self.refuse(
-                            f"{dictionary.label(address)} has over {_LONGEST_BYTES} bytes"
-                        )
+                        raise self.refuse(f"{label(address)} has over {_LONGEST_BYTES} bytes")
         except (SdoError, struct.error) as problem:
             raise self._failure("read", address, problem) from problem
         return bytes(data[:size] if len(data) <= _NUMBER_BYTES else data)
@@ -92,7 +91,7 @@ class Server:
         data = self.read(address)
         if len(data) > _NUMBER_BYTES:
             wanted = f"a number has at most {_NUMBER_BYTES}"
-            raise self.refuse(f"{dictionary.label(address)} has {len(data)} bytes, {wanted}")
+            raise self.refuse(f"{label(address)} has {len(data)} bytes, {wanted}")
         return int.from_bytes(data, "little")
 
     def value(self, entry: dictionary.Entry) -> float:
@@ -127,9 +126,7 @@ class Server:
         kept = self.read(address, len(data))
         if kept != data:
             found, wanted = kept[::-1].hex(), data[::-1].hex()
-            raise self.refuse(
-                f"{dictionary.label(address)} is 0x{found} after 0x{wanted} was written"
-            )
+            raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
 
     def settle(self, address: dictionary.Address, data: bytes) -> None:
         """Write an entry that does not hold some bytes yet: one that is read-only may hold them.
@@ -154,11 +151,9 @@ class Server:
 
     def _failure(self, verb: str, address: dictionary.Address, problem: Exception) -> BusError:
         if not isinstance(problem, SdoAbortedError):
-            return self.refuse(f"no answer when asked to {verb} {dictionary.label(address)}")
+            return self.refuse(f"no answer when asked to {verb} {label(address)}")
         words = str(problem).partition(", ")[2] or f"abort code 0x{problem.code:08X}"
-        return self.refuse(
-            f"cannot {verb} {dictionary.label(address)}: {words[0].lower()}{words[1:]}"
-        )
+        return self.refuse(f"cannot {verb} {label(address)}: {words[0].lower()}{words[1:]}")
 
 
 class SdoLink(Network):

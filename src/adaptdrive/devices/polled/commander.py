@@ -330,9 +330,7 @@ class Commander:
         The heartbeat stands still for a drive that does not obey: its own watchdog ends that.
         """
         self._alive += not self._disobeyed
-        return [
-            block_words(block, sinks, command, self._alive) for block, sinks in self._poll.writes
-        ]
+        return [block_words(*one, command, self._alive) for one in self._poll.writes]
 
     def _doubt(self, command: Command) -> None:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""

@@ -94,10 +94,9 @@ def value_in(source: Source[Named], block: registers.Block, words: list[int]) ->
 def explain(source: Source[Named], block: registers.Block, words: list[int]) -> str:
     """Return why a quantity must not be used: its name, its place and what is there."""
     register, taken = source.item.register, _words(source, block, words)
-    place = (
-        f"{source.quantity}: {registers.Block(register.table, register.address, register.words)}"
-    )
-    return f"{place} {registers.refusal(register, source.field, taken)}"
+    block = registers.Block(register.table, register.address, register.words)
+    refused = registers.refusal(register, source.field, taken)
+    return f"{source.quantity}: {block} {refused}"
 
 
 def _words(source: Source[Named], block: registers.Block, words: list[int]) -> list[int]:
@@ -210,9 +209,8 @@ def map_drive(
     if bus.heartbeat.daemon is not None:
         beat = Named(bus.heartbeat.daemon, bus.registers[bus.heartbeat.daemon])
         sinks.append(Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
-    reads = registers.plan_blocks(
-        (one.item.register for one in sources), bus.max_gap, bus.max_block
-    )
+    measured = (one.item.register for one in sources)
+    reads = registers.plan_blocks(measured, bus.max_gap, bus.max_block)
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
     longest = 1 if bus.write == "single" else _MAX_WRITE

@@ -13,9 +13,10 @@ from adaptdrive.config.polled import ModbusBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.bus import pulse_reset
-from adaptdrive.devices.polled import commander, registers, reports
+from adaptdrive.devices.polled import commander, reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Polling
 from adaptdrive.devices.polled.mapping import Named, Poll, explain, written
+from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.devices.port import Listener
 from adaptdrive.util.errors import BusError
 
@@ -153,12 +154,12 @@ class Port(Polling[PolledLink, Listener]):
             words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
             try:
                 if not (reads or answered):  # what comes after a read shows whether the line echoes
-                    await self._ask(link, registers.Exchange(read=self._poll.reads[0][0]), [])
+                    await self._ask(link, Exchange(read=self._poll.reads[0][0]), [])
                 answered = True
-                if reads and await self._ask(link, registers.Exchange(read=block), []) == words:
+                if reads and await self._ask(link, Exchange(read=block), []) == words:
                     continue
-                await self._ask(link, registers.Exchange(write=block), words)
-                held = await self._ask(link, registers.Exchange(read=block), []) if reads else words
+                await self._ask(link, Exchange(write=block), words)
+                held = await self._ask(link, Exchange(read=block), []) if reads else words
             except ExchangeError as failure:
                 problem = failure.problem
             else:
@@ -169,14 +170,12 @@ class Port(Polling[PolledLink, Listener]):
             link.lost = link.lost or f"set-up of {name!r}: {problem}"
             return
 
-    def _unlike(self, _: Named, words: list[int], held: list[int], block: registers.Block) -> str:
+    def _unlike(self, _: Named, words: list[int], held: list[int], block: Block) -> str:
         """Name what a drive keeps in place of what it was set to."""
         found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
         return f"{block} holds {found} after {wanted} was written"
 
-    async def _ask(
-        self, link: PolledLink, exchange: registers.Exchange, words: list[int]
-    ) -> list[int]:
+    async def _ask(self, link: PolledLink, exchange: Exchange, words: list[int]) -> list[int]:
         """Exchange one part of the set-up; a safe command that is urgent goes before it."""
         if self._commander.urgent:
             await self._commander.write(link)
@@ -228,7 +227,7 @@ class Port(Polling[PolledLink, Listener]):
         for block, sources in self._poll.reads if joined else self._poll.bridge_last:
             if self._commander.urgent:
                 await self._commander.write(link)
-            words = await self._commander.read(link, registers.Exchange(read=block), joined=joined)
+            words = await self._commander.read(link, Exchange(read=block), joined=joined)
             joined = False
             assembly.take(block, sources, words)
         self._failure = assembly.refusal
