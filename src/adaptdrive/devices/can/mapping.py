@@ -221,9 +221,7 @@ def _copies(
 
 
 def find_orders(
-    catalogue: database.SignalCatalogue,
-    sinks: Iterable[_Part],
-    section: str = "signals.command",
+    catalogue: database.SignalCatalogue, sinks: Iterable[_Part], section: str = "signals.command"
 ) -> dict[str, list[_Part]]:
     """Return the values that each message carries; errors go to the catalogue."""
     drafts: dict[str, list[_Part]] = {}

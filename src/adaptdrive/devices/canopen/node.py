@@ -45,10 +45,7 @@ class Reports:
     """
 
     def __init__(
-        self,
-        mapping: CanOpenMapping,
-        control: profile.DriveControl,
-        counts: Counter[str],
+        self, mapping: CanOpenMapping, control: profile.DriveControl, counts: Counter[str]
     ) -> None:
         """Expect PDOs; none has come yet.
 
