@@ -140,9 +140,9 @@ class Source(Generic[Item]):
         word: What is a fault or a warning in it, None for another quantity.
         slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
             the clock, with which they are taken, comes less often.
-        cycle_by: What says so of the slower of them: GenMsgCycleTime or a key of `[bus]`.
-        cycle_s: Time from one such value to the next, infinite where nothing says how often its
-            message comes.
+        cycle_by: What sets the cycle of the slower of them: GenMsgCycleTime or a key of `[bus]`.
+        cycle_s: Time from one such value to the next, infinite where it is not stated how often
+            its message comes.
     """
 
     quantity: str
@@ -323,7 +323,7 @@ def propose(wanted: Wanted, candidates: Iterable[Candidate]) -> tuple[Candidate,
 
 
 def is_doubtful(wanted: Wanted, proposed: tuple[Candidate, ...]) -> bool:
-    """Return whether nothing tells the likeliest candidate from the next one."""
+    """Return whether the likeliest candidate and the next one score the same."""
     best = [_points(wanted, one) for one in proposed[:2]]
     return len(best) == 2 and best[0] == best[1]
 

@@ -1,4 +1,4 @@
-"""Faults that a drive reports, and doubts whether it has stopped, obeys, and has one master.
+"""Faults that a drive reports, and checks that it has not stopped, obeys, and has one master.
 
 A drive that stopped while nothing came from it is not energised afterwards. One that does not
 obey the safe command must not be kept from stopping by itself, by commands or by heartbeats; how it
@@ -140,7 +140,7 @@ def describe_fault(word: int, name: str) -> str:
     return f"drive fault: {name} ({coded})" if name else f"drive fault: {coded}"
 
 
-# Doubts about a drive: whether it has stopped, whether it obeys, and whether others command it.
+# Whether a drive has stopped, whether it obeys, and whether others command it.
 
 _STOPPED = "drive stopped: its bridge is off although it was commanded on"
 
@@ -183,7 +183,9 @@ class Relink:
             how: Why nothing comes from the drive.
             reported_on: Whether its last report, also one that no reading carries, has it on.
         """
-        if not (self._was_on and how in {UNREAD, LEAPT}):  # what was there before says more
+        if not (
+            self._was_on and how in {UNREAD, LEAPT}
+        ):  # the earlier cause is the more specific one
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
         self._reported_on = self._reported_on or reported_on

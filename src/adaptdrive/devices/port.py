@@ -235,7 +235,7 @@ class NewestValues:
     def __init__(
         self, slacks: Mapping[str, float], others: Iterable[str], faults: Mapping[str, FaultWord]
     ) -> None:
-        """Know no value yet.
+        """Begin without a value.
 
         Args:
             slacks: How much older than `interlocks.stale_s` a value may be, by quantity, in s.
@@ -271,7 +271,7 @@ class NewestValues:
         if refused or self.refused:
             self.refused = (self.refused - values.keys()).union(refused)
 
-    def doubt(self, values: Mapping[str, float]) -> None:
+    def keep_old(self, values: Mapping[str, float]) -> None:
         """Keep faults, and a bridge that is on, of a frame that may be old: no value is newer."""
         self.faults.see(values)
         if values.get("bridge"):

@@ -1,9 +1,9 @@
 """Sensor buses, the values derived from them, and the port of a drive that has them.
 
 A value keeps the time of its measurement for as long as it is held. The drive's own port clocks and
-commands. Each of its readings is completed with what the sensor buses said last and with what is
-derived from all of it. Nothing is waited for: a sensor that is silent leaves its last value, which
-grows old until the port complains.
+commands. Each of its readings is completed with the last values of the sensor buses and with what
+is derived from all of it. Nothing is waited for: a sensor that is silent leaves its last value,
+which grows old until the port refuses to energise.
 """
 
 import asyncio

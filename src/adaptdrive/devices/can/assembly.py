@@ -113,7 +113,7 @@ class StatusAssembly:
         bridge_slack_s: Additional age of the report of the bridge, None for a drive that never
             reports it.
         bridge_cycle_s: Time from one report of the bridge to the next, 0 for a drive that never
-            reports it, infinite where nothing says how often the message comes.
+            reports it, infinite where it is not stated how often the message comes.
         stop_seen: Whether the drive has reported its bridge off after it had it on, and no reading
             has carried that yet.
     """
@@ -159,7 +159,7 @@ class StatusAssembly:
         refused = [one.quantity for one in expected if one.quantity not in values]
         self.newest.keep(values, arrival_s, refused)
 
-    def doubt(self, status: StatusFrame, found: Mapping[str, float]) -> None:
+    def keep_old(self, status: StatusFrame, found: Mapping[str, float]) -> None:
         """Look at a message that may be an old one: its alive counter leapt, or stands.
 
         It shows a fault, a bridge that is on, and that a drive which is driven may have stopped.
@@ -168,7 +168,7 @@ class StatusAssembly:
             status: The message.
             found: Good values by signal.
         """
-        self.newest.doubt(self._quantities(status, found))
+        self.newest.keep_old(self._quantities(status, found))
 
     def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
         """Return the values of a message by quantity, and note its report of the bridge."""

@@ -31,7 +31,7 @@ _Decoded = tuple[FrameVerdict, Mapping[str, float], int]
 
 
 class MessageCodec:
-    """Encodes and decodes the frames of one message, which `key` and `label` tell from others.
+    """Encodes and decodes the frames of one message, which `key` and `label` identify.
 
     Each direction keeps its own alive counter. A frame of another length is read if it has the
     bytes that its page needs, for one that wants some signals of a message without counter and

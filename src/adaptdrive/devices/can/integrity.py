@@ -194,7 +194,7 @@ class AliveCounter:
 
     A counter that stands still is a repeated frame. One that leaps further than `max_jump` is
     refused. So are those after it, until one is the very next of the one before: a restarted sender
-    loses one frame, and of two senders that take turns neither is believed.
+    loses one frame, and of two senders that take turns neither is accepted.
 
     Frames that are repeated in turn are each the next of the one before, too. A counter among the
     newest ones is refused until one is ahead of them. One that falls back a little further is

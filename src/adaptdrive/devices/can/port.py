@@ -256,9 +256,9 @@ class Port:
         if verdict is not _GOOD:
             self._refuse(status, verdict, data)
             if verdict is integrity.FrameVerdict.COUNTER_LOST:
-                self._doubt(arrival_s)
+                self._await_report(arrival_s)
             if verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
-                self._assembly.doubt(status, values)
+                self._assembly.keep_old(status, values)
                 return
         elif self._refusals.any:
             self._refusals.accept(status.codec.label)
@@ -277,7 +277,7 @@ class Port:
         page = self._mapping.page
         return page is None or page in found or status.codec.carries(data, page)
 
-    def _doubt(self, arrival_s: float) -> None:
+    def _await_report(self, arrival_s: float) -> None:
         """Let what energises wait for the next report of the bridge: the drive may be a new one.
 
         Never for one that does not report its bridge: the wait itself would let it stop.

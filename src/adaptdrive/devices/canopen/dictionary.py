@@ -36,7 +36,7 @@ _IDENTITY = ("VendorNumber", "ProductNumber")
 
 _MORE = ("AccessType", "CompactSubObj", "LowLimit", "HighLimit", "DefaultValue")
 _KEYS = {one.lower(): one for one in (*_NUMBERS, *_IDENTITY, *_MORE, _NAME)}
-"""Names of entries as the parser knows them."""
+"""Names of entries as the parser spells them."""
 
 
 @dataclass(slots=True)
@@ -87,7 +87,7 @@ def _parts(text: str, remarks: list[str]) -> list[_Part]:
 
 
 def _section(name: str) -> str:
-    """Return the name of a section as the parser knows it, from any case."""
+    """Return the name of a section as the parser spells it, from any case."""
     found = _OBJECT.fullmatch(name)
     if found is None:
         return "DeviceInfo" if name.lower() == "deviceinfo" else name

@@ -208,7 +208,7 @@ class Commander:
         block, _ = self._poll.writes[0]
         words = self._words(command)[0]
         void = None if self._at_once else lambda: not self._may_go(command, joined=True)
-        self._doubt(command)
+        self._begin_write(command)
         both = Exchange(exchange.read, block)
         try:
             registers = await self._exchange(link, both, words, void)
@@ -236,7 +236,7 @@ class Commander:
         if not command.bridge:
             parts.sort(key=lambda part: not _has_switch(part[0][1]))
         must_stop = command == SAFE_COMMAND and (self.urgent or self._history.may_be_on)
-        self._doubt(command)
+        self._begin_write(command)
         taken, sent = True, False
         for (block, sinks), registers in parts:
             if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
@@ -332,7 +332,7 @@ class Commander:
         self._alive += not self._disobeyed
         return [block_words(*one, command, self._alive) for one in self._poll.writes]
 
-    def _doubt(self, command: Command) -> None:
+    def _begin_write(self, command: Command) -> None:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
         self._history.attempt(command)

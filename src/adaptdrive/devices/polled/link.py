@@ -54,7 +54,7 @@ class ExchangeError(AdaptdriveError):
 
 
 class OvertakenError(ExchangeError):
-    """An exchange was not made, as it was no longer wanted: this says nothing of the device."""
+    """An exchange was not made, as it was no longer wanted: this is no fault of the device."""
 
 
 def never() -> bool:

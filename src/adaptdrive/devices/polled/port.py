@@ -234,7 +234,7 @@ class Port(Polling[PolledLink, Listener]):
         self._counts["out_of_range"] += bool(assembly.refusal)
 
     def _take(self, start_s: float) -> None:
-        """Hand out the reading of a poll; a drive that stands still has said nothing."""
+        """Hand out the reading of a poll; none of a drive that stands still."""
         if not self._is_alive(start_s):
             return
         assembly, sent = self._assembly, self._history.bridge

@@ -37,7 +37,7 @@ class PollHistory:
     def __init__(
         self, reported: bool, timing: Timing, look_s: float, clock: Callable[[], float]
     ) -> None:
-        """Know nothing of the drive yet.
+        """Begin without a report of the drive.
 
         Args:
             reported: Whether the drive reports its bridge.
