@@ -10,7 +10,7 @@ import pytest
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.sensors import derived_value
 from tests.described.can_node import CanNode
 from tests.described.described import DEVICES, described, running
@@ -146,7 +146,7 @@ async def test_the_brusa_nlg5() -> None:
 def test_no_value_of_the_brusa_nlg5_is_older_than_the_limit() -> None:
     configuration = described("brusa-nlg5")
     port = build_port(configuration, float, DEVICES / "brusa-nlg5.toml")
-    assert isinstance(port, CanPort)
+    assert isinstance(port, can_port.Port)
     sources = [source for status in port._mapping.statuses for source in status.sources]
     slack_s = {source.quantity: source.slack_s for source in sources}
     assert slack_s["output"] == pytest.approx(0.0)  # 2.5 cycles of 100 ms

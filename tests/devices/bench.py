@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from pathlib import Path
 
 import can
@@ -20,9 +20,9 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.bus import BusBackoff
+from adaptdrive.devices.bus import backoff_s
+from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.port import Port, Reading
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
@@ -83,12 +83,12 @@ def noted_delays(module: str, monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Return a list that grows by each delay before a bus of a module is opened again."""
     delays_s: list[float] = []
 
-    class Noted(BusBackoff):
-        def next_s(self) -> float:
-            delays_s.append(super().next_s())
-            return delays_s[-1]
+    def noted(received: Callable[[], int]) -> Iterator[float]:
+        for delay_s in backoff_s(received):
+            delays_s.append(delay_s)
+            yield delay_s
 
-    monkeypatch.setattr(f"{module}.BusBackoff", Noted)
+    monkeypatch.setattr(f"{module}.backoff_s", noted)
     return delays_s
 
 
@@ -218,15 +218,15 @@ def build_port(
     clock: Callable[[], float] | None = None,
     timing: Timing = TIMING,
     **signals: object,
-) -> CanPort:
+) -> can_port.Port:
     """A port, by the clock of the loop or of the test; a frame that is read has not waited."""
     mapping = map_drive(config, motor_signals(**signals), timing)
     clock = clock or asyncio.get_running_loop().time
-    return CanPort(config, mapping, clock, clock)
+    return can_port.Port(config, mapping, clock, clock)
 
 
 @contextlib.asynccontextmanager
-async def running(port: CanPort, ear: Ear) -> AsyncIterator[None]:
+async def running(port: can_port.Port, ear: Ear) -> AsyncIterator[None]:
     """Run a port until the block ends."""
     opened = asyncio.Event()
     async with asyncio.TaskGroup() as tasks:

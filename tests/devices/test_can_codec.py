@@ -96,8 +96,8 @@ def test_decodes_what_cantools_decodes(message: Message, draw: st.DataObject) ->
     decoded = MessageCodec(message).decode(data)
     finite = {name: one for name, one in expected.items() if math.isfinite(float(str(one)))}
     whole = len(finite) == len(expected)
-    assert decoded.verdict is (FrameVerdict.GOOD if whole else FrameVerdict.OUT_OF_RANGE)
-    assert decoded.values == finite
+    assert decoded[0] is (FrameVerdict.GOOD if whole else FrameVerdict.OUT_OF_RANGE)
+    assert decoded[1] == finite
 
 
 @given(layouts() | multiplexed_layouts(), st.data())
@@ -120,7 +120,7 @@ MULTIPLEXED = (
 
 
 def test_a_multiplexed_frame_of_an_unknown_page_is_refused() -> None:
-    assert MessageCodec(dbc(MULTIPLEXED)).decode(bytes((3, *bytes(7)))).verdict is (
+    assert MessageCodec(dbc(MULTIPLEXED)).decode(bytes((3, *bytes(7))))[0] is (
         FrameVerdict.OUT_OF_RANGE
     )
 
@@ -130,7 +130,7 @@ def test_a_float_that_is_not_finite_is_refused(value: float) -> None:
     signal = Signal("Volts", 0, 32, conversion=BaseConversion.factory(is_float=True))
     message = Message(0x123, "Floats", 8, [signal])
     frame = message.encode({"Volts": value})
-    assert MessageCodec(message).decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
+    assert MessageCodec(message).decode(frame)[0] is FrameVerdict.OUT_OF_RANGE
     with pytest.raises(ValueError, match="Volts"):
         MessageCodec(message).encode({"Volts": value})
 
@@ -157,9 +157,9 @@ def test_a_state_whose_name_says_that_nothing_is_known_is_none(
     state = Signal("State", 0, 3, conversion=BaseConversion.factory(choices=choices))
     message = Message(0x123, "Drive", 1, [state])
     codec = MessageCodec(message, states={"State": 1.0})
-    refused = {raw for raw in range(len(names)) if not codec.decode(bytes((raw,))).values}
+    refused = {raw for raw in range(len(names)) if not codec.decode(bytes((raw,)))[1]}
     assert refused == unknown
-    values = [MessageCodec(message).decode(bytes((raw,))).values for raw in range(len(names))]
+    values = [MessageCodec(message).decode(bytes((raw,)))[1] for raw in range(len(names))]
     assert all(values)
 
 
@@ -190,7 +190,7 @@ def test_what_a_signal_cannot_hold_is_not_sent(signal: str, value: float) -> Non
 
 @pytest.mark.parametrize("length", [0, 1, 7, 9, 64])
 def test_a_frame_of_another_length_is_refused(length: int) -> None:
-    assert reference("DriveStatus").decode(bytes(length)).verdict is FrameVerdict.WRONG_LENGTH
+    assert reference("DriveStatus").decode(bytes(length))[0] is FrameVerdict.WRONG_LENGTH
 
 
 @pytest.mark.parametrize("order", ["little", "big"])
@@ -205,13 +205,13 @@ def test_a_frame_of_another_length_without_proofs_gives_what_it_has(
     volts = (1234).to_bytes(2, "little" if "@1" in place else "big")
     data = bytes(2) + volts + bytes(60)
     decoded = MessageCodec(message, wanted=["Volts"]).decode(data[:length])
-    assert decoded.values == {"Volts": pytest.approx(123.4)}
+    assert decoded[1] == {"Volts": pytest.approx(123.4)}
     assert MessageCodec(message, wanted=["Volts"]).needed == 4
     for short in (0, 1, 3):
-        verdict = MessageCodec(message, wanted=["Volts"]).decode(data[:short]).verdict
+        verdict = MessageCodec(message, wanted=["Volts"]).decode(data[:short])[0]
         assert verdict is FrameVerdict.WRONG_LENGTH
     both = MessageCodec(message, wanted=["Volts", "Late"]).decode(data[:length])
-    assert both.verdict is (FrameVerdict.GOOD if length > 7 else FrameVerdict.WRONG_LENGTH)
+    assert both[0] is (FrameVerdict.GOOD if length > 7 else FrameVerdict.WRONG_LENGTH)
 
 
 def test_a_short_frame_of_a_multiplexed_message_is_read_by_its_page() -> None:
@@ -219,9 +219,9 @@ def test_a_short_frame_of_a_multiplexed_message_is_read_by_its_page() -> None:
  SG_ Volts m1 : 8|16@1+ (0.1,0) [0|6553.4] "V" X
  SG_ Late m2 : 48|16@1+ (1,0) [0|65535] "" X""").messages[0]
     codec = MessageCodec(message, wanted=["Volts"])
-    assert codec.decode(b"\x01\x0a\x00").values == {"Volts": pytest.approx(1.0)}
-    assert codec.decode(b"\x02\x0a\x00").values == {}
-    assert codec.decode(b"\x01\x0a").verdict is FrameVerdict.WRONG_LENGTH
+    assert codec.decode(b"\x01\x0a\x00")[1] == {"Volts": pytest.approx(1.0)}
+    assert codec.decode(b"\x02\x0a\x00")[1] == {}
+    assert codec.decode(b"\x01\x0a")[0] is FrameVerdict.WRONG_LENGTH
 
 
 WORDS = """ SG_ Volts : 0|16@1+ (0.1,0) [0|6553.4] "V" X
@@ -249,8 +249,8 @@ def test_the_values_beside_a_refused_one_are_those_in_range(
     codec = MessageCodec(dbc(WORDS), integrity, measured={"Volts", "Amps"})
     frame = with_crc(bytes.fromhex("ffff 0100") + bytes.fromhex(status) + bytes(2))
     decoded = codec.decode(frame)
-    assert decoded.verdict is FrameVerdict.OUT_OF_RANGE
-    assert decoded.values == {"Amps": pytest.approx(0.1), **values}
+    assert decoded[0] is FrameVerdict.OUT_OF_RANGE
+    assert decoded[1] == {"Amps": pytest.approx(0.1), **values}
 
 
 @pytest.mark.parametrize(
@@ -267,36 +267,34 @@ def test_a_state_with_all_bits_set_is_none(raw: str, on: float, named: str, know
     """As a gateway sends it of a drive that it does not hear: it would be a bridge that is off."""
     state = dbc(f' SG_ State : 0|8@1- (1,0) [0|0] "" X{named}')
     decoded = MessageCodec(state, states={"State": on}).decode(bytes.fromhex(raw) + bytes(7))
-    assert bool(decoded.values) is known
+    assert bool(decoded[1]) is known
 
 
 def test_a_frame_with_nothing_available_has_no_values() -> None:
     """As a drive sends while its control starts; a word of one bit looks like a 1 there."""
     codec = MessageCodec(dbc(WORDS), FrameIntegrity(), measured={"Volts", "Amps"})
-    assert codec.decode(b"\xff" * 7 + b"\x7f").values["On"] == 1
+    assert codec.decode(b"\xff" * 7 + b"\x7f")[1]["On"] == 1
     decoded = codec.decode(b"\xff" * 8)
-    assert decoded.verdict is FrameVerdict.OUT_OF_RANGE
-    assert not decoded.values
+    assert decoded[0] is FrameVerdict.OUT_OF_RANGE
+    assert not decoded[1]
 
 
 @pytest.mark.parametrize("alive", [0, 15], ids=["repeated", "beyond its end"])
 def test_a_frame_whose_counter_is_wrong_has_no_values(alive: int) -> None:
     codec = MessageCodec(dbc(WORDS), FrameIntegrity(counter="Alive"), measured={"Volts", "Amps"})
     frame = bytes.fromhex("ffff 0100 0214")
-    assert codec.decode(frame + bytes(2)).values
+    assert codec.decode(frame + bytes(2))[1]
     decoded = codec.decode(frame + bytes((alive, 0)))
-    assert not decoded.values
-    assert (decoded.verdict is FrameVerdict.OUT_OF_RANGE) is (alive == 15)
+    assert not decoded[1]
+    assert (decoded[0] is FrameVerdict.OUT_OF_RANGE) is (alive == 15)
 
 
 @pytest.mark.parametrize("declared", ["[0|0]", "[0|6553.5]"])
 def test_a_measurement_is_unavailable_even_where_the_database_forgot_it(declared: str) -> None:
     message = dbc(f' SG_ Volts : 0|16@1+ (0.1,0) {declared} "V" X')
     frame = b"\xff\xff" + bytes(6)
-    assert MessageCodec(message).decode(frame).verdict is FrameVerdict.GOOD
-    assert (
-        MessageCodec(message, measured={"Volts"}).decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
-    )
+    assert MessageCodec(message).decode(frame)[0] is FrameVerdict.GOOD
+    assert MessageCodec(message, measured={"Volts"}).decode(frame)[0] is FrameVerdict.OUT_OF_RANGE
 
 
 def test_a_counter_that_the_database_ends_early_wraps_there() -> None:
@@ -310,4 +308,4 @@ def test_a_counter_that_the_database_ends_early_wraps_there() -> None:
     assert frames[0][:2] == b"\xcc\x00"
     assert frames[1][:2] == b"\x91\x01"
     assert [frame[1] for frame in frames] == [*range(15), *range(15), 0]
-    assert {receiver.decode(frame).verdict for frame in frames} == {FrameVerdict.GOOD}
+    assert {receiver.decode(frame)[0] for frame in frames} == {FrameVerdict.GOOD}

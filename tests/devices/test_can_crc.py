@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.bus import Crc, FrameIntegrity
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.can.database import Description, SignalCatalogue
+from adaptdrive.devices.can.database import SignalCatalogue
 from adaptdrive.devices.can.integrity import CHECK_INPUT, FrameVerdict, crc_function
 from tests.devices.bench import odd_database
 
@@ -77,14 +77,14 @@ def test_profile_5_of_autosar_is_described() -> None:
     codec = protected(CRC_16, **CCITT_FALSE, after=[0x34, 0x12])
     frame = bytes.fromhex("1cca000000000000")
     assert codec.encode({}) == frame
-    assert codec.decode(frame).verdict is FrameVerdict.GOOD
+    assert codec.decode(frame)[0] is FrameVerdict.GOOD
 
 
 @pytest.mark.parametrize("frame", ["c401000000000000", "1902000000000000", "5203000000000000"])
 def test_profile_2_of_autosar_is_described(frame: str) -> None:
     # made by the package autosar-e2e 1.0.0, with the data ids 0x10 to 0x1F
     codec = protected(CRC_8, **PROFILE_2, by_counter=list(range(0x10, 0x20)))
-    assert codec.decode(bytes.fromhex(frame)).verdict is FrameVerdict.GOOD
+    assert codec.decode(bytes.fromhex(frame))[0] is FrameVerdict.GOOD
 
 
 @given(st.binary(min_size=8, max_size=8), st.permutations(range(8)), st.integers(1, 8))
@@ -95,8 +95,8 @@ def test_only_the_named_bytes_are_covered(data: bytes, order: list[int], count: 
     total = reference(form_of(16, 0x1021, 0xFFFF, 0, 0, 0))
     held = total.process(bytes(blank[at] for at in covers)).final()
     good = held.to_bytes(2, "little") + data[2:]
-    assert codec.decode(good).verdict is FrameVerdict.GOOD
-    assert codec.decode(bytes((good[0] ^ 1,)) + good[1:]).verdict is FrameVerdict.WRONG_CHECKSUM
+    assert codec.decode(good)[0] is FrameVerdict.GOOD
+    assert codec.decode(bytes((good[0] ^ 1,)) + good[1:])[0] is FrameVerdict.WRONG_CHECKSUM
 
 
 def test_a_checksum_in_motorola_order_is_read() -> None:
@@ -124,7 +124,7 @@ def test_a_form_that_does_not_fit_is_a_flaw(
 ) -> None:
     given: dict[str, object] = {"counter": "Alive", "checksum": "Sum", "algorithm": "crc"}
     given["crc"] = PROFILE_2 if signals is CRC_8 else CCITT_FALSE
-    catalogue = SignalCatalogue(Description(odd_database(signals), ()), fd=False)
+    catalogue = SignalCatalogue(odd_database(signals), fd=False)
     catalogue.check_integrity("Odd", FrameIntegrity.model_validate({**given, **changes}))
     found = {flaw.place: flaw.message for flaw in catalogue.flaws}
     assert words in found[f"bus.integrity.Odd.{place}"]

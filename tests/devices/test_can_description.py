@@ -20,8 +20,8 @@ from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.bus import CanBus, SignalSource
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import open_bus
-from adaptdrive.devices.can.port import CanPort
 from adaptdrive.runtime.interlocks import find_cause
 from adaptdrive.runtime.settings import Limits
 from adaptdrive.util.errors import ConfigurationError
@@ -54,9 +54,11 @@ def commanding(**changes: object) -> Configuration:
     return Configuration.model_validate(document, strict=False)
 
 
-def port_of(configuration: Configuration, clock: Callable[[], float] | None = None) -> CanPort:
+def port_of(
+    configuration: Configuration, clock: Callable[[], float] | None = None
+) -> can_port.Port:
     port = build_port(configuration, clock or Clock(), "inverter.toml")
-    assert isinstance(port, CanPort)
+    assert isinstance(port, can_port.Port)
     return port
 
 
@@ -120,7 +122,7 @@ def inverter(own: Configuration) -> Iterator[Inverter]:
 
 
 @pytest.fixture
-async def port(own: Configuration) -> CanPort:
+async def port(own: Configuration) -> can_port.Port:
     return port_of(own, asyncio.get_running_loop().time)
 
 
@@ -151,7 +153,7 @@ async def test_a_reading_is_gathered_from_pages_of_either_order(
 
 
 async def test_names_of_the_value_tables_are_used_and_told(
-    inverter: Inverter, port: CanPort, ear: Ear
+    inverter: Inverter, port: can_port.Port, ear: Ear
 ) -> None:
     async with running(port, ear):
         inverter.send_all()
@@ -178,7 +180,7 @@ async def test_names_of_the_value_tables_are_used_and_told(
     ],
 )
 async def test_a_count_that_has_a_name_is_no_measurement(
-    inverter: Inverter, port: CanPort, name: str, values: Values, raw: Values
+    inverter: Inverter, port: can_port.Port, name: str, values: Values, raw: Values
 ) -> None:
     async with running(port, Ear()):
         inverter.send_all()
@@ -188,7 +190,7 @@ async def test_a_count_that_has_a_name_is_no_measurement(
 
 
 async def test_a_command_is_spread_over_pages_with_its_constants(
-    inverter: Inverter, port: CanPort
+    inverter: Inverter, port: can_port.Port
 ) -> None:
     async with running(port, Ear()):
         assert port.send(RUN)
@@ -207,7 +209,7 @@ async def test_a_command_is_spread_over_pages_with_its_constants(
 
 
 async def test_a_drive_that_took_a_part_of_its_first_command_counts_as_on(
-    inverter: Inverter, port: CanPort, ear: Ear, monkeypatch: pytest.MonkeyPatch
+    inverter: Inverter, port: can_port.Port, ear: Ear, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The frame that energises went out, and the next did not: it is heard before it gets more."""
     async with running(port, ear):
@@ -232,7 +234,7 @@ async def test_a_drive_that_took_a_part_of_its_first_command_counts_as_on(
 
 
 async def test_a_seldom_value_may_be_as_old_as_its_cycle_time_says(
-    inverter: Inverter, port: CanPort, ear: Ear
+    inverter: Inverter, port: can_port.Port, ear: Ear
 ) -> None:
     async with running(port, ear):
         inverter.send_all()

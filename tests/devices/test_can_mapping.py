@@ -180,7 +180,7 @@ def with_initial(folder: Path, message: str, signal: str, kind: str, value: str)
 def test_an_initial_value_of_either_kind_is_sent(tmp_path: Path, kind: str, value: int) -> None:
     bus = with_initial(tmp_path, "DriveCommand", "Spare", kind, str(value))
     (order,) = map_drive(bus, MOTOR.signals, TIMING).orders
-    message = read_dbc(bus.database).database.get_message_by_name("DriveCommand")
+    message = read_dbc(bus.database)[0].get_message_by_name("DriveCommand")
     sent = message.decode_simple(order.encode(SAFE_COMMAND))
     assert (sent["Spare"], sent["BoostReference"]) == (value, 0.0)
 

@@ -14,9 +14,9 @@ import pytest
 
 from adaptdrive.config.bus import CanBus, CommandSignals
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.faults import QUIET_S
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.interlocks import find_cause
@@ -49,7 +49,7 @@ LIMITS = Limits(430.0, 5.0, "V")
 class Bench:
     """A port, its drive, an ear, and a clock that the test moves."""
 
-    port: CanPort
+    port: can_port.Port
 
     def __init__(self, config: CanBus, folder: Path) -> None:
         self.config, self.folder = config, folder
@@ -65,7 +65,7 @@ class Bench:
     def build_late(self) -> None:
         """Make a port whose frames count as having waited since their queue was last empty."""
         mapping = map_drive(self.config, motor_signals(), TIMING)
-        self.port = CanPort(self.config, mapping, self.clock, lambda: 4e9)
+        self.port = can_port.Port(self.config, mapping, self.clock, lambda: 4e9)
 
     def running(self) -> contextlib.AbstractAsyncContextManager[None]:
         """Run the port until the block ends."""

@@ -14,9 +14,10 @@ import pytest
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND
+from adaptdrive.devices.can import port as can_port
+from adaptdrive.devices.can.assembly import CanMapping
 from adaptdrive.devices.can.bus import open_bus
-from adaptdrive.devices.can.mapping import CanMapping, map_drive
-from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.util.errors import ConfigurationError
 from tests.devices.bench import Clock, Ear, running, until
 
@@ -81,7 +82,7 @@ def page(register: int, value: int, length: int = 4) -> bytes:
     return struct.pack("<Bq", register, value)[:length].ljust(length, b"\0")
 
 
-async def deliver(port: CanPort, drive: can.BusABC, data: bytes) -> None:
+async def deliver(port: can_port.Port, drive: can.BusABC, data: bytes) -> None:
     """Send a frame of the drive, and wait until the port has read it."""
     known = port.statistics.received
     drive.send(can.Message(arbitration_id=385, is_extended_id=False, data=data))
@@ -105,7 +106,7 @@ def test_a_frame_needs_the_bytes_of_its_own_page(
 ) -> None:
     (status,) = mapped(tmp_path, {}).statuses
     decoded = status.codec.decode(data)
-    assert (str(decoded.verdict), dict(decoded.values)) == (verdict, values)
+    assert (str(decoded[0]), dict(decoded[1])) == (verdict, values)
     if verdict == "wrong_length":
         needed = {0: 1, 2: 3, 4: 5}[len(data)]
         assert status.codec.required(data) == needed
@@ -115,7 +116,7 @@ async def test_one_page_is_the_clock(tmp_path: Path) -> None:
     """Readings come with the speed alone, whether or not its value is within its range."""
     bus, ear = bus_of(tmp_path, "TX.SPEED"), Ear()
     clock = asyncio.get_running_loop().time
-    port = CanPort(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
+    port = can_port.Port(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
     async with running(port, ear):
         with open_bus(bus) as drive:
             pages = [page(CURRENT, 7), page(STATUS, 1, 6), page(ERRORS, 0), page(SPEED, 300)]
@@ -156,7 +157,7 @@ async def test_requests_go_again_to_a_drive_that_is_off_and_has_fallen_silent(
 ) -> None:
     """One that was switched off and on again has forgotten them, and sends nothing."""
     bus, ear, clock = bus_of(tmp_path, "TX.SPEED", {"RX.SPEED_MS": 10.0}), Ear(), Clock()
-    port = CanPort(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
+    port = can_port.Port(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
     asked = []
     with open_bus(bus) as drive:
         async with running(port, ear):
@@ -181,7 +182,7 @@ async def test_a_message_of_constants_goes_at_its_own_rate_and_at_once_with_the_
 ) -> None:
     bus, ear, clock = bus_of(tmp_path, "TX"), Ear(), Clock()
     bus = bus.model_copy(update={"send_every_s": {"WAKE": 0.1}})
-    port = CanPort(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
+    port = can_port.Port(bus, map_drive(bus, SIGNALS, TIMING), clock, clock)
     run = replace(SAFE_COMMAND, bridge=True)
     ids: list[list[int]] = []
     async with running(port, ear):
@@ -209,7 +210,7 @@ async def test_a_measured_value_is_copied_into_the_command_while_it_is_fresh(
     copy = {"signal": "BACK.VOLTS", "scale": 0.5}
     mapping, ear, clock = copying(tmp_path, boost_voltage_V=copy), Ear(), Clock()
     bus, heard = bus_of(tmp_path, "TX"), []
-    port = CanPort(bus, mapping, clock, clock)
+    port = can_port.Port(bus, mapping, clock, clock)
     with open_bus(bus) as drive:
         async with running(port, ear):
             for current, later_s in ((None, 0.0), (70, 0.4), (None, 0.2), (600, 0.0), (-1, 0.0)):

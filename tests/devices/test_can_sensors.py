@@ -13,7 +13,7 @@ import pytest
 
 from adaptdrive.config.root import CanSensorSection as Config
 from adaptdrive.devices.can.bus import open_bus
-from adaptdrive.devices.can.kind import CanSensorPort, build_can_sensors
+from adaptdrive.devices.can.kind import SensorPort, build_can_sensors
 from adaptdrive.util.errors import ConfigurationError
 from tests.devices.bench import EXAMPLES, Clock, Drive, SensorEar, until, with_crc
 
@@ -50,7 +50,7 @@ class Bench:
         config = Config.model_validate(COMMON | changes, strict=False)
         self.drive, self.ear = Drive(open_bus(config)), SensorEar()
         clock = asyncio.get_running_loop().time
-        self.port: CanSensorPort = build_can_sensors(config, "sensor_bus.0", clock)
+        self.port: SensorPort = build_can_sensors(config, "sensor_bus.0", clock)
 
     async def receives(self, count: int) -> None:
         await until(lambda: self.port.statistics.received >= count)

@@ -12,7 +12,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.polled.commander import Commander
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
 from adaptdrive.devices.polled.registers import Exchange
-from adaptdrive.devices.polled.reports import PollWitness
+from adaptdrive.devices.polled.reports import PollHistory
 from tests.devices.modbus.bench import plan, reported
 
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)
@@ -63,18 +63,18 @@ class Bench:
         self.now_s = [100.0]
         self.link = Link(self.now_s)
         poll, timing = plan(**APART), Timing(1.0 / 120.0, 0.25, 12)
-        self.witness = PollWitness(True, timing, 0.3, lambda: self.now_s[0])
-        self.commander = Commander(poll, self.witness, Counter(), lambda: self.now_s[0], timing)
+        self.history = PollHistory(True, timing, 0.3, lambda: self.now_s[0])
+        self.commander = Commander(poll, self.history, Counter(), lambda: self.now_s[0], timing)
         self.commander.begin()
 
     async def polled(self, *, powered: bool) -> None:
         """One poll, in which the drive reports its bridge."""
         self.now_s[0] += 0.1
-        self.witness.note_step()
+        self.history.note_step()
         self.commander.begin_poll()
-        self.witness.reported_s = self.now_s[0]
+        self.history.reported_s = self.now_s[0]
         self.commander.note_read(answered=True)
-        self.witness.note_bridge(powered=powered)
+        self.history.note_bridge(powered=powered)
         await self.commander.write(self.link)
 
     async def give(self, command: Command, *, powered: bool) -> list[int]:

@@ -4,34 +4,34 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.devices.faults import LEAPT, LOST, Obedience, Relink, Rival
+from adaptdrive.devices.faults import LEAPT, LOST, Obedience, OtherSender, Relink
 
 
 def test_another_master_is_remembered_for_five_seconds() -> None:
     now_s = [100.0]
-    rival = Rival(lambda: now_s[0])
-    assert rival.complaint is None
-    rival.hear("0x200 Command")
+    other = OtherSender(lambda: now_s[0])
+    assert other.complaint is None
+    other.note("0x200 Command")
     now_s[0] = 104.9
-    assert "1 x frame 0x200 Command, the last 4.9 s ago" in str(rival.complaint)
-    rival.hear("0x200 Command")
+    assert "1 x frame 0x200 Command, the last 4.9 s ago" in str(other.complaint)
+    other.note("0x200 Command")
     now_s[0] = 109.9
-    assert "2 x frame" in str(rival.complaint)
+    assert "2 x frame" in str(other.complaint)
     now_s[0] = 110.0
-    assert rival.complaint is None
+    assert other.complaint is None
 
 
 def test_a_drive_that_stopped_unheard_waits_for_the_safe_command() -> None:
     relink = Relink()
-    relink.note(bridge=True, safe=False)
-    relink.hear(bridge=True)
+    relink.note_command(bridge=True, safe=False)
+    relink.note_reading(bridge=True)
     relink.open(bridge=True)
     assert not relink.admits(bridge=True)  # until it has reported
     assert relink.admits(bridge=False)
-    relink.hear(bridge=False)
+    relink.note_reading(bridge=False)
     assert "drive stopped" in str(relink.complaint)
     assert not relink.admits(bridge=True)
-    relink.note(bridge=False, safe=True)
+    relink.note_command(bridge=False, safe=True)
     assert relink.complaint is None
     assert relink.admits(bridge=True)
 
@@ -50,28 +50,28 @@ class Watched:
 
 def test_a_drive_that_stays_on_does_not_obey_after_its_time_from_the_first_command() -> None:
     watched = Watched()
-    watched.obedience.hear()
+    watched.obedience.note_safe()
     assert watched.overdue_s(1.5) == -0.5
-    watched.obedience.hear()
+    watched.obedience.note_safe()
     assert watched.overdue_s(1.0) == 0.5
-    assert watched.obedience.heard_s == 64.0
+    assert watched.obedience.since_s == 64.0
 
 
 def test_its_time_begins_anew_after_another_command() -> None:
     watched = Watched()
-    watched.obedience.hear()
+    watched.obedience.note_safe()
     watched.overdue_s(10.0)
     watched.obedience.forget()
-    assert watched.obedience.heard_s == math.inf
-    watched.obedience.hear()
+    assert watched.obedience.since_s == math.inf
+    watched.obedience.note_safe()
     assert watched.overdue_s(1.5) == -0.5
 
 
 def test_a_counter_that_leaps_after_a_lost_bus_leaves_the_loss_as_the_cause() -> None:
     relink = Relink()
-    relink.note(bridge=True, safe=False)
-    relink.hear(bridge=True)
+    relink.note_command(bridge=True, safe=False)
+    relink.note_reading(bridge=True)
     relink.open(bridge=True)
     relink.open(bridge=True, how=LEAPT)
-    relink.hear(bridge=False)
+    relink.note_reading(bridge=False)
     assert LOST in str(relink.complaint)

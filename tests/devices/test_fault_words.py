@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptdrive.config.polled import Heartbeat
 from adaptdrive.devices.can.assembly import StatusAssembly
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.faults import FaultLatch, FaultWord
@@ -78,7 +79,7 @@ def test_a_fault_bit_names_the_register_with_its_code(names: str, said: str) -> 
         signals__faults="[{ signal = 'state', names = { 0 = 'tripped' }, code = 'last' }]",
     )
     poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
-    assembly = PollAssembly(poll)
+    assembly = PollAssembly(poll, Heartbeat())
     for state, last, fault in ((0, 7, ""), (8, 7, f"state bit 0 tripped, {said}"), (0, 7, "")):
         assembly.begin()
         for block, sources in poll.reads:
@@ -108,7 +109,7 @@ def test_a_state_register_has_healthy_values(key: str, healthy: str) -> None:
     }
     configuration = parse(**words)
     poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
-    assembly = PollAssembly(poll)
+    assembly = PollAssembly(poll, Heartbeat())
     for state, fault in ((4, 0), (2, 0), (3, 3), (7, 3)):
         assembly.begin()
         for block, sources in poll.reads:
@@ -137,7 +138,7 @@ def test_a_can_drive_has_several_words() -> None:
     mapping = map_drive(MOTOR_BUS, motor_signals(fault=None, faults=FAULTS), TIMING)
     assembly = StatusAssembly(mapping)
     for status in mapping.statuses:
-        found = {source.signal: 0.0 for source in status.sources}
+        found = {source.field.name: 0.0 for source in status.sources}
         found |= {"Fault": 5.0} if status.codec.name == "DriveStatus" else {}
         assembly.keep(status, found, 1.0)
     reading = assembly.reading(1.0, bridge_sent=True, stopped=False)
@@ -151,7 +152,7 @@ def test_a_drive_on_modbus_has_several_words() -> None:
     warning = "{ signal = 'state', mask = 0x01, names = { 0 = 'derating' } }"
     configuration = parse(signals__faults=fault, signals__warning=warning)
     poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
-    assembly = PollAssembly(poll)
+    assembly = PollAssembly(poll, Heartbeat())
     assembly.begin()
     for block, sources in poll.reads:
         assembly.take(block, sources, [0, 0, 2, 0, 0, 0x101][: block.count])

@@ -43,16 +43,16 @@ def written(folder: Path, text: str) -> Path:
 
 @pytest.mark.parametrize("flaw", FLAWS)
 def test_a_flaw_of_a_dbc_is_a_remark_with_its_line(tmp_path: Path, flaw: str) -> None:
-    description = read_dbc(written(tmp_path, SOUND + FLAWS[flaw]))
-    remark, *others = description.remarks
+    database, remarks = read_dbc(written(tmp_path, SOUND + FLAWS[flaw]))
+    remark, *others = remarks
     assert others == []
     line = (HEAD + SOUND).count("\n") + 1 + (flaw in {"spoilt", "twice"})
     assert remark.startswith(f"line {line}: ")
-    level = description.database.get_message_by_name("Sound").get_signal_by_name("Level")
+    level = database.get_message_by_name("Sound").get_signal_by_name("Level")
     expected = cantools.database.load_string(HEAD + SOUND, database_format="dbc")
     (other,) = expected.get_message_by_name("Sound").signals  # type: ignore[union-attr]
     assert (level.start, level.length, level.scale) == (other.start, other.length, other.scale)
-    assert SignalCatalogue(description, fd=False).find("Sound.Level", "signals.output")
+    assert SignalCatalogue(database, remarks, fd=False).find("Sound.Level", "signals.output")
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_a_flaw_of_a_dbc_is_a_remark_with_its_line(tmp_path: Path, flaw: str) ->
     ],
 )
 def test_what_nobody_reads_may_be_spoilt(tmp_path: Path, text: str) -> None:
-    assert read_dbc(written(tmp_path, text + SOUND)).remarks == []
+    assert read_dbc(written(tmp_path, text + SOUND))[1] == []
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_what_nobody_reads_may_be_spoilt(tmp_path: Path, text: str) -> None:
 def test_a_flaw_is_an_error_for_who_uses_it(
     tmp_path: Path, flaw: str, named: str, words: str
 ) -> None:
-    catalogue = SignalCatalogue(read_dbc(written(tmp_path, SOUND + FLAWS[flaw])), fd=False)
+    catalogue = SignalCatalogue(*read_dbc(written(tmp_path, SOUND + FLAWS[flaw])), fd=False)
     catalogue.find(named, "signals.output")
     (problem,) = catalogue.flaws
     assert problem.place == "signals.output"
@@ -90,7 +90,7 @@ def test_a_flaw_is_an_error_for_who_uses_it(
 
 def test_a_name_that_begins_with_a_digit_is_used_as_it_stands(tmp_path: Path) -> None:
     text = SOUND + FLAWS["digit"] + 'VAL_ 256 5V_RAIL 1 "On" ;\n'
-    catalogue = SignalCatalogue(read_dbc(written(tmp_path, text)), fd=False)
+    catalogue = SignalCatalogue(*read_dbc(written(tmp_path, text)), fd=False)
     found = catalogue.find("Sound.5V_RAIL", "signals.bridge")
     assert found is not None
     assert catalogue.field(found, "state").names == {1: "On"}
@@ -98,18 +98,18 @@ def test_a_name_that_begins_with_a_digit_is_used_as_it_stands(tmp_path: Path) ->
 
 def test_names_of_values_may_continue_in_the_next_lines(tmp_path: Path) -> None:
     text = SOUND + 'VAL_ 256 Level 0 "Off" \n 1 "On" -2\n"Back" \n;\n' + FLAWS["names of nothing"]
-    description = read_dbc(written(tmp_path, text))
-    catalogue = SignalCatalogue(description, fd=False)
+    database, remarks = read_dbc(written(tmp_path, text))
+    catalogue = SignalCatalogue(database, remarks, fd=False)
     found = catalogue.find("Sound.Level", "signals.bridge")
     assert found is not None
     assert catalogue.field(found, "state").names == {0: "Off", 1: "On", -2: "Back"}
-    (remark,) = description.remarks
+    (remark,) = remarks
     assert remark.startswith("line 9: ")
 
 
 def test_an_id_of_29_bits_without_its_mark_is_one_of_29_bits(tmp_path: Path) -> None:
     text = FLAWS["long id"] + 'VAL_ 123456789 Far 1 "On" ;\n'
-    (message,) = read_dbc(written(tmp_path, text)).database.messages
+    (message,) = read_dbc(written(tmp_path, text))[0].messages
     assert (message.frame_id, message.is_extended_frame) == (123456789, True)
     choices = message.get_signal_by_name("Far").choices
     assert choices is not None
@@ -118,7 +118,7 @@ def test_an_id_of_29_bits_without_its_mark_is_one_of_29_bits(tmp_path: Path) -> 
 
 def test_one_name_for_two_ids_is_an_error_for_who_uses_it(tmp_path: Path) -> None:
     text = SOUND + SOUND.replace("256", "257")
-    catalogue = SignalCatalogue(read_dbc(written(tmp_path, text)), fd=False)
+    catalogue = SignalCatalogue(*read_dbc(written(tmp_path, text)), fd=False)
     catalogue.find("Sound.Level", "signals.output")
     assert "'Sound' is the name of 0x100 and 0x101" in catalogue.flaws[0].message
 
@@ -185,7 +185,7 @@ def test_an_unsigned_signal_whose_range_begins_below_it_is_warned_of(
     tmp_path: Path, layout: str, words: str
 ) -> None:
     text = f'BO_ 256 Sound: 8 A\n SG_ Level : {layout} "Nm" A\n'
-    catalogue = SignalCatalogue(read_dbc(written(tmp_path, text)), fd=False)
+    catalogue = SignalCatalogue(*read_dbc(written(tmp_path, text)), fd=False)
     assert catalogue.find("Sound.Level", "signals.output")
     told = [one.message for one in catalogue.cautions if one.place == "signals.output"]
     assert len(told) == bool(words)
@@ -215,7 +215,7 @@ def addressed(path: Path, **frames: dict[str, int]) -> CanBus:
 def test_source_and_priority_of_a_j1939_message_are_data(tmp_path: Path) -> None:
     path = written(tmp_path, J1939)
     bus = addressed(path, Charger={"source": 0x21, "priority": 3})
-    message = describe(bus).database.get_message_by_name("Charger")
+    message = describe(bus)[0].get_message_by_name("Charger")
     frame = can.Message(arbitration_id=message.frame_id, is_extended_id=True)
     assert frame.arbitration_id == 0x0CFF5021
     for name, words in (("Short", "11 bits"), ("Chargr", "did you mean 'Charger'")):

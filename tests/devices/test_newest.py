@@ -89,9 +89,9 @@ def test_a_forgotten_report_of_the_bridge_is_awaited() -> None:
 def test_a_frame_that_may_be_old_shows_a_fault_and_a_bridge_that_is_on() -> None:
     newest = known()
     newest.keep({"bridge": 0.0}, 2.0)
-    newest.doubt({"bridge": 1.0, "fault": 2.0, "output": 9.0})
+    newest.keep_old({"bridge": 1.0, "fault": 2.0, "output": 9.0})
     reading = newest.reading(3.0)
-    newest.doubt({"bridge": 0.0})
+    newest.keep_old({"bridge": 0.0})
     assert reading is not None
     assert (reading.bridge, reading.bridge_s, reading.fault) == (True, 2.0, 2)
     assert (reading.output, reading.oldest_s) == (2.5, 1.0)

@@ -13,10 +13,10 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.root import CanSensorSection
+from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.kind import build_can_sensors
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.interlocks import find_cause
 from adaptdrive.runtime.settings import Limits
@@ -143,7 +143,7 @@ async def test_a_drive_that_answers_only_is_read_each_half_cycle_until_it_is_sil
         assert cause(port, ear.readings[-1]) is None
 
 
-def cause(port: CanPort, reading: Reading) -> str | None:
+def cause(port: can_port.Port, reading: Reading) -> str | None:
     return find_cause(reading, asyncio.get_running_loop().time(), LIMITS, 0.05, port.explain_age)
 
 
@@ -258,11 +258,11 @@ async def test_a_short_frame_is_refused_with_its_message_its_dlc_and_what_is_nee
 async def test_an_unused_id_of_j1939_is_listed_with_its_sender(
     config: CanBus,
 ) -> None:
-    port = CanPort(
+    port = can_port.Port(
         config,
         map_drive(config, motor_signals(), TIMING),
         asyncio.get_running_loop().time,
-        hears_all=True,
+        takes_all=True,
     )
     with open_bus(config) as other:
         async with running(port, Ear()):

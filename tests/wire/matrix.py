@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from typing import cast
 
-from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.can import port as can_port
 from tests.devices.modbus import bench as modbus
 from tests.devices.modbus import spoils
 from tests.wire.rig import Rig
@@ -154,7 +154,7 @@ def bus_off(wire: Wire, _: Rig) -> None:
 
 def closed(wire: Wire, rig: Rig) -> None:
     """The interface goes away under the daemon."""
-    bus = cast("CanPort", rig.port)._connection.bus
+    bus = cast("can_port.Port", rig.port)._connection.bus
     assert bus is not None
     pulled(wire, rig)
     bus.shutdown()

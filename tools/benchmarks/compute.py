@@ -24,8 +24,8 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
+from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import State
@@ -249,7 +249,7 @@ def _frames() -> Iterator[Row]:
     source = EXAMPLES / "motor.toml"
     mapping = map_drive(MOTOR_BUS, MOTOR.signals, TIMING, source)
     clock = lambda: listener.quiet.now  # noqa: E731 - both clocks of the port
-    port = CanPort(MOTOR_BUS, mapping, clock, clock)
+    port = can_port.Port(MOTOR_BUS, mapping, clock, clock)
     port._connection.listener, port._connection.bus = listener, bus
     enabled = 3000 + WARM_UP
     pairs = status_frames(8000, enabled + 2)

@@ -17,9 +17,9 @@ from functools import partial
 from can.interfaces.udp_multicast.utils import pack_message
 
 from adaptdrive.control.signals import Command
+from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import LoopbackMulticast, parse
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.can.port import CanPort
 from adaptdrive.devices.port import PortStatistics
 from adaptdrive.mqtt.contract import Output, drive_message, encode
 from adaptdrive.recording.records import packed_ticks
@@ -115,7 +115,7 @@ def _tick() -> Iterator[tuple[str, float]]:
     bus = compute._Frames()
     now_s = time.monotonic()
     mapping = map_drive(MOTOR_BUS, MOTOR.signals, TIMING, EXAMPLES / "motor.toml")
-    port = CanPort(MOTOR_BUS, mapping, lambda: now_s)
+    port = can_port.Port(MOTOR_BUS, mapping, lambda: now_s)
     port._connection.bus = bus
     frames = iter([one for pair in compute.status_frames(CALLS * ROUNDS) for one in pair])
     yield (

@@ -9,7 +9,7 @@ from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.database import SignalCatalogue, read_dbc
 from adaptdrive.devices.can.kind import candidates, proofs
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.devices.canopen.mapping import channels_of, codec, pack
+from adaptdrive.devices.canopen.mapping import codec, pack, pdos_of
 from adaptdrive.mqtt.commands import Payload
 from adaptdrive.runtime.requests import REQUESTS
 from adaptdrive.util.errors import ConfigurationError, RefusedError
@@ -32,8 +32,8 @@ def mqtt(data: bytes) -> object:
 
 def dbc(data: bytes) -> object:
     """Read a DBC, and look at each of its signals."""
-    description = read_dbc(damaged_file("fuzzed.dbc", data))
-    database, catalogue = description.database, SignalCatalogue(description, fd=True)
+    database, remarks = read_dbc(damaged_file("fuzzed.dbc", data))
+    catalogue = SignalCatalogue(database, remarks, fd=True)
     for message in database.messages:
         proofs(message)
         if catalogue.message(message.name, "bus") is not None:
@@ -48,7 +48,7 @@ def eds(data: bytes) -> object:
     catalogue = ObjectCatalogue(*read_eds(damaged_file("fuzzed.eds", data), NODE))
     entries = (catalogue.at((one.index, one.subindex)) for one in catalogue.variables())
     found = [entry for entry in entries if entry is not None]
-    packed = pack(channels_of("TPDO", NODE)[:1], found[:2])
+    packed = pack(pdos_of("TPDO", NODE)[:1], found[:2])
     return catalogue.identity, [codec(pdo) for pdo in packed or []]
 
 

@@ -12,11 +12,11 @@ from canopen.sdo.client import SdoClient
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, CanOpenBus
 from adaptdrive.config.polled import ModbusTcp, Register
-from adaptdrive.devices.can.codec import Decoded, MessageCodec
+from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.database import read_dbc
 from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.canopen.mapping import map_drive
-from adaptdrive.devices.canopen.master import parse_emergency
+from adaptdrive.devices.canopen.profile import parse_emergency
 from adaptdrive.devices.canopen.sdo import Server
 from adaptdrive.devices.polled.registers import decode_value
 from adaptdrive.util.errors import BusError
@@ -31,7 +31,7 @@ _NOT_WHOLE = frozenset({FrameVerdict.WRONG_LENGTH, FrameVerdict.WRONG_CHECKSUM})
 @functools.cache
 def _codecs() -> tuple[MessageCodec, ...]:
     names = ("adaptdrive.dbc", "inverter.dbc", "bath.dbc", "battery.dbc")
-    bases = [read_dbc(EXAMPLES / name).database for name in names]
+    bases = [read_dbc(EXAMPLES / name)[0] for name in names]
     known = [message for base in bases for message in base.messages]
     plain = [MessageCodec(message) for message in known]
     part = [MessageCodec(one, wanted=[one.signals[-1].name]) for one in known]
@@ -42,7 +42,7 @@ def _protected(name: str) -> list[MessageCodec]:
     """The messages of an example whose frames have a counter or a checksum."""
     bus = load_configuration(EXAMPLES / name).bus
     assert isinstance(bus, CanBus)
-    known = read_dbc(bus.database).database.get_message_by_name
+    known = read_dbc(bus.database)[0].get_message_by_name
     return [MessageCodec(known(one), integrity) for one, integrity in bus.integrity.items()]
 
 
@@ -62,13 +62,13 @@ def random_frame(data: bytes) -> object:
     return _judged(_random_codec(data[0] % _MESSAGES), data[1:65]) if data else None
 
 
-def _judged(codec: MessageCodec, data: bytes) -> Decoded:
+def _judged(codec: MessageCodec, data: bytes) -> object:
     """Decode a frame, and hold that one which is not whole gives nothing and changes nothing."""
     last = codec._alive._last
     decoded = codec.decode(data)
-    if decoded.verdict in _NOT_WHOLE:
-        assert not decoded.values, decoded.verdict
-        assert codec._alive._last == last, decoded.verdict
+    if decoded[0] in _NOT_WHOLE:
+        assert not decoded[1], decoded[0]
+        assert codec._alive._last == last, decoded[0]
     return decoded
 
 

@@ -85,7 +85,7 @@ DEVICES: dict[str, tuple[str, ...]] = {
     "adaptdrive.devices.polled.commander": ("tests/devices/test_commander.py", *_MODBUS, *_LOST),
     "adaptdrive.devices.polled.reports": (*_MODBUS, *_LOST),
     "adaptdrive.devices.polled.link": (*_MODBUS, "tests/devices/modbus/test_names.py"),
-    "adaptdrive.devices.scpi.port": (
+    "adaptdrive.devices.scpi": (
         "tests/devices/scpi/test_port.py",
         "tests/contracts/port/test_port.py",
     ),

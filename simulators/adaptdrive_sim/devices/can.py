@@ -22,10 +22,11 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
-from adaptdrive.devices.can import connection, database, integrity, orders
+from adaptdrive.devices.can import connection, database, integrity, mapping
+from adaptdrive.devices.can.assembly import CommandFrame
 from adaptdrive.devices.can.bus import describe_bus, open_bus
-from adaptdrive.devices.can.codec import MessageCodec, counter_modulus, frame_key
-from adaptdrive.devices.can.layout import compile_field
+from adaptdrive.devices.can.codec import MessageCodec, frame_key
+from adaptdrive.devices.can.layout import compile_field, counter_modulus
 from adaptdrive.devices.description import demands_of
 from adaptdrive.util.errors import BusError, ConfigurationError
 from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
@@ -94,7 +95,7 @@ class StatusMessage:
 
 def load_messages(
     bus: CanBus, configuration: Configuration, source: Path
-) -> tuple[list[StatusMessage], tuple[orders.CommandFrame, ...]]:
+) -> tuple[list[StatusMessage], tuple[CommandFrame, ...]]:
     """Find the drive's messages in the configured database.
 
     Args:
@@ -111,13 +112,13 @@ def load_messages(
     catalogue = database.open_catalogue(bus, source)
     sinks = _find_sinks(catalogue, configuration)
     sent = catalogue.sinks(configuration.signals.command, demands_of(configuration))
-    found = orders.find_orders(catalogue, sent)
+    found = mapping.find_orders(catalogue, sent)
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     half_cycle_ms = 500.0 / configuration.drive.line_frequency_Hz
     names = sorted(sinks, key=lambda name: (name == bus.clock_message, name))
     status = [_status(catalogue.known(one), sinks[one], bus, half_cycle_ms) for one in names]
-    return status, tuple(orders.build_orders(catalogue, bus.integrity, found))
+    return status, tuple(mapping.build_orders(catalogue, bus.integrity, found))
 
 
 def _find_sinks(catalogue: database.SignalCatalogue, whole: Configuration) -> dict[str, Sinks]:
@@ -144,8 +145,8 @@ def _status(message: Message, sinks: Sinks, bus: CanBus, half_cycle_ms: float) -
     What several pages carry is in each of them.
     """
     pages = tuple(
-        (choice, tuple(one for s, one in sinks if orders.is_carried(message, s, choice)))
-        for choice in orders.choices(message, message.signals)
+        (choice, tuple(one for s, one in sinks if mapping.is_carried(message, s, choice)))
+        for choice in mapping.choices(message, message.signals)
     )
     every_ticks = bus.clock_ticks
     if message.name != bus.clock_message:
@@ -214,11 +215,11 @@ class CanDrive(DriveNode):
         codec = self._codecs.get(key)
         if codec is None:
             return
-        decoded = codec.decode(bytes(frame.data))
-        if decoded.verdict is not integrity.FrameVerdict.GOOD:
-            self._refuse(decoded.verdict.value)
+        verdict, values, _ = codec.decode(bytes(frame.data))
+        if verdict is not integrity.FrameVerdict.GOOD:
+            self._refuse(verdict.value)
             return
-        self._take_values(codec, decoded.values)
+        self._take_values(codec, values)
 
     def _take_values(self, codec: MessageCodec, values: Mapping[str, float]) -> None:
         known = [order for order in self._orders if order.codec is codec]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.config.root import Configuration
-from adaptdrive.devices.scpi.port import describe_supply
+from adaptdrive.devices.scpi import describe_supply
 from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 

@@ -121,7 +121,7 @@ class CanSensors:
             self._frozen = values_of(self._drive.world, frame)
         for message in self._messages:
             shown: dict[str, float | None] = {
-                one.signal: (self._frozen[one.quantity] - one.offset) / one.scale
+                one.field.name: (self._frozen[one.quantity] - one.offset) / one.scale
                 for one in message.sources
             }
             if fault == SensorFault.OPEN:

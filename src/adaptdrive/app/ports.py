@@ -62,7 +62,7 @@ def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:
                 raise ConfigurationError(source, [Flaw("bus.type", advice)]) from problem
             return CANOPEN
         case "scpi":
-            from adaptdrive.devices.scpi.port import SCPI  # noqa: PLC0415
+            from adaptdrive.devices.scpi import SCPI  # noqa: PLC0415
 
             return SCPI
         case _:

@@ -133,7 +133,7 @@ def _described(
         from adaptdrive.devices.can import kind  # noqa: PLC0415 - as above
         from adaptdrive.devices.can.database import read_dbc  # noqa: PLC0415
 
-        database = read_dbc(dbc, dbc, "dbc").database
+        database = read_dbc(dbc, dbc, "dbc")[0]
         found = list(kind.candidates(database))
         return described.can_part(database, _place(dbc, directory), _choose(load, found, ask=ask))
     if eds is not None:

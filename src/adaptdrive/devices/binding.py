@@ -11,23 +11,13 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Generic, Literal, TypeVar
+from dataclasses import replace
+from threading import Event
+from typing import Any, Generic, Literal
 
-from adaptdrive.config import root, section
-from adaptdrive.config.bus import (
-    CODE,
-    COMMANDED,
-    MEASURED,
-    WORDS,
-    CommandSignals,
-    CommandSwitch,
-    FaultSource,
-    SignalSource,
-    SwitchSource,
-)
-from adaptdrive.control.signals import Command
+from adaptdrive.config import bus, root, section
 from adaptdrive.devices import description, faults
+from adaptdrive.devices.description import Item, Sink, Source
 from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import Flaw, nearest
 
@@ -47,15 +37,13 @@ _ROUNDING = 1e-6
 _PRECISION = 1e-12
 """Share of itself by which a value of more than 40 bits may do so."""
 
-Item = TypeVar("Item")
-
-Given = tuple[str, SignalSource, str]
+Given = tuple[str, bus.SignalSource, str]
 """A quantity, its entry in the configuration, and the place of that."""
 
 
 def is_word(quantity: str) -> bool:
     """Return whether a quantity is an integer as it stands."""
-    return quantity.partition(".")[0] in WORDS
+    return quantity.partition(".")[0] in bus.WORDS
 
 
 def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
@@ -63,7 +51,7 @@ def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
     return tuple(
         one.quantity
         for one in sources
-        if one.quantity not in MEASURED and not is_word(one.quantity)
+        if one.quantity not in bus.MEASURED and not is_word(one.quantity)
     )
 
 
@@ -72,81 +60,9 @@ def watched_words(sources: Iterable[Source[Any]]) -> dict[str, faults.FaultWord]
     return {one.quantity: one.word for one in sources if one.word is not None}
 
 
-def sensor_entries(bus: root.SensorBusSection, place: str) -> Iterator[Given]:
+def sensor_entries(sensors: root.SensorBusSection, place: str) -> Iterator[Given]:
     """Yield every quantity that sensors send."""
-    return ((name, given, f"{place}.signals.{name}") for name, given in bus.signals.items())
-
-
-@dataclass(frozen=True, slots=True)
-class Source(Generic[Item]):
-    """Source of a quantity.
-
-    Attributes:
-        quantity: Field of `Reading`, or one of its other values.
-        item: What the description of the device has for it.
-        field: How that is coded.
-        scale: SI units per unit of the field.
-        offset: SI value where the field is zero.
-        on: Value of a switch that means on, None where any but 0 does.
-        place: Its place in the configuration.
-        word: What is a fault or a warning in it, None for another quantity.
-    """
-
-    quantity: str
-    item: Item
-    field: Field
-    scale: float
-    offset: float
-    on: float | None
-    place: str
-    word: faults.FaultWord | None = None
-
-
-@dataclass(slots=True)
-class ResetLevel:
-    """Level of the reset of a fault, which is no part of a `Command`: no tick commands it.
-
-    Attributes:
-        on: Whether the reset is given now.
-    """
-
-    on: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Sink(Generic[Item]):
-    """Destination of a part of the command: base + factor × that field of `Command`.
-
-    Attributes:
-        name: Field of `Command`; the reference of a constant, whose factor is 0.
-        item: What the description of the device has for it.
-        field: How that is coded.
-        base: Value of the field of the device where that of the command is 0 or False.
-        factor: Units of the field per unit of that of the command.
-        only: Bridge of the commands that it is written with, None for all.
-        reset: Level of the reset of a fault, which takes the place of that field.
-    """
-
-    name: str
-    item: Item
-    field: Field
-    base: float
-    factor: float
-    only: bool | None = None
-    reset: ResetLevel | None = None
-
-    @property
-    def is_commanded(self) -> bool:
-        """True for a part of the command that is no constant, and no copy of what is measured."""
-        return self.reset is not None or self.name in COMMANDED
-
-    def value(self, command: Command) -> float:
-        """The value in the unit of the field."""
-        if not self.factor:
-            return self.base
-        if self.reset is not None:  # only of a drive that is off
-            return self.base + self.factor * (self.reset.on and not command.bridge)
-        return self.base + self.factor * float(getattr(command, self.name))
+    return ((name, given, f"{place}.signals.{name}") for name, given in sensors.signals.items())
 
 
 class Catalogue(ABC, Generic[Item]):
@@ -228,7 +144,7 @@ class Catalogue(ABC, Generic[Item]):
         return found
 
     def sinks(
-        self, command: CommandSignals, demands: description.Demands = description.NO_DEMANDS
+        self, command: bus.CommandSignals, demands: description.Demands = description.NO_DEMANDS
     ) -> list[Sink[Item]]:
         """Find the destination of each part of the command; what does not fit is collected.
 
@@ -240,11 +156,11 @@ class Catalogue(ABC, Generic[Item]):
         if command.copies and not self.has_copies:
             self.note(f"{_COMMAND}.copies", "are for a drive that is described by a DBC")
         for name in ("current_scale_S", "boost_reference_V"):
-            entry: SignalSource | None = getattr(command, name)
+            entry: bus.SignalSource | None = getattr(command, name)
             item = None if entry is None else self.find(entry.signal, f"{_COMMAND}.{name}")
             if entry is not None and item is not None:
                 found.append(self._value(name, entry, item, demands))
-        resets = (replace(one, reset=ResetLevel()) for one in self._switches(command.reset, RESET))
+        resets = (replace(one, reset=Event()) for one in self._switches(command.reset, RESET))
         return [*found, *self._switches(command.bridge), *resets]
 
     def settings(
@@ -291,16 +207,16 @@ class Catalogue(ABC, Generic[Item]):
         else:
             self.check_unit(entry, field, demands.unit_of(quantity), place)
             self._check_trip(given, field, demands)
-        if isinstance(entry, FaultSource):
+        if isinstance(entry, bus.FaultSource):
             word = self._watched(quantity, entry, field, place)
-        elif quantity.endswith(CODE):
-            label, of = self._label(entry), quantity.removesuffix(CODE)
+        elif quantity.endswith(bus.CODE):
+            label, of = self._label(entry), quantity.removesuffix(bus.CODE)
             word = faults.FaultWord(label, -1, field.names, code_of=of)
-        if isinstance(entry, SwitchSource):
+        if isinstance(entry, bus.SwitchSource):
             on = self._on(entry, field, f"{place}.on")
         return Source(quantity, item, field, entry.scale, entry.offset, on, place, word)
 
-    def check_unit(self, entry: SignalSource, field: Field, wanted: str, place: str) -> None:
+    def check_unit(self, entry: bus.SignalSource, field: Field, wanted: str, place: str) -> None:
         """Collect what is wrong with the unit of an entry, which should lead to the wanted one."""
         problem = section.unit_problem(entry, field.unit, wanted)
         self.note(place, problem and f"{entry.signal}: {problem}")
@@ -328,7 +244,7 @@ class Catalogue(ABC, Generic[Item]):
         self.note(place, problem)
 
     def _watched(
-        self, quantity: str, entry: FaultSource, field: Field, place: str
+        self, quantity: str, entry: bus.FaultSource, field: Field, place: str
     ) -> faults.FaultWord:
         """Return a watched word.
 
@@ -353,12 +269,12 @@ class Catalogue(ABC, Generic[Item]):
         )
 
     @staticmethod
-    def _label(entry: SignalSource) -> str:
+    def _label(entry: bus.SignalSource) -> str:
         """Return the name of a word for a trip: of a signal its own, of an object all of it."""
         numbered = entry.signal[:2].lower() == "0x"
         return entry.signal if numbered else entry.signal.rpartition(".")[2]
 
-    def _on(self, entry: SwitchSource, field: Field, place: str) -> float | None:
+    def _on(self, entry: bus.SwitchSource, field: Field, place: str) -> float | None:
         """Return the value that means on; one that no good report has is a flaw."""
         given = self.on if entry.on is None else entry.on
         on = None if given is None else self.resolve(field, given, place)
@@ -377,7 +293,9 @@ class Catalogue(ABC, Generic[Item]):
             self.cautions.append(Flaw(place, problem))
         return on
 
-    def _switches(self, switch: CommandSwitch | None, name: str = BRIDGE) -> Iterator[Sink[Item]]:
+    def _switches(
+        self, switch: bus.CommandSwitch | None, name: str = BRIDGE
+    ) -> Iterator[Sink[Item]]:
         place = f"{_COMMAND}.{name}"
         item = None if switch is None else self.find(switch.signal, place)
         if switch is None or item is None:
@@ -394,7 +312,7 @@ class Catalogue(ABC, Generic[Item]):
             yield Sink(name, item, field, off, on - off)
 
     def _value(
-        self, name: str, entry: SignalSource, item: Item, demands: description.Demands
+        self, name: str, entry: bus.SignalSource, item: Item, demands: description.Demands
     ) -> Sink[Item]:
         """Return where a value goes; one that cannot be 0, or what the limits allow, is a flaw."""
         place, field = f"{_COMMAND}.{name}", self.field(item, "command")

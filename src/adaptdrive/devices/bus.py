@@ -12,13 +12,11 @@ from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from typing import Any, TypeVar
 
-from adaptdrive.config import Configuration
-from adaptdrive.config.bus import MEASURED
+from adaptdrive.config import Configuration, bus
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices import binding, description
+from adaptdrive.devices import description
 from adaptdrive.devices.port import Port, PortStatistics, SensorPort
-from adaptdrive.util.clock import look_up
-from adaptdrive.util.errors import Flaw
+from adaptdrive.util import clock, errors
 
 # The parts by which one kind of bus takes its place in the daemon.
 
@@ -51,12 +49,12 @@ def stale_limits(configuration: Configuration, _: Path | str) -> Iterator[Row]:
         configuration: The drive.
     """
     signals = configuration.signals
-    given = [name for name in MEASURED if getattr(signals, name) is not None]
+    given = [name for name in bus.MEASURED if getattr(signals, name) is not None]
     for name in (*given, *signals.other):
         yield f"stale {name}", configuration.interlocks.stale_s, "interlocks.stale_s"
 
 
-def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator[Flaw]:
+def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator[errors.Flaw]:
     """Yield one word on a drive's time-out that is not stated, or ends before pauses of the daemon.
 
     One command may be lost, and the next one late; the drive or the daemon may be silent.
@@ -68,7 +66,7 @@ def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator
     """
     timeout_s, every_ms = timing.command_timeout_s, timing.reading_s * 1e3
     if timeout_s is None:
-        yield Flaw(
+        yield errors.Flaw(
             "bus.command_timeout_s",
             "is left out: a drive without a time-out of its own stays energised when the daemon, "
             "its computer or the cable fails; state it, or wire a contactor for that",
@@ -84,14 +82,14 @@ def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator
     if longer:
         named = ", nor than ".join(f"{pause_s:.4g} s, {meaning}" for pause_s, meaning, _ in longer)
         keys = " and ".join(one for _, _, one in longer)
-        yield Flaw(
+        yield errors.Flaw(
             "bus.command_timeout_s",
             f"{timeout_s:g} s is not longer than {named}: the drive stops by itself before; set a "
             f"longer time-out in the drive, or lower {keys}",
         )
 
 
-def polled_cautions(configuration: Configuration) -> Iterator[Flaw]:
+def polled_cautions(configuration: Configuration) -> Iterator[errors.Flaw]:
     """Yield what the own time-out of a drive that is polled does not fit."""
     return timeout_cautions(configuration.timing, "bus.poll_ticks")
 
@@ -106,7 +104,7 @@ def tcp_locks(kind: str, host: str, port: int, rest: str = "") -> Iterator[str]:
         rest: The rest of its address, such as the id of the device.
     """
     with contextlib.suppress(OSError, ValueError, TimeoutError):
-        found = look_up(host, port).result(_LOOK_UP_S)
+        found = clock.look_up(host, port).result(_LOOK_UP_S)
         for address in sorted({*map(_plain, found)}):
             yield f"{kind} address {address} port {port}{rest}"
 
@@ -138,7 +136,7 @@ class BusKind:
     """
 
     build_port: BuildPort
-    cautions: Callable[[Configuration], Iterator[Flaw]]
+    cautions: Callable[[Configuration], Iterator[errors.Flaw]]
     build_sensors: BuildSensors | None = None
     time_limits: Callable[[Configuration, Path | str], Iterator[Row]] = stale_limits
     lock_names: Callable[[Configuration], Iterator[str]] = lambda _: iter(())
@@ -195,26 +193,19 @@ class CountingPort:
         """No-op: the drive clears its fault word by itself."""
 
 
-class BusBackoff:
-    """Delays that double until the bus has carried something."""
+def backoff_s(received: Callable[[], int]) -> Iterator[float]:
+    """Yield the delay before each attempt, in s: it doubles until the bus has carried something.
 
-    def __init__(self, heard: Callable[[], int]) -> None:
-        """Start with the shortest delay.
-
-        Args:
-            heard: Returns the number of frames or replies since the port was built.
-        """
-        self._heard = heard
-        self._before = heard()
-        self._delay_s = _FIRST_S
-
-    def next_s(self) -> float:
-        """Return the delay before the next attempt, in s; the shortest after any reception."""
-        heard = self._heard()
-        if heard > self._before:
-            self._before, self._delay_s = heard, _FIRST_S
-        delay_s, self._delay_s = self._delay_s, min(2.0 * self._delay_s, _LONGEST_S)
-        return delay_s
+    Args:
+        received: Returns the number of frames or replies since the port was built.
+    """
+    before, delay_s = received(), _FIRST_S
+    while True:
+        now = received()
+        if now > before:
+            before, delay_s = now, _FIRST_S
+        yield delay_s
+        delay_s = min(2.0 * delay_s, _LONGEST_S)
 
 
 # Reset of a drive's fault by a part of its command: on for a moment, and off again.
@@ -226,7 +217,7 @@ _LEAST_S = 0.1
 """Shortest time of a level: drives look at such a bit every few milliseconds."""
 
 
-async def pulse_reset(sinks: Iterable[binding.Sink[Any]], reading_s: float) -> None:
+async def pulse_reset(sinks: Iterable[description.Sink[Any]], reading_s: float) -> None:
     """Switch the reset of a fault on and off with the next commands; nothing where there is none.
 
     Args:
@@ -234,12 +225,14 @@ async def pulse_reset(sinks: Iterable[binding.Sink[Any]], reading_s: float) -> N
         reading_s: Time from one reading of the drive to the next.
     """
     resets = [sink.reset for sink in sinks if sink.reset is not None]
+    if not resets:
+        return
     level_s = max(_LEAST_S, _READINGS * reading_s)
-    for level in (True, False) if resets else ():
-        try:
-            for reset in resets:
-                reset.on = level
-            await asyncio.sleep(level_s)
-        finally:
-            for reset in resets:
-                reset.on = False
+    try:
+        for reset in resets:
+            reset.set()
+        await asyncio.sleep(level_s)
+    finally:
+        for reset in resets:
+            reset.clear()
+    await asyncio.sleep(level_s)

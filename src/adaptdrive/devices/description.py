@@ -9,11 +9,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import shorten
-from typing import TypeVar
+from threading import Event
+from typing import Generic, TypeVar
 
-from adaptdrive.config import Configuration
-from adaptdrive.config.section import WANTED
+from adaptdrive.config import Configuration, bus, section
 from adaptdrive.control.signals import Command
+from adaptdrive.devices.faults import FaultWord
+from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Files that describe a drive: read whole, and never waited for.
@@ -63,11 +65,9 @@ def read_description(
     """
     try:
         return parse(description_text(path))
-    except Exception as problem:  # parsers raise errors of many kinds
-        text = shorten(str(problem) or type(problem).__name__, _LONGEST_PROBLEM, placeholder="…")
-        raise ConfigurationError(
-            source, [Flaw(place, f"{path} cannot be used: {text}")]
-        ) from problem
+    except Exception as error:  # parsers raise errors of many kinds
+        text = shorten(str(error) or type(error).__name__, _LONGEST_PROBLEM, placeholder="…")
+        raise ConfigurationError(source, [Flaw(place, f"{path} cannot be used: {text}")]) from error
 
 
 # Values that the description of a drive must be able to carry.
@@ -94,7 +94,7 @@ class Demands:
         """The unit of a quantity, empty for one of any unit."""
         if quantity in {"boost_voltage_V", "boost_reference_V"}:
             return self.drive_unit
-        return self.output_unit if quantity == "output" else WANTED.get(quantity, "")
+        return self.output_unit if quantity == "output" else section.WANTED.get(quantity, "")
 
 
 NO_DEMANDS = Demands()
@@ -118,6 +118,80 @@ def demands_of(configuration: Configuration) -> Demands:
             "output": ("output_max", trips.output_max),
         },
     )
+
+
+# Where a quantity comes from, and where a part of the command goes to.
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class Source(Generic[Item]):
+    """Source of a quantity.
+
+    Attributes:
+        quantity: Field of `Reading`, or one of its other values.
+        item: What the description of the device has for it.
+        field: How that is coded.
+        scale: SI units per unit of the field.
+        offset: SI value where the field is zero.
+        on: Value of a switch that means on, None where any but 0 does.
+        place: Its place in the configuration.
+        word: What is a fault or a warning in it, None for another quantity.
+        slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
+            the clock, with which they are taken, comes less often.
+        cycle_by: What sets the cycle of the slower of them: GenMsgCycleTime or a key of `[bus]`.
+        cycle_s: Time from one such value to the next, infinite where it is not stated how often
+            its message comes.
+    """
+
+    quantity: str
+    item: Item
+    field: Field
+    scale: float
+    offset: float
+    on: float | None
+    place: str
+    word: FaultWord | None = None
+    slack_s: float = 0.0
+    cycle_by: str = ""
+    cycle_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sink(Generic[Item]):
+    """Destination of a part of the command: base + factor × that field of `Command`.
+
+    Attributes:
+        name: Field of `Command`; the reference of a constant, whose factor is 0.
+        item: What the description of the device has for it.
+        field: How that is coded.
+        base: Value of the field of the device where that of the command is 0 or False.
+        factor: Units of the field per unit of that of the command.
+        only: Bridge of the commands that it is written with, None for all.
+        reset: Set while the reset of a fault is given, which takes the place of that field.
+    """
+
+    name: str
+    item: Item
+    field: Field
+    base: float
+    factor: float
+    only: bool | None = None
+    reset: Event | None = None
+
+    @property
+    def is_commanded(self) -> bool:
+        """True for a part of the command that is no constant, and no copy of what is measured."""
+        return self.reset is not None or self.name in bus.COMMANDED
+
+    def value(self, command: Command) -> float:
+        """The value in the unit of the field."""
+        if not self.factor:
+            return self.base
+        if self.reset is not None:  # only of a drive that is off
+            return self.base + self.factor * (self.reset.is_set() and not command.bridge)
+        return self.base + self.factor * float(getattr(command, self.name))
 
 
 # Proposal of the signal of each quantity, by unit and by name.
@@ -249,7 +323,7 @@ def propose(wanted: Wanted, candidates: Iterable[Candidate]) -> tuple[Candidate,
 
 
 def is_doubtful(wanted: Wanted, proposed: tuple[Candidate, ...]) -> bool:
-    """Return whether nothing tells the likeliest candidate from the next one."""
+    """Return whether the likeliest candidate and the next one score the same."""
     best = [_points(wanted, one) for one in proposed[:2]]
     return len(best) == 2 and best[0] == best[1]
 

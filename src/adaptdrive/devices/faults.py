@@ -1,12 +1,8 @@
-"""Faults that a drive reports, and doubts whether it has stopped, obeys, and has one master.
+"""Faults that a drive reports, and checks that it has not stopped, obeys, and has one master.
 
-A drive that stopped while nothing was heard of it is not energised afterwards. One that does not
+A drive that stopped while nothing came from it is not energised afterwards. One that does not
 obey the safe command must not be kept from stopping by itself, by commands or by heartbeats; how it
 is kept from that is a matter of its bus. Two masters must not drive one load.
-
-A bus may take no commands of a drive whose messages come. A full queue of a moment is no sign: the
-next tick brings a fresher command. A bus that is lost, or on which nothing comes, takes no commands
-either; both are reported as such.
 """
 
 import math
@@ -76,7 +72,7 @@ class FaultLatch:
         watched = {name: word for name, word in words.items() if not word.code_of}
         self._seen = {name: 0 for name, word in watched.items() if not word.warns}
         self._warned = {name: 0 for name, word in watched.items() if word.warns}
-        self._told: dict[str, str] = {}
+        self._codes_of: dict[str, str] = {}
 
     @property
     def word(self) -> int:
@@ -88,7 +84,7 @@ class FaultLatch:
         for name, known in self._words.items():
             value = values.get(name)
             if value and known.code_of:
-                self._told[known.code_of] = f", {known.name(int(value))}"
+                self._codes_of[known.code_of] = f", {known.name(int(value))}"
             elif value:
                 word, seen = int(value) & known.mask, self._warned if known.warns else self._seen
                 if word not in known.healthy and not (name in self._codes and seen[name]):
@@ -106,7 +102,7 @@ class FaultLatch:
             elif carried == word or (len(self._seen) > 1 and not word & ~carried):
                 self._seen[quantity] = 0
         self._warned = dict.fromkeys(self._warned, 0)
-        self._told.clear()
+        self._codes_of.clear()
 
     @property
     def name(self) -> str:
@@ -120,7 +116,7 @@ class FaultLatch:
 
     def _named(self, seen: Mapping[str, int]) -> str:
         named = [
-            self._words[one].name(word) + self._told.get(one, "")
+            self._words[one].name(word) + self._codes_of.get(one, "")
             for one, word in seen.items()
             if word
         ]
@@ -144,7 +140,7 @@ def describe_fault(word: int, name: str) -> str:
     return f"drive fault: {name} ({coded})" if name else f"drive fault: {coded}"
 
 
-# Doubts about a drive: whether it has stopped, whether it obeys, and whether others command it.
+# Whether a drive has stopped, whether it obeys, and whether others command it.
 
 _STOPPED = "drive stopped: its bridge is off although it was commanded on"
 
@@ -156,10 +152,6 @@ UNREAD = "no poll gave a reading meanwhile"
 QUIET_S = 5.0
 """Time without a foreign command until the drive may be energised. A sender commands its drive
 many times in it, as every drive has a time-out far shorter than this."""
-
-_UNTAKEN_COMMANDS = 3
-"""Commands in a row that a bus refuses while readings come: 25 ms of a drive that sends each half
-cycle of 60 Hz, well within its own time-out."""
 
 
 class Relink:
@@ -183,20 +175,22 @@ class Relink:
         """Reason not to energise the drive, None for none."""
         return f"{_STOPPED}; {self._how}" if self._stopped else None
 
-    def open(self, *, bridge: bool, how: str = LOST, glimpsed: bool = False) -> None:
+    def open(self, *, bridge: bool, how: str = LOST, reported_on: bool = False) -> None:
         """Begin a connection, or a silence of one.
 
         Args:
             bridge: Whether the last command that reached the drive had the bridge on.
-            how: Why nothing is heard of the drive.
-            glimpsed: Whether its last report, also one that no reading carries, has it on.
+            how: Why nothing comes from the drive.
+            reported_on: Whether its last report, also one that no reading carries, has it on.
         """
-        if not (self._was_on and how in {UNREAD, LEAPT}):  # what was there before says more
+        if not (
+            self._was_on and how in {UNREAD, LEAPT}
+        ):  # the earlier cause is the more specific one
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
-        self._reported_on = self._reported_on or glimpsed
+        self._reported_on = self._reported_on or reported_on
 
-    def hear(self, *, bridge: bool) -> None:
+    def note_reading(self, *, bridge: bool) -> None:
         """Note a reading.
 
         Args:
@@ -205,7 +199,7 @@ class Relink:
         self._stopped = self._stopped or (self._was_on and self._reported_on and not bridge)
         self._was_on, self._reported_on = False, bridge
 
-    def note(self, *, bridge: bool, safe: bool) -> None:
+    def note_command(self, *, bridge: bool, safe: bool) -> None:
         """Note a command, sent or not; the safe one ends what was driven.
 
         Args:
@@ -226,10 +220,10 @@ class Relink:
 
 
 class Obedience:
-    """Times the safe command in force from when the drive may first have heard it.
+    """Times the safe command in force from when the drive may first have received it.
 
     Attributes:
-        heard_s: That time by the monotonic clock, infinite while no safe command is in force.
+        since_s: That time by the monotonic clock, infinite while no safe command is in force.
     """
 
     def __init__(self, limit_s: float, clock: Callable[[], float]) -> None:
@@ -241,21 +235,21 @@ class Obedience:
         """
         self._limit_s = limit_s
         self._clock = clock
-        self.heard_s = math.inf
+        self.since_s = math.inf
 
     @property
     def awaited(self) -> bool:
         """True while a safe command is in force."""
-        return self.heard_s < math.inf
+        return self.since_s < math.inf
 
-    def hear(self) -> None:
-        """Note that the drive may hear the safe command now; the first time counts."""
-        if self.heard_s == math.inf:
-            self.heard_s = self._clock()
+    def note_safe(self) -> None:
+        """Note that the drive may receive the safe command now; the first time counts."""
+        if self.since_s == math.inf:
+            self.since_s = self._clock()
 
     def forget(self) -> None:
-        """Note another command, or the loss of a bus on which nothing shows what was heard."""
-        self.heard_s = math.inf
+        """Note another command, or the loss of a bus on which nothing shows what it received."""
+        self.since_s = math.inf
 
     def overdue_s(self, *, powered: bool) -> float:
         """Return for how long a drive has not obeyed the safe command, negative while it may yet.
@@ -263,10 +257,10 @@ class Obedience:
         Args:
             powered: Whether its last report, also one of a link before, has it energised.
         """
-        return self._clock() - self.heard_s - self._limit_s if powered else -math.inf
+        return self._clock() - self.since_s - self._limit_s if powered else -math.inf
 
 
-class Rival:
+class OtherSender:
     """Remembers the last command frame on the bus that this process has not sent."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -278,24 +272,24 @@ class Rival:
         self._clock = clock
         self._frame = ""
         self._count = 0
-        self._heard_s = -math.inf
+        self._came_s = -math.inf
 
-    def hear(self, frame: str) -> None:
+    def note(self, frame: str) -> None:
         """Note a foreign command frame.
 
         Args:
             frame: The frame's id and name, as text.
         """
         now_s = self._clock()
-        self._count = 1 if now_s - self._heard_s > QUIET_S else self._count + 1
-        self._frame, self._heard_s = frame, now_s
+        self._count = 1 if now_s - self._came_s > QUIET_S else self._count + 1
+        self._frame, self._came_s = frame, now_s
 
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None without a recent foreign command."""
         if not self._count:
             return None
-        age_s = self._clock() - self._heard_s
+        age_s = self._clock() - self._came_s
         if age_s > QUIET_S:
             return None
         return (
@@ -303,39 +297,3 @@ class Rival:
             f"{age_s:.1f} s ago; end the other daemon, PLC or tool: the bus must be free of its "
             f"commands for {QUIET_S:g} s"
         )
-
-
-class Uptake:
-    """Count of the commands of one drive that its open bus has refused in a row."""
-
-    def __init__(self) -> None:
-        self._untaken = 0
-        self._heard = False
-
-    @property
-    def complaint(self) -> str | None:
-        """Reason not to energise the drive: commands do not reach the bus, None for no reason."""
-        if self._untaken < _UNTAKEN_COMMANDS:
-            return None
-        return (
-            f"the bus does not take commands: {self._untaken} in a row were refused while the "
-            "drive's messages came; look for another sender that keeps the bus busy, and for an "
-            "adapter that sends nothing"
-        )
-
-    def forget(self) -> None:
-        """Begin anew: the bus was opened, or is lost."""
-        self._untaken, self._heard = 0, False
-
-    def hear(self) -> None:
-        """Note a reading of the drive: the bus is there, and the drive on it."""
-        self._heard = True
-
-    def note(self, *, taken: bool) -> None:
-        """Note whether the bus took the whole of a command; of several after a reading one counts.
-
-        Args:
-            taken: Whether it did.
-        """
-        self._untaken = 0 if taken else self._untaken + self._heard
-        self._heard = False

@@ -12,7 +12,7 @@ of its quantity: that one keeps its own time and ages.
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.faults import FaultLatch, FaultWord
@@ -125,15 +125,21 @@ class Listener(Protocol):
 
 
 class Port(Protocol):
-    """One connection to one drive."""
+    """One connection to one drive.
 
-    @property
-    def description(self) -> str:
-        """The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`."""
+    Attributes:
+        description: The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`.
+        counter_modulus: Modulus of the drive's half-cycle counter, None for one without a counter.
+        stop_slack_s: Additional time, beyond `interlocks.stale_s`, for the report of the bridge;
+            None for a drive that never does: it cannot confirm that it has stopped.
+        bridge_cycle_s: Time from one report of the bridge to the next, 0 where each reading has
+            one, infinite where it is not known.
+    """
 
-    @property
-    def counter_modulus(self) -> int | None:
-        """Modulus of the drive's half-cycle counter, None for a drive without a counter."""
+    description: str
+    counter_modulus: int | None
+    stop_slack_s: float | None
+    bridge_cycle_s: float
 
     @property
     def statistics(self) -> PortStatistics:
@@ -148,20 +154,6 @@ class Port(Protocol):
         """Time at which the safe command in force was taken, monotonic; infinite while none is.
 
         Taken by the bus, or by the drive where its protocol acknowledges commands.
-        """
-
-    @property
-    def stop_slack_s(self) -> float | None:
-        """Additional time, beyond `interlocks.stale_s`, for the report of the bridge.
-
-        None for a drive that never does: it cannot confirm that it has stopped.
-        """
-
-    @property
-    def bridge_cycle_s(self) -> float:
-        """Time from one report of the bridge to the next, 0 where each reading has one.
-
-        Infinite where it is not known.
         """
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
@@ -209,12 +201,17 @@ class SensorListener(Protocol):
         """Take note that the bus was lost (`up` False) or came back."""
 
 
-class SensorPort(Protocol):
-    """One connection to the sensors on one bus."""
+AnyListener = TypeVar("AnyListener", Listener, SensorListener)
 
-    @property
-    def description(self) -> str:
-        """The bus in one phrase."""
+
+class SensorPort(Protocol):
+    """One connection to the sensors on one bus.
+
+    Attributes:
+        description: The bus in one phrase.
+    """
+
+    description: str
 
     @property
     def statistics(self) -> PortStatistics:
@@ -238,7 +235,7 @@ class NewestValues:
     def __init__(
         self, slacks: Mapping[str, float], others: Iterable[str], faults: Mapping[str, FaultWord]
     ) -> None:
-        """Know no value yet.
+        """Begin without a value.
 
         Args:
             slacks: How much older than `interlocks.stale_s` a value may be, by quantity, in s.
@@ -274,7 +271,7 @@ class NewestValues:
         if refused or self.refused:
             self.refused = (self.refused - values.keys()).union(refused)
 
-    def doubt(self, values: Mapping[str, float]) -> None:
+    def keep_old(self, values: Mapping[str, float]) -> None:
         """Keep faults, and a bridge that is on, of a frame that may be old: no value is newer."""
         self.faults.see(values)
         if values.get("bridge"):

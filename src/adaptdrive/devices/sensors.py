@@ -1,9 +1,9 @@
 """Sensor buses, the values derived from them, and the port of a drive that has them.
 
 A value keeps the time of its measurement for as long as it is held. The drive's own port clocks and
-commands. Each of its readings is completed with what the sensor buses said last and with what is
-derived from all of it. Nothing is waited for: a sensor that is silent leaves its last value, which
-grows old until the port complains.
+commands. Each of its readings is completed with the last values of the sensor buses and with what
+is derived from all of it. Nothing is waited for: a sensor that is silent leaves its last value,
+which grows old until the port refuses to energise.
 """
 
 import asyncio
@@ -15,15 +15,7 @@ from types import MappingProxyType
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.root import Derived, Rule, needed_names
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.port import (
-    FAREWELL_GAP_S,
-    FAREWELLS,
-    Listener,
-    Port,
-    PortStatistics,
-    Reading,
-    SensorPort,
-)
+from adaptdrive.devices import port as ports
 
 
 @dataclass(slots=True)
@@ -40,11 +32,11 @@ class SensorBus:
         taken_s: When each was measured, at the earliest; monotonic.
         up: Whether the bus answers.
         detail: Its latest report.
-        news: Whether values have come since this was last cleared.
+        is_new: Whether values have come since this was last cleared.
     """
 
     name: str
-    port: SensorPort
+    port: ports.SensorPort
     stale_s: float
     needed: tuple[str, ...]
     report: Callable[[bool, str], None] = lambda _up, _detail: None
@@ -52,13 +44,13 @@ class SensorBus:
     taken_s: dict[str, float] = field(default_factory=dict)
     up: bool = True
     detail: str = ""
-    news: bool = False
+    is_new: bool = False
 
     def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
         """Keep checked values."""
         self.values.update(values)
         self.taken_s.update(dict.fromkeys(values, taken_s))
-        self.news = True
+        self.is_new = True
 
     def on_bus(self, up: bool, detail: str) -> None:
         """Store the state, and report it."""
@@ -117,6 +109,7 @@ class SensoredPort:
     """A drive and its separate sensors, as one port.
 
     Attributes:
+        description: The drive's bus and those of the sensors in one phrase.
         counter_modulus: As of the drive's own port, like all that follow.
         stop_slack_s: Additional time for the report of the bridge.
         bridge_cycle_s: Time from one report of the bridge to the next.
@@ -129,7 +122,7 @@ class SensoredPort:
 
     def __init__(
         self,
-        drive: Port,
+        drive: ports.Port,
         buses: Sequence[SensorBus],
         derived: Mapping[str, Derived],
         clock: Callable[[], float],
@@ -155,22 +148,18 @@ class SensoredPort:
         self.details = drive.details
         self.reset_fault = drive.reset_fault
         self.buses = tuple(buses)
+        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in buses]
+        self.description = "; ".join([drive.description, *sensors])
         self._derived = derived
         self._voltage_parts = needed_names(derived, ("boost_voltage_V",))
         self._clock = clock
-        self._listener: Listener | None = None
+        self._listener: ports.Listener | None = None
         self._ends = False
         self.sampled: Callable[[], None] = lambda: None
         """Called after a reading of the drive that had new values of a sensor bus."""
 
     @property
-    def description(self) -> str:
-        """The drive's bus and those of the sensors in one phrase."""
-        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self.buses]
-        return "; ".join([self._drive.description, *sensors])
-
-    @property
-    def statistics(self) -> PortStatistics:
+    def statistics(self) -> ports.PortStatistics:
         """Counts of the drive's own port."""
         return self._drive.statistics
 
@@ -187,7 +176,7 @@ class SensoredPort:
         """Time at which the safe command in force was taken, infinite while none is in force."""
         return self._drive.safe_s
 
-    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+    async def run(self, listener: ports.Listener, opened: Callable[[], None]) -> None:
         """Serve the drive and the sensors until cancelled; the sensors end first.
 
         Args:
@@ -211,23 +200,23 @@ class SensoredPort:
             await bus.port.run(bus)
         except Exception:
             self._ends = True  # no other command goes out from now on
-            for _ in range(FAREWELLS):
+            for _ in range(ports.FAREWELLS):
                 self._drive.send(SAFE_COMMAND)
-                await asyncio.sleep(FAREWELL_GAP_S)
+                await asyncio.sleep(ports.FAREWELL_GAP_S)
             raise
 
     def send(self, command: Command) -> bool:
         """Send one command to the drive now, the safe one once a sensor bus has failed."""
         return self._drive.send(SAFE_COMMAND if self._ends else command)
 
-    def on_reading(self, reading: Reading) -> None:
+    def on_reading(self, reading: ports.Reading) -> None:
         """Complete a reading of the drive and pass it on."""
         if self._listener is not None:
             self._listener.on_reading(self.completed(reading))
-            news = [bus for bus in self.buses if bus.news]
-            for bus in news:
-                bus.news = False
-            if news:
+            renewed = [bus for bus in self.buses if bus.is_new]
+            for bus in renewed:
+                bus.is_new = False
+            if renewed:
                 self.sampled()
 
     def on_bus(self, up: bool, detail: str) -> None:
@@ -235,7 +224,7 @@ class SensoredPort:
         if self._listener is not None:
             self._listener.on_bus(up, detail)
 
-    def completed(self, reading: Reading) -> Reading:
+    def completed(self, reading: ports.Reading) -> ports.Reading:
         """Return a reading with the values of the sensors and those that are derived.
 
         Args:
@@ -251,7 +240,7 @@ class SensoredPort:
         found = {name: values.get(name, math.nan) for name in MEASURED}
         return replace(reading, other=values, voltage_s=self._voltage_s(reading), **found)
 
-    def _voltage_s(self, reading: Reading) -> float | None:
+    def _voltage_s(self, reading: ports.Reading) -> float | None:
         """Return when the oldest sensor value of which v_bst is made was taken."""
         times = [
             bus.taken_s[name]

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable
 
 from adaptdrive.app.ports import build_port
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.canopen.port import CanOpenPort
+from adaptdrive.devices.canopen import port as canopen_port
 from tests.devices import bench as hardware
 from tests.devices.bench import until
 from tests.devices.canopen.documents import parse
@@ -47,7 +47,7 @@ class Bench:
         self.ear = Ear()
         changed = configuration.model_copy(update={"bus": config})
         port = build_port(changed, asyncio.get_running_loop().time, "bench.toml")
-        assert isinstance(port, CanOpenPort)
+        assert isinstance(port, canopen_port.Port)
         self.port = port
         self.ear.port = self.port
 

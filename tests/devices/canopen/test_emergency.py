@@ -9,7 +9,7 @@ from canopen.emcy import EmcyError
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.devices.canopen.master import parse_emergency
+from adaptdrive.devices.canopen.profile import parse_emergency
 
 
 def frame(code: int, register: int = 0x01) -> bytes:

@@ -8,8 +8,8 @@ import can
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptdrive.devices.canopen import port as canopen_port
 from adaptdrive.devices.canopen.mapping import map_drive
-from adaptdrive.devices.canopen.port import CanOpenPort
 from tests.devices.bench import Clock
 from tests.devices.canopen.bench import RUN, Ear
 from tests.devices.canopen.documents import bus_of, parse
@@ -26,11 +26,13 @@ frames = st.builds(
 )
 
 
-def ready_port() -> tuple[CanOpenPort, Ear]:
+def ready_port() -> tuple[canopen_port.Port, Ear]:
     """A port whose node is up, without a bus."""
     configuration = parse({"bus/interface": "virtual"})
     bus = bus_of(configuration)
-    port = CanOpenPort(bus, map_drive(bus, configuration.signals), configuration.timing, Clock())
+    port = canopen_port.Port(
+        bus, map_drive(bus, configuration.signals), configuration.timing, Clock()
+    )
     ear = Ear()
     port._connection.listener = ear
     port._master.ready = True

@@ -13,15 +13,15 @@ def test_the_example_fits_into_two_pdos_of_the_drive_and_one_of_the_daemon() -> 
     mapping = plan()
     sends = [status.pdo for status in mapping.statuses]
     takes = [order.pdo for order in mapping.orders]
-    sent = {pdo.channel.name: [entry.label for entry in pdo.entries] for pdo in sends}
-    taken = {pdo.channel.name: [entry.label for entry in pdo.entries] for pdo in takes}
+    sent = {pdo.name: [entry.label for entry in pdo.entries] for pdo in sends}
+    taken = {pdo.name: [entry.label for entry in pdo.entries] for pdo in takes}
     assert sent == {
         "TPDO1": ["0x6041", "0x6079", "0x2000.1"],
         "TPDO2": ["0x2001.1", "0x2001.2"],
     }
     assert taken == {"RPDO1": ["0x6040", "0x2000.4"]}
-    assert [pdo.channel.cob_id for pdo in sends] == [0x185, 0x285]
-    assert [pdo.channel.cob_id for pdo in takes] == [0x205]
+    assert [pdo.cob_id for pdo in sends] == [0x185, 0x285]
+    assert [pdo.cob_id for pdo in takes] == [0x205]
     unused = [channel.communication for channel in mapping.unused]
     assert unused == [0x1802, 0x1803, 0x1401, 0x1402, 0x1403]
     assert mapping.identity == (((0x1018, 1), 0xAD0), ((0x1018, 2), 0x402))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.canopen.dictionary import Entry, ObjectCatalogue, read_eds
-from adaptdrive.devices.canopen.mapping import channels_of, codec, pack
+from adaptdrive.devices.canopen.mapping import codec, pack, pdos_of
 from tests.devices.canopen.documents import EDS
 
 NODE = 5
@@ -55,7 +55,7 @@ def test_frames_are_those_of_the_library_in_both_directions(
     filling: tuple[list[Entry], tuple[float, ...]],
 ) -> None:
     entries, values = filling
-    for pdo in pack(channels_of("TPDO", NODE), entries) or []:
+    for pdo in pack(pdos_of("TPDO", NODE), entries) or []:
         given_values = {
             one.label: value
             for one, value in zip(entries, values, strict=True)
@@ -67,14 +67,14 @@ def test_frames_are_those_of_the_library_in_both_directions(
         ours = codec(pdo)
         assert ours.encode(given_values) == bytes(theirs.data)
         decoded = ours.decode(bytes(theirs.data))
-        assert decoded.verdict is FrameVerdict.GOOD
-        assert decoded.values == given_values
+        assert decoded[0] is FrameVerdict.GOOD
+        assert decoded[1] == given_values
 
 
 @given(st.lists(st.sampled_from(ENTRIES), unique=True))
 def test_everything_is_packed_once_and_no_frame_is_too_long(entries: list[Entry]) -> None:
-    channels = channels_of("TPDO", NODE)
-    pdos = pack(channels, entries)
+    empty = pdos_of("TPDO", NODE)
+    pdos = pack(empty, entries)
     assert pdos is not None
     packed = [one for pdo in pdos for one in pdo.entries]
     assert sorted(one.label for one in packed) == sorted(one.label for one in entries)
@@ -83,7 +83,7 @@ def test_everything_is_packed_once_and_no_frame_is_too_long(entries: list[Entry]
 
 def test_channels_are_those_of_the_predefined_connection_set() -> None:
     node = canopen.RemoteNode(NODE, str(EDS))
-    sent, taken = channels_of("TPDO", NODE), channels_of("RPDO", NODE)
+    sent, taken = pdos_of("TPDO", NODE), pdos_of("RPDO", NODE)
     for number, (tpdo, rpdo) in enumerate(zip(sent, taken, strict=True), start=1):
         assert tpdo.cob_id == node.tpdo[number].predefined_cob_id
         assert rpdo.cob_id == 0x100 * (number + 1) + NODE

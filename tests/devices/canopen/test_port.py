@@ -17,7 +17,7 @@ from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.canopen.mapping import map_drive
-from adaptdrive.devices.canopen.node import CanOpenWatch
+from adaptdrive.devices.canopen.port import CanOpenWatch
 from tests.devices.bench import until
 from tests.devices.canopen.bench import RUN, Ear, driven, ready, running
 from tests.devices.canopen.documents import EDS, MEMORY, other_eds, parse, without

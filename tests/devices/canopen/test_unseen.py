@@ -14,7 +14,6 @@ from adaptdrive.devices.canopen.profile import (
     ENABLE_OPERATION,
     SWITCH_ON,
     DriveControl,
-    UnseenStop,
 )
 from tests.devices.bench import until
 from tests.devices.canopen.bench import CHARGE, RUN, running
@@ -28,11 +27,10 @@ TIMING = Timing(HALF_CYCLE_S, stale_s=0.05, command_timeout_s=TIMEOUT_S)
 
 
 class Drive:
-    """A control and its watch, on a clock that only the test moves."""
+    """A control on a clock that only the test moves."""
 
     def __init__(self) -> None:
-        self.control = DriveControl()
-        self.watch = UnseenStop(self.control, TIMING)
+        self.control = DriveControl(TIMING.reported_seldom_s)
         self.now_s = 0.0
         for statusword in (REST, READY, SWITCHED_ON):
             self.report(statusword)
@@ -40,15 +38,11 @@ class Drive:
 
     def report(self, statusword: int, after_s: float = HALF_CYCLE_S) -> None:
         self.now_s += after_s
-        self.control.hear(statusword)
-        self.watch.hear(self.now_s)
+        self.control.follow(statusword, self.now_s)
 
     def command(self, after_s: float = 0.0) -> int:
         self.now_s += after_s
-        self.watch.look(self.now_s)
-        word = self.control.controlword(RUN)
-        self.watch.note(word)
-        return word
+        return self.control.controlword(RUN, self.now_s)
 
 
 def test_a_drive_that_may_have_come_on_and_stopped_in_a_silence_is_not_commanded_on_again() -> None:
@@ -81,14 +75,11 @@ def test_a_drive_that_is_on_after_a_silence_goes_on() -> None:
 
 
 def test_a_silence_before_it_is_commanded_on_stops_nothing() -> None:
-    control = DriveControl()
-    watch = UnseenStop(control, TIMING)
+    control = DriveControl(TIMING.reported_seldom_s)
     for number, statusword in enumerate((REST, READY, SWITCHED_ON)):
-        control.hear(statusword)
-        watch.hear(10.0 * number)
-        watch.look(10.0 * number + 5.0)
-        watch.note(control.controlword(CHARGE))
-    assert control.controlword(CHARGE) == SWITCH_ON
+        control.follow(statusword, 10.0 * number)
+        control.controlword(CHARGE, 10.0 * number + 5.0)
+    assert control.controlword(CHARGE, 25.0) == SWITCH_ON
 
 
 async def test_the_port_complains_of_a_drive_that_was_silent_while_it_was_commanded_on() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from adaptdrive.config.root import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.devices.description import NO_DEMANDS, Demands
-from adaptdrive.devices.modbus.port import SELDOM_CYCLES, ModbusSensorPort, build_modbus_sensors
+from adaptdrive.devices.modbus.port import SELDOM_CYCLES, SensorPort, build_modbus_sensors
 from adaptdrive.util.errors import ConfigurationError
 from tests.devices.bench import SensorEar, until
 from tests.devices.modbus.bench import Peer, untouched
@@ -48,7 +48,7 @@ TCP = {"type": "modbus-tcp", "host": "127.0.0.1"}
 RTU = {"type": "modbus-rtu", "device": "/dev/drive.tty", "baud": 115200, "parity": "none"}
 
 
-def build(given: Mapping[str, object], demands: Demands | None = None) -> ModbusSensorPort:
+def build(given: Mapping[str, object], demands: Demands | None = None) -> SensorPort:
     """Build the port of sensors."""
     kind = ModbusTcpSensors if given["type"] == "modbus-tcp" else ModbusRtuSensors
     config = kind.model_validate(COMMON | dict(given))
@@ -57,7 +57,7 @@ def build(given: Mapping[str, object], demands: Demands | None = None) -> Modbus
 
 
 class Bench:
-    def __init__(self, peer: Peer, port: ModbusSensorPort, ear: SensorEar) -> None:
+    def __init__(self, peer: Peer, port: SensorPort, ear: SensorEar) -> None:
         self.peer = peer
         self.port = port
         self.ear = ear
@@ -248,7 +248,7 @@ async def test_each_device_on_the_line_is_asked_for_its_own_registers() -> None:
     }
     signals = {name: {"signal": name} for name in registers}
     port = build(TCP | {"registers": registers, "signals": signals, "device_id": 3})
-    asked = [(one.exchange.device_id, one.exchange.read.count) for one in port._blocks]  # type: ignore[union-attr]
+    asked = [(one.device_id, one.read.count) for one in port._blocks]  # type: ignore[union-attr]
     assert asked == [(3, 1), (7, 3)]
 
 

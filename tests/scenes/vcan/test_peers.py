@@ -8,7 +8,7 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.can.port import CanPort
+from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.port import Reading
 from tests.devices.bench import (
     Drive,
@@ -71,7 +71,7 @@ async def test_other_frames_of_cansend_change_nothing(
 class Answering(Ear):
     """Answers each reading."""
 
-    port: CanPort
+    port: can_port.Port
 
     def on_reading(self, reading: Reading) -> None:
         super().on_reading(reading)
@@ -100,7 +100,7 @@ async def test_a_bus_full_of_strangers_hides_nothing(
     assert [reading.counter for reading in ear.readings] == list(range(100))
 
 
-async def has_read_all(port: CanPort) -> None:
+async def has_read_all(port: can_port.Port) -> None:
     """Wait until nothing is left in the kernel's queue."""
     known = -1
     while known != port.statistics.received:

@@ -1,12 +1,106 @@
-"""Status messages of a drive, put together, and the frames that were refused."""
+"""Messages of a drive on CAN: what each carries, their values put together, and refused frames."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
-from adaptdrive.devices.can import integrity
+from adaptdrive.config.timing import Timing
+from adaptdrive.control.signals import Command
+from adaptdrive.devices import description, port
+from adaptdrive.devices.binding import BRIDGE
+from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.can.mapping import CanMapping, CanSource, StatusFrame
-from adaptdrive.devices.port import NewestValues, Reading
+from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.faults import FaultWord
+from adaptdrive.util.errors import Flaw
+
+# What the messages of a drive carry.
+
+_NOTHING: Mapping[str, float] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class StatusFrame:
+    """A message that carries measurements, and what is taken from it."""
+
+    codec: MessageCodec
+    sources: tuple[description.Source[database.Located], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CommandFrame:
+    """One frame that carries a part of the command.
+
+    Attributes:
+        codec: Codec of its message; frames of one message share it, and its alive counter.
+        parts: What is taken from the command, by signal.
+        fixed: Values that are always the same: constants, and what selects the page.
+        copies: Measured values that are sent back, by signal.
+        every_s: Time from one to the next where it does not go with each command.
+    """
+
+    codec: MessageCodec
+    parts: Mapping[str, description.Sink[database.Located]]
+    fixed: Mapping[str, float]
+    copies: Mapping[str, description.Sink[database.Located]]
+    every_s: float = 0.0
+
+    def encode(self, command: Command, measured: Mapping[str, float] = _NOTHING) -> bytes:
+        """Make the next frame.
+
+        Args:
+            command: The command.
+            measured: Measured values by name; a copy of one that is missing, or does not fit into
+                its signal, says that it is not available.
+
+        Raises:
+            ValueError: A value is not finite, or its signal cannot hold it.
+        """
+        values: dict[str, float | None] = dict(self.fixed)
+        for signal, part in self.parts.items():
+            values[signal] = part.value(command)
+        for signal, copy in self.copies.items():
+            value = copy.base + copy.factor * measured.get(copy.name, math.nan)
+            values[signal] = None if copy.field.problem(value) else value
+        return self.codec.encode(values)
+
+
+def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
+    """Return frames in their order, those that carry the bridge first: a bus may take one alone."""
+    return tuple(
+        sorted(orders, key=lambda order: all(one.name != BRIDGE for one in order.parts.values()))
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CanMapping:
+    """Messages and properties of one drive, for its port.
+
+    Attributes:
+        statuses: Messages with measurements.
+        orders: Frames of the command, in the order of sending.
+        setup: Frames that are sent once, when the bus is opened.
+        clock: Message whose arrival is the fast tick.
+        page: Signal whose page of that message alone is it, None for all its frames.
+        counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
+        faults: Watched words of the drive, of faults and warnings.
+        others: Names of its values that are no quantity.
+        cautions: What can be used, and is probably not meant.
+        timing: Times of the drive.
+    """
+
+    statuses: tuple[StatusFrame, ...]
+    orders: tuple[CommandFrame, ...]
+    setup: tuple[CommandFrame, ...]
+    clock: str
+    page: str | None
+    counter_modulus: int | None
+    faults: Mapping[str, FaultWord]
+    others: tuple[str, ...]
+    timing: Timing
+    cautions: tuple[Flaw, ...]
+
 
 # Putting the status messages of a drive together: the newest good value of each quantity.
 
@@ -15,11 +109,11 @@ class StatusAssembly:
     """The newest values of one drive, and the readings that are made of them.
 
     Attributes:
-        faults: Faults since the last reading that was handed out.
+        newest: The values, by quantity.
         bridge_slack_s: Additional age of the report of the bridge, None for a drive that never
             reports it.
         bridge_cycle_s: Time from one report of the bridge to the next, 0 for a drive that never
-            reports it, infinite where nothing says how often the message comes.
+            reports it, infinite where it is not stated how often the message comes.
         stop_seen: Whether the drive has reported its bridge off after it had it on, and no reading
             has carried that yet.
     """
@@ -34,21 +128,15 @@ class StatusAssembly:
         self.bridge_slack_s = None if bridge is None else bridge.slack_s
         self.bridge_cycle_s = 0.0 if bridge is None else bridge.cycle_s
         slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
-        self._newest = NewestValues(slacks, mapping.others, mapping.faults)
+        self.newest = port.NewestValues(slacks, mapping.others, mapping.faults)
         self._carried_on = self._come_on = False
         self.stop_seen = False
-        self.faults = self._newest.faults
-
-    @property
-    def powered(self) -> bool:
-        """True if the drive's last report has its bridge on."""
-        return self._newest.powered
 
     def forget(self) -> None:
         """Await a report of the bridge: the bus was opened again; counters may have advanced."""
         for status in self._statuses:
             status.codec.resume()
-        self._newest.forget("bridge")
+        self.newest.forget("bridge")
 
     def keep(
         self,
@@ -69,9 +157,9 @@ class StatusAssembly:
         values = self._quantities(status, found)
         expected = () if whole else status.sources
         refused = [one.quantity for one in expected if one.quantity not in values]
-        self._newest.keep(values, arrival_s, refused)
+        self.newest.keep(values, arrival_s, refused)
 
-    def doubt(self, status: StatusFrame, found: Mapping[str, float]) -> None:
+    def keep_old(self, status: StatusFrame, found: Mapping[str, float]) -> None:
         """Look at a message that may be an old one: its alive counter leapt, or stands.
 
         It shows a fault, a bridge that is on, and that a drive which is driven may have stopped.
@@ -80,13 +168,13 @@ class StatusAssembly:
             status: The message.
             found: Good values by signal.
         """
-        self._newest.doubt(self._quantities(status, found))
+        self.newest.keep_old(self._quantities(status, found))
 
     def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
         """Return the values of a message by quantity, and note its report of the bridge."""
         values = {}
         for one in status.sources:
-            value = found.get(one.signal)
+            value = found.get(one.field.name)
             if value is not None:
                 values[one.quantity] = value * one.scale + one.offset
         if "bridge" in values:
@@ -106,19 +194,19 @@ class StatusAssembly:
         else:
             self.stop_seen = self._come_on and not on
 
-    def carry(self, reading: Reading) -> None:
+    def carry(self, reading: port.Reading) -> None:
         """Note a reading that is handed out; a stop seen after it was composed stays.
 
         Args:
             reading: The reading.
         """
         if reading.fault or reading.warning:
-            self.faults.clear(reading.fault)
+            self.newest.faults.clear(reading.fault)
         self.stop_seen = self.stop_seen and reading.bridge
         self._carried_on = reading.bridge and self.bridge_slack_s is not None
-        self._come_on = self.powered
+        self._come_on = self.newest.powered
 
-    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
+    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> port.Reading | None:
         """Return the newest values and each fault since the last reading; None before all came.
 
         A drive that came on by command and stopped between two readings has one with its bridge on
@@ -130,21 +218,17 @@ class StatusAssembly:
                 assumed to follow.
             stopped: Whether the safe command is in force.
         """
-        reading = self._newest.reading(arrival_s, bridge=bridge_sent)
+        reading = self.newest.reading(arrival_s, bridge=bridge_sent)
         if reading is not None and self.stop_seen and not stopped:  # it was driven meanwhile
             return replace(reading, bridge=bridge_sent and not self._carried_on)
         return reading
 
-    def fresh(self, now_s: float, stale_s: float) -> dict[str, float]:
-        """Return the values that are not stale, as `NewestValues.fresh` does."""
-        return self._newest.fresh(now_s, stale_s)
-
-    def oldest(self) -> tuple[StatusFrame, CanSource, float, float]:
+    def oldest(self) -> tuple[StatusFrame, description.Source[database.Located], float, float]:
         """Return the value that is out of date first: its message, its source, and its arrival.
 
         The last item is the arrival of the newest value; an arrival is -inf before the first.
         """
-        quantity, oldest_s, newest_s = self._newest.oldest()
+        quantity, oldest_s, newest_s = self.newest.oldest()
         return *self._sources[quantity], oldest_s, newest_s
 
 
@@ -154,13 +238,13 @@ _KINDS_HELD = 64
 """Kinds of refused frames remembered: a flood of ids must not fill the memory."""
 
 _REMEDIES = {
-    integrity.FrameVerdict.WRONG_LENGTH: "DLC {0}, needed {1}: the DBC describes another version "
+    FrameVerdict.WRONG_LENGTH: "DLC {0}, needed {1}: the DBC describes another version "
     "of the message",
-    integrity.FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; "
+    FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; "
     "look at the cable",
-    integrity.FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
-    integrity.FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
-    integrity.FrameVerdict.OUT_OF_RANGE: "{2}; a sensor of the drive is broken, or the DBC has "
+    FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
+    FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
+    FrameVerdict.OUT_OF_RANGE: "{2}; a sensor of the drive is broken, or the DBC has "
     "another sign or range",
 }
 
@@ -179,7 +263,7 @@ class Refusals:
     """Refused frames of each message, and frames that are not of this drive."""
 
     def __init__(self) -> None:
-        self._seen: dict[str, dict[integrity.FrameVerdict | None, _Refusal]] = {}
+        self._seen: dict[str, dict[FrameVerdict | None, _Refusal]] = {}
 
     @property
     def any(self) -> bool:
@@ -189,7 +273,7 @@ class Refusals:
     def note(
         self,
         frame: str,
-        verdict: integrity.FrameVerdict | None,
+        verdict: FrameVerdict | None,
         data: bytes,
         codec: MessageCodec | None = None,
     ) -> None:
@@ -234,10 +318,8 @@ class Refusals:
                 yield f"refused {frame}: {why}"
 
 
-def _remedy(verdict: integrity.FrameVerdict, refusal: _Refusal) -> str:
+def _remedy(verdict: FrameVerdict, refusal: _Refusal) -> str:
     codec, data = refusal.codec, refusal.data
-    needed = codec.required(data) if codec and verdict is integrity.FrameVerdict.WRONG_LENGTH else 0
-    outside = (
-        codec.outside(data) if codec and verdict is integrity.FrameVerdict.OUT_OF_RANGE else ""
-    )
+    needed = codec.required(data) if codec and verdict is FrameVerdict.WRONG_LENGTH else 0
+    outside = codec.outside(data) if codec and verdict is FrameVerdict.OUT_OF_RANGE else ""
     return _REMEDIES[verdict].format(len(data), needed, outside or "its alive counter")

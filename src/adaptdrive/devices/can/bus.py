@@ -121,7 +121,7 @@ def parse(datagram: bytes, timestamp_s: float) -> can.Message:
 
 
 def confine_to_loopback(sock: socket.socket, group: str) -> None:
-    """Hear and send on the loopback interface only, and that group only.
+    """Receive and send on the loopback interface only, and that group only.
 
     Raises:
         OSError: The kernel refuses.

@@ -1,9 +1,14 @@
-"""One message of a DBC in both directions: values to frames, and frames to values or a refusal."""
+"""One message of a DBC in both directions: values to frames, and frames to values or a refusal.
 
-from collections.abc import Collection, Mapping
+Integers of either byte order are cut out of one big integer by shift and mask. Whatever else a DBC
+can describe (floating point and multiplexed signals) takes the slow way through cantools, with the
+same results.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Mapping
 from socket import CAN_EFF_FLAG
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Literal, cast
 
 import can
 from cantools.database import DecodeError, EncodeError
@@ -12,51 +17,21 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.devices.can import layout
-from adaptdrive.devices.can.integrity import (
-    AliveCounter,
-    FrameVerdict,
-    Span,
-    checksum_function,
-    covered_bytes,
-)
-from adaptdrive.devices.field import Field, Raw
-
-CLASSIC_LENGTH = 8
-"""Most bytes of a frame without CAN FD."""
+from adaptdrive.devices.can.integrity import AliveCounter, FrameVerdict, checksum_function, covered
+from adaptdrive.devices.field import Raw
 
 _UNPROTECTED = FrameIntegrity()
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 _NOTHING: Final[Mapping[str, float]] = MappingProxyType({})
 
-
-class Decoded:
-    """Result of decoding a frame.
-
-    A class with its own constructor: compiled code makes one in a tenth of a dataclass's time.
-
-    Attributes:
-        verdict: `GOOD`, or the first check that the frame failed.
-        values: Physical values by signal that are in range, in the units of the DBC. A multiplexed
-            frame gives those that it carries; one that proves nothing, as it is not whole or
-            repeats the last one, gives none.
-        lost: Frames that went missing before this one, as far as the alive counter shows.
-    """
-
-    __slots__ = ("lost", "values", "verdict")
-
-    def __init__(
-        self,
-        verdict: FrameVerdict,
-        values: Mapping[str, float] = _NOTHING,
-        lost: int = 0,
-    ) -> None:
-        self.verdict = verdict
-        self.values = values
-        self.lost = lost
+Unpack = Callable[[bytes], Mapping[str, Raw]]
+Pack = Callable[[Mapping[str, Raw]], bytes]
+_ByteOrder = Literal["little", "big"]
+_Decoded = tuple[FrameVerdict, Mapping[str, float], int]
 
 
 class MessageCodec:
-    """Encodes and decodes the frames of one message, which `key` and `label` tell from others.
+    """Encodes and decodes the frames of one message, which `key` and `label` identify.
 
     Each direction keeps its own alive counter. A frame of another length is read if it has the
     bytes that its page needs, for one that wants some signals of a message without counter and
@@ -90,7 +65,7 @@ class MessageCodec:
         self.name = message.name
         self.frame_id = message.frame_id
         self.is_extended = message.is_extended_frame
-        self.is_fd = needs_fd(message)
+        self.is_fd = layout.needs_fd(message)
         self.key = frame_key(message.frame_id, extended=message.is_extended_frame)
         self.label = f"0x{message.frame_id:03X} ({message.name})"
         self.length = message.length
@@ -103,39 +78,39 @@ class MessageCodec:
             )
             for signal in message.signals
         }
-        self._prepare_integrity(message, integrity, cycle_s)
+        self._prepare_proofs(message, integrity, cycle_s)
         idle = {name: one.idle for name, one in self._fields.items()}
-        self._pack = layout.compile_pack(message, {**idle, **self._fixed})
+        self._pack = _packer(message, {**idle, **self._fixed})
         self._prepare_decoding(message, wanted)
 
-    def _prepare_integrity(
-        self, message: Message, integrity: FrameIntegrity, cycle_s: float
-    ) -> None:
+    def _prepare_proofs(self, message: Message, integrity: FrameIntegrity, cycle_s: float) -> None:
         self._counter = integrity.counter
-        modulus = counter_modulus(self._fields[self._counter]) if self._counter else 1
+        modulus = layout.counter_modulus(self._fields[self._counter]) if self._counter else 1
         self._modulus = modulus
         self._next = 0
         self._alive = AliveCounter(modulus, integrity.max_jump, cycle_s)
         self._data = b""
         self._checksum = checksum_function(integrity)
-        self._span = checksum_span(message, integrity.checksum) if integrity.checksum else None
+        self._span = (
+            layout.checksum_span(message, integrity.checksum) if integrity.checksum else None
+        )
         if self._span is not None:
-            self._covered = covered_bytes(integrity, self._span)
+            self._covered = covered(integrity, self._span)
         self._proofs = {integrity.counter, integrity.checksum, integrity.nibble}
         self._fixed = {integrity.nibble: integrity.data_id >> 8 & 0xF} if integrity.nibble else {}
-        seen = [integrity.counter] if follows_counter(integrity) else []
+        seen = [integrity.counter] if layout.follows_counter(integrity) else []
         seen += [integrity.nibble]
-        self._seen = layout.compile_unpack(message, filter(None, seen)) if any(seen) else None
+        self._seen = _unpacker(message, filter(None, seen)) if any(seen) else None
 
     def _prepare_decoding(self, message: Message, wanted: Collection[str] | None) -> None:
         names = self._fields.keys() if wanted is None else wanted
         self._wanted = tuple(self._fields[name] for name in names if name not in self._proofs)
         used = [one.name for one in self._wanted]
-        self._unpack = layout.compile_unpack(message, [*used, *filter(None, [self._counter])])
+        self._unpack = _unpacker(message, [*used, *filter(None, [self._counter])])
         self._is_exact = wanted is None or any(self._proofs)
         read = [one for one in message.signals if one.is_multiplexer or one.name in used]
-        ends = {one.name: _end_of(message, one) for one in read}
-        self._paged = {one.name: ends[one.name] for one in read if layout.is_multiplexed(one)}
+        ends = {one.name: layout.end_of(message, one) for one in read}
+        self._paged = {one.name: ends[one.name] for one in read if one.multiplexer_ids}
         in_all = (end for name, end in ends.items() if name not in self._paged)
         self.needed = message.length if self._is_exact else max(in_all, default=0)
 
@@ -188,30 +163,36 @@ class MessageCodec:
         except (EncodeError, ValueError):  # pages, or a range
             return None
 
-    def decode(self, data: bytes) -> Decoded:
+    def decode(self, data: bytes) -> _Decoded:
         """Check a frame: length, checksum, alive counter and ranges, in this order.
 
         Args:
             data: The bytes of the frame.
+
+        Returns:
+            `GOOD`, or the first check that the frame failed; the physical values that are in range
+            by signal, in the units of the DBC; and how many frames went missing before this one, as
+            far as the alive counter shows. A multiplexed frame gives the values that it carries;
+            one that proves nothing, as it is not whole or repeats the last one, gives none.
         """
         size = len(data)
         if size != self.length:
             if self._is_exact or size < self.needed:
-                return Decoded(FrameVerdict.WRONG_LENGTH)
+                return FrameVerdict.WRONG_LENGTH, _NOTHING, 0
             data = data[: self.length].ljust(self.length, b"\xff")
         if not self._is_whole(data):
-            return Decoded(FrameVerdict.WRONG_CHECKSUM)
+            return FrameVerdict.WRONG_CHECKSUM, _NOTHING, 0
         try:
             raw = self._unpack(data)
         except DecodeError:
-            return Decoded(FrameVerdict.OUT_OF_RANGE)
+            return FrameVerdict.OUT_OF_RANGE, _NOTHING, 0
         if size < self.length and size < self._needed_of(raw):
-            return Decoded(FrameVerdict.WRONG_LENGTH)
-        decoded = self._judge(raw, repeated=data == self._data)
+            return FrameVerdict.WRONG_LENGTH, _NOTHING, 0
+        verdict, values, lost = self._judge(raw, repeated=data == self._data)
         self._data = data
-        if decoded.verdict is not _GOOD and not data.strip(b"\xff"):  # nothing is available
-            return Decoded(decoded.verdict, lost=decoded.lost)
-        return decoded
+        if verdict is not _GOOD and not data.strip(b"\xff"):  # nothing is available
+            return verdict, _NOTHING, lost
+        return verdict, values, lost
 
     def required(self, data: bytes) -> int:
         """Return the bytes that a frame needs, with what is taken from its page.
@@ -262,7 +243,8 @@ class MessageCodec:
         span = self._span
         if span is None:
             return True
-        covered, held = self._covered(data), span.read(data)
+        first, end, order = span
+        covered, held = self._covered(data), int.from_bytes(data[first:end], order)
         if self._seen is None:
             return held == self._checksum(covered, 0)
         seen = self._seen(data)
@@ -274,12 +256,14 @@ class MessageCodec:
     def _with_checksum(self, data: bytes, counter: int) -> bytes:
         if self._span is None:
             return data
-        return self._span.write(data, self._checksum(self._covered(data), counter))
+        first, end, order = self._span
+        checksum = self._checksum(self._covered(data), counter)
+        return data[:first] + checksum.to_bytes(end - first, order) + data[end:]
 
-    def _judge(self, raw: Mapping[str, Raw], *, repeated: bool) -> Decoded:
+    def _judge(self, raw: Mapping[str, Raw], *, repeated: bool) -> _Decoded:
         verdict, lost = self._follow(raw)
         if verdict is FrameVerdict.OUT_OF_RANGE or (verdict is not _GOOD and repeated):
-            return Decoded(verdict, lost=lost)
+            return verdict, _NOTHING, lost
         values = {}
         for field_ in self._wanted:
             value = raw.get(field_.name)
@@ -289,7 +273,7 @@ class MessageCodec:
                 values[field_.name] = value * field_.scale + field_.offset
             elif verdict is _GOOD:
                 verdict = FrameVerdict.OUT_OF_RANGE
-        return Decoded(verdict, values, lost)
+        return verdict, values, lost
 
     def _follow(self, raw: Mapping[str, Raw]) -> tuple[FrameVerdict, int]:
         if not self._counter:
@@ -300,40 +284,107 @@ class MessageCodec:
         return self._alive.check(value)
 
 
-def _end_of(message: Message, signal: Signal) -> int:
-    """Return the bytes that a frame needs to have a signal, with what selects its page."""
-    end = (layout.signal_bits(signal).bit_length() + 7) // 8
-    if not layout.is_multiplexed(signal) or signal.multiplexer_signal is None:
-        return end
-    return max(end, _end_of(message, message.get_signal_by_name(signal.multiplexer_signal)))
-
-
 def frame_key(frame_id: int, *, extended: bool) -> int:
     """One number for a frame id: an extended id never equals a standard one."""
     return frame_id | CAN_EFF_FLAG if extended else frame_id
 
 
-def needs_fd(message: Message) -> bool:
-    """Return whether the frames of a message are those of CAN FD."""
-    return message.is_fd or message.length > CLASSIC_LENGTH
+# Bits of signals, cut out of a frame and put into one.
+
+_Cut = tuple[str, int, int, int]
+"""Name of an integer, its shift and its mask in the whole frame as one number of its byte order,
+and its sign bit, 0 where it has none."""
 
 
-def counter_modulus(counter: Field) -> int:
-    """Return the modulus of a counter, from the largest value that the DBC declares for it."""
-    return int(counter.high) + 1
+def _unpacker(message: Message, names: Iterable[str]) -> Unpack:
+    """Return a function from the bytes of a frame to the raw values of some of its signals.
+
+    Args:
+        message: The message; a multiplexed one gives the signals that its frame has.
+        names: The signals wanted.
+    """
+    signals = [message.get_signal_by_name(name) for name in names]
+    if not all(map(_is_plain, signals)):
+        return _slow_unpack(message, frozenset(signal.name for signal in signals))
+    little, big = _cuts(message, signals, "little"), _cuts(message, signals, "big")
+    cut_little, cut_big = _cutter(little, "little"), _cutter(big, "big")
+    if not (little and big):
+        return cut_big if big else cut_little
+    return lambda data: {**cut_little(data), **cut_big(data)}
 
 
-def follows_counter(integrity: FrameIntegrity) -> bool:
-    """Return whether a checksum covers something that goes with the alive counter."""
-    by_counter = integrity.crc is not None and bool(integrity.crc.by_counter)
-    return by_counter or integrity.data_id_mode == "alternating"
+def _packer(message: Message, idle: Mapping[str, Raw]) -> Pack:
+    """Return a function from the raw values of some signals of a message to the bytes of its frame.
+
+    Args:
+        message: The message.
+        idle: Raw values of all its signals, for those that the function is not given.
+    """
+    if not all(map(_is_plain, message.signals)):
+        return lambda raw: message.encode({**idle, **raw}, scaling=False, strict=False)
+    little, big = (_cuts(message, message.signals, order) for order in ("little", "big"))
+    length = message.length
+    if not big:
+        base, places = _put_in(idle, little), {cut[0]: cut for cut in little}
+        return lambda raw: _replaced(base, places, raw).to_bytes(length, "little")
+
+    def pack(raw: Mapping[str, Raw]) -> bytes:
+        every = {**idle, **raw}
+        mirrored = _put_in(every, big).to_bytes(length, "big")
+        word = _put_in(every, little) | int.from_bytes(mirrored, "little")
+        return word.to_bytes(length, "little")
+
+    return pack
 
 
-def checksum_span(message: Message, checksum: str) -> Span | None:
-    """Return the position of a checksum signal, None when it does not fill whole bytes."""
-    signal = message.get_signal_by_name(checksum)
-    little = signal.byte_order == "little_endian"
-    first_bit = signal.start if little else signal.start - 7
-    if signal.length % 8 or first_bit % 8 or signal.is_float:
-        return None
-    return Span(first_bit // 8, signal.length // 8, "little" if little else "big")
+def _cuts(message: Message, signals: Iterable[Signal], order: _ByteOrder) -> list[_Cut]:
+    chosen = [signal for signal in signals if signal.byte_order == f"{order}_endian"]
+    return [_cut(signal, message.length) for signal in chosen]
+
+
+def _cut(signal: Signal, frame_length: int) -> _Cut:
+    shift = signal.start
+    if signal.byte_order == "big_endian":
+        # a DBC counts bits from the right within a byte, and names the highest bit of the signal
+        first = 8 * (signal.start // 8) + 7 - signal.start % 8
+        shift = 8 * frame_length - first - signal.length
+    sign = 1 << (signal.length - 1) if signal.is_signed else 0
+    return signal.name, shift, (1 << signal.length) - 1, sign
+
+
+def _cutter(cuts: Collection[_Cut], order: _ByteOrder) -> Unpack:
+    def cut_out(data: bytes) -> dict[str, Raw]:
+        word = int.from_bytes(data, order)
+        raw: dict[str, Raw] = {}
+        for name, shift, mask, sign in cuts:
+            # (x ^ sign) - sign extends the sign; an unsigned signal has sign = 0
+            raw[name] = ((word >> shift & mask) ^ sign) - sign
+        return raw
+
+    return cut_out
+
+
+def _put_in(raw: Mapping[str, Raw], cuts: Iterable[_Cut]) -> int:
+    word = 0
+    for name, shift, mask, _ in cuts:
+        word |= (cast("int", raw[name]) & mask) << shift
+    return word
+
+
+def _replaced(word: int, places: Mapping[str, _Cut], raw: Mapping[str, Raw]) -> int:
+    for name, value in raw.items():
+        _, shift, mask, _ = places[name]
+        word = word & ~(mask << shift) | (cast("int", value) & mask) << shift
+    return word
+
+
+def _slow_unpack(message: Message, names: frozenset[str]) -> Unpack:
+    def unpack(data: bytes) -> dict[str, Raw]:
+        decoded = message.decode_simple(data, decode_choices=False, scaling=False)
+        return {name: cast("Raw", raw) for name, raw in decoded.items() if name in names}
+
+    return unpack
+
+
+def _is_plain(signal: Signal) -> bool:
+    return not (signal.is_float or signal.multiplexer_ids)

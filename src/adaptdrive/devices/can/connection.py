@@ -5,20 +5,24 @@ number of frames per wake-up, so that a flood cannot starve the loop, and ends w
 
 After each wake-up it reports that no more frames wait. A port that did not run for a while can
 then act once, on the newest of what has piled up, and not once for each.
+
+A bus may take no commands of a drive whose messages come. A full queue of a moment is no sign: the
+next tick brings a fresher command. A bus that is lost, or on which nothing comes, takes no commands
+either; both are reported as such.
 """
 
 import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from functools import partial
-from typing import Any, Generic, NoReturn, Protocol, TypeVar
+from typing import Any, Generic, NoReturn, Protocol
 
 import can
 
 from adaptdrive.config.bus import CanLink
-from adaptdrive.devices import faults, port
-from adaptdrive.devices.bus import BusBackoff
-from adaptdrive.devices.can.bus import open_bus
+from adaptdrive.devices import port
+from adaptdrive.devices.bus import backoff_s
+from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.integrity import ArrivalClock
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import BusError
@@ -142,60 +146,55 @@ def _is_garbage(problem: can.CanOperationError) -> bool:
 
 # The connection of a port to its CAN bus: opened, read, sent on, and opened again when lost.
 
-Hearer = TypeVar("Hearer", port.Listener, port.SensorListener)
+_UNTAKEN_COMMANDS = 3
+"""Commands in a row that a bus refuses while readings come: 25 ms of a drive that sends each half
+cycle of 60 Hz, well within its own time-out."""
 
 Serve = Callable[[Callable[[], None]], Awaitable[str]]
 """Use of an open bus until it is lost; calls its argument when it has begun, returns the reason."""
 
 
-class FrameUser(FrameTaker, Protocol):
-    """A port on a CAN bus."""
-
-    @property
-    def description(self) -> str:
-        """The bus in one phrase."""
-
-    def hand_out(self) -> None:
-        """Pass the newest reading on: no more frames wait."""
-
-
-class CanConnection(Generic[Hearer]):
+class CanConnection(Generic[port.AnyListener]):
     """One bus of one port.
 
     Attributes:
+        description: The bus in one phrase, in reports of its state.
         bus: The open bus, None while it is lost.
         listener: Receiver of values and of the state of the bus, None before `run`.
-        uptake: Whether the open bus takes the commands of its drive.
         asked: Frames that ask for others, and the time from each to the same again, in s.
+        caught_up: Called when frames were taken, and no more of them wait.
     """
 
     def __init__(
-        self, config: CanLink, user: FrameUser, arrivals: ArrivalClock, counts: Counter[str]
+        self, config: CanLink, taker: FrameTaker, arrivals: ArrivalClock, counts: Counter[str]
     ) -> None:
         """Open nothing yet.
 
         Args:
             config: Which bus.
-            user: Receiver of the frames.
+            taker: Receiver of the frames.
             arrivals: Dates the frames.
             counts: `received`, `sent`, `send_drops` and `reconnects` are counted here.
         """
         self._config = config
-        self._user = user
+        self._taker = taker
         self._arrivals = arrivals
         self._counts = counts
         self._reader: FrameReader | None = None
+        self.description = describe_bus(config)
         self.bus: can.BusABC | None = None
-        self.listener: Hearer | None = None
+        self.listener: port.AnyListener | None = None
         self._reported = True, ""
-        self.uptake = faults.Uptake()
+        self._untaken = 0
+        self._reading_came = False
         self.asked: tuple[Sequence[can.Message], float] = (), 0.0
+        self.caught_up: Callable[[], None] = lambda: None
 
     async def run(
         self,
         ids: Iterable[int],
         serve: Serve,
-        listener: Hearer,
+        listener: port.AnyListener,
         opened: Callable[[], None] | None = None,
     ) -> NoReturn:
         """Serve one bus after the other until cancelled.
@@ -212,7 +211,7 @@ class CanConnection(Generic[Hearer]):
         """
         self.listener, ids = listener, tuple(ids)
         # error frames are received, too: a shorted bus that restarts by itself carries nothing else
-        backoff = BusBackoff(lambda: self._counts["received"] - self._counts["foreign"])
+        delays_s = backoff_s(lambda: self._counts["received"] - self._counts["foreign"])
         announce, missed = opened or (lambda: None), False
         while True:
             try:
@@ -226,27 +225,27 @@ class CanConnection(Generic[Hearer]):
             if not missed:
                 self.report(up=False, detail=problem)
             announce, missed = self._return, True
-            await asyncio.sleep(backoff.next_s())
+            await asyncio.sleep(next(delays_s))
 
-    async def read_after(self, announce: Callable[[], None], farewell: Callable[[], object]) -> str:
+    async def read_after(self, announce: Callable[[], None], stop: Callable[[], object]) -> str:
         """Announce that the bus is in use, and read it until it is lost; return the reason.
 
         Args:
             announce: Called first.
-            farewell: Sends the last frame when an error ends the reading.
+            stop: Sends the last frame when an error ends the reading.
         """
         try:
             announce()
             return await self.read()
         except Exception:
-            farewell()
+            stop()
             raise
 
     async def read(self) -> str:
-        """Hand every frame to the user until the bus is lost; return the reason."""
+        """Hand every frame to the taker until the bus is lost; return the reason."""
         if self.bus is None:
             return "closed"
-        self._reader = FrameReader(self.bus, self._user, self._arrivals, self._user.hand_out)
+        self._reader = FrameReader(self.bus, self._taker, self._arrivals, self.caught_up)
         frames, period_s = self.asked
         with pulsing(period_s, *[partial(self.send, one) for one in frames]):
             return await self._reader.run()
@@ -285,12 +284,36 @@ class CanConnection(Generic[Hearer]):
         self._counts["sent"] += 1
         return True
 
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive: commands do not reach the bus, None for no reason."""
+        if self._untaken < _UNTAKEN_COMMANDS:
+            return None
+        return (
+            f"the bus does not take commands: {self._untaken} in a row were refused while the "
+            "drive's messages came; look for another sender that keeps the bus busy, and for an "
+            "adapter that sends nothing"
+        )
+
+    def note_reading(self) -> None:
+        """Note a reading of the drive: the bus is there, and the drive on it."""
+        self._reading_came = True
+
+    def note_command(self, *, taken: bool) -> None:
+        """Note whether the bus took the whole of a command; of several after a reading one counts.
+
+        Args:
+            taken: Whether it did.
+        """
+        self._untaken = 0 if taken else self._untaken + self._reading_came
+        self._reading_came = False
+
     def report(self, *, up: bool, detail: str = "") -> None:
         """Report the state of the bus to the listener, where it is another than before."""
         before, self._reported = self._reported, (up, detail)
         if self.listener is not None and before != self._reported:
-            parts = [self._user.description, detail]
-            self.listener.on_bus(up=up, detail=": ".join(filter(None, parts)))
+            parts = filter(None, (self.description, detail))
+            self.listener.on_bus(up=up, detail=": ".join(parts))
 
     async def _use(self, bus: can.BusABC, serve: Serve, announce: Callable[[], None]) -> str:
         self.bus = bus
@@ -298,7 +321,7 @@ class CanConnection(Generic[Hearer]):
             return await serve(announce)
         finally:
             self.bus = self._reader = None
-            self.uptake.forget()
+            self._untaken, self._reading_came = 0, False
             bus.shutdown()
 
     def _return(self) -> None:

@@ -3,7 +3,6 @@
 import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
@@ -14,12 +13,10 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity, SignalRange
-from adaptdrive.devices import binding
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import codec, layout
 from adaptdrive.devices.can.bus import channel_flaws
-from adaptdrive.devices.can.flaws import mended, sign_caution, signal_problem
 from adaptdrive.devices.can.integrity import CHECK_INPUT, crc_function
-from adaptdrive.devices.description import read_description
 from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
@@ -38,17 +35,8 @@ _USES = {
 logging.getLogger("cantools").setLevel(logging.CRITICAL)  # `check` states what matters of a file
 
 
-@dataclass(frozen=True, slots=True)
-class Description:
-    """Messages and signals that a DBC file describes.
-
-    Attributes:
-        database: Its messages and signals.
-        remarks: What is wrong in the file, each with its line.
-    """
-
-    database: Database
-    remarks: Sequence[str]
+Description = tuple[Database, list[str]]
+"""Messages and signals of a DBC file, and what is wrong in it, each with its line."""
 
 
 def read_dbc(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Description:
@@ -62,7 +50,7 @@ def read_dbc(path: Path, source: Path | str = "configuration", bus: str = "bus")
     Raises:
         ConfigurationError: The file cannot be read or is no DBC.
     """
-    return read_description(path, source, f"{bus}.database", _described)
+    return description.read_description(path, source, f"{bus}.database", _described)
 
 
 def describe(
@@ -79,7 +67,7 @@ def describe(
         ConfigurationError: A file cannot be read, or a message has no such id.
     """
     files = [read_dbc(path, source, place) for path in (bus.database, *bus.databases)]
-    messages = [message for one in files for message in one.database.messages]
+    messages = [message for database, _ in files for message in database.messages]
     flaws = [
         *_addressed(messages, bus.frames, f"{place}.frames"),
         *_addressed(messages, bus.polled, f"{place}.polled", "; ask by 'rtr'"),
@@ -87,10 +75,7 @@ def describe(
     ]
     if flaws:
         raise ConfigurationError(source, flaws)
-    return Description(
-        Database(messages, strict=False),
-        [remark for one in files for remark in one.remarks],
-    )
+    return Database(messages, strict=False), [one for _, remarks in files for one in remarks]
 
 
 def _addressed(
@@ -106,7 +91,7 @@ def _addressed(
             hint = nearest(name, [one.name for one in messages])
             yield Flaw(f"{place}.{name}", f"the database has no message {name!r}{hint}")
         for message in found:
-            if how == "rtr" and codec.needs_fd(message):
+            if how == "rtr" and layout.needs_fd(message):
                 yield Flaw(f"{place}.{name}", "'rtr': CAN FD has no remote frames")
             elif how != "rtr" and not message.is_extended_frame:
                 problem = "an id of 11 bits has no source address"
@@ -130,7 +115,7 @@ def _ranged(
 
 def _described(text: str) -> Description:
     """Return what the parser finds; a line that it cannot read is left out."""
-    whole = mended(text)
+    whole = layout.mended(text)
     for _ in range(_MOST_LEFT_OUT):
         database = Database(strict=False)
         try:
@@ -142,7 +127,7 @@ def _described(text: str) -> Description:
             whole.leave_out(int(line[1]) - 1, "it cannot be read")
         else:
             remarks = _place_remarks(database.messages, whole.places)
-            return Description(database, [*whole.remarks, *remarks])
+            return database, [*whole.remarks, *remarks]
     raise ValueError(f"more than {_MOST_LEFT_OUT} lines cannot be read; {whole.remarks[-1]}")
 
 
@@ -163,14 +148,14 @@ class SignalCatalogue(binding.Catalogue[Located]):
 
     def __init__(
         self,
-        description: Description,
+        database: Database,
+        remarks: Sequence[str] = (),
         *,
         fd: bool,
         integrity: Mapping[str, FrameIntegrity] = MappingProxyType({}),
     ) -> None:
-        super().__init__(description.remarks)
-        self._description = description
-        self._messages = description.database.messages
+        super().__init__(remarks)
+        self._database = database
         self._fd = fd
         self._integrity = integrity
 
@@ -201,18 +186,18 @@ class SignalCatalogue(binding.Catalogue[Located]):
 
     def known(self, name: str) -> Message:
         """The message called `name`, which has been found before."""
-        return self._description.database.get_message_by_name(name)
+        return self._database.get_message_by_name(name)
 
     def message(self, name: str, place: str) -> Message | None:
         """The message called `name`, or None and a flaw at `place`."""
-        found = self._named(self._messages, name, place, "the database has no message")
+        found = self._named(self._database.messages, name, place, "the database has no message")
         if not found:
             return None
         message, *others = found
         if others:
             ids = " and ".join(f"{one.frame_id:#x}" for one in found)
             self.note(place, f"message {name!r} is the name of {ids}: rename one")
-        if codec.needs_fd(message) and not self._fd:
+        if layout.needs_fd(message) and not self._fd:
             self.note(place, f"message {name!r} is one of CAN FD: it needs bus.fd = true")
             return None
         if message.length not in CAN_FD_DLC:
@@ -231,9 +216,9 @@ class SignalCatalogue(binding.Catalogue[Located]):
             return None
         missing = f"message {message.name!r} has no signal"
         found = self._named(message.signals, signal, place, missing)
-        problem = signal_problem(message, found) if found else None
+        problem = layout.signal_problem(message, found) if found else None
         self.note(place, problem and f"signal {signal!r} {problem}")
-        if found and not problem and (caution := sign_caution(found[0])):
+        if found and not problem and (caution := layout.sign_caution(found[0])):
             self.cautions.append(Flaw(place, f"{reference}: {caution}"))
         return Located(message, found[0]) if found and not problem else None
 
@@ -277,7 +262,7 @@ class SignalCatalogue(binding.Catalogue[Located]):
                 continue
             self.note(f"{place}.{key}", self._proof_problem(key, item, integrity))
             modulus, jump = (
-                codec.counter_modulus(layout.compile_field(item.signal)),
+                layout.counter_modulus(layout.compile_field(item.signal)),
                 integrity.max_jump,
             )
             if key == "counter" and jump >= modulus:
@@ -292,8 +277,8 @@ class SignalCatalogue(binding.Catalogue[Located]):
             return self.count_problem(item)
         if key == "checksum":
             bits = integrity.crc.width if integrity.crc else 8
-            span = codec.checksum_span(message, signal.name)
-            fits = span and 8 * span.length == bits and not layout.is_multiplexed(signal)
+            span = layout.checksum_span(message, signal.name)
+            fits = span and 8 * (span[1] - span[0]) == bits and not signal.multiplexer_ids
             size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
             return None if fits else f"signal {signal.name!r} must fill {size} of every frame"
         fits = signal.length == _NIBBLE_BITS and _is_count(signal)
@@ -311,8 +296,8 @@ def open_catalogue(bus: CanDescription, source: Path | str, place: str = "bus") 
     Raises:
         ConfigurationError: A file cannot be read, or a message has no such id.
     """
-    description = describe(bus, source, place)
-    catalogue = SignalCatalogue(description, fd=bus.fd, integrity=bus.integrity)
+    described = describe(bus, source, place)
+    catalogue = SignalCatalogue(*described, fd=bus.fd, integrity=bus.integrity)
     catalogue.flaws.extend(channel_flaws(bus, place))
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity, place)
@@ -327,7 +312,7 @@ def _form_flaws(message: Message, integrity: FrameIntegrity) -> Iterator[tuple[s
         yield "", f"{integrity.counter!r} cannot be both counter and checksum"
     if algorithm != "autosar-p01" and has_data_id:
         yield ".algorithm", f"{algorithm!r} has no data id; 'autosar-p01' has one"
-    if codec.follows_counter(integrity) and not integrity.counter:
+    if layout.follows_counter(integrity) and not integrity.counter:
         yield ".counter", "is missing: the data id of the checksum follows it"
     if (mode == "nibble") != (integrity.nibble is not None):
         yield ".nibble", "is what data_id_mode = 'nibble' needs, and no other mode"
@@ -354,7 +339,7 @@ def _place_remarks(
         key = str(codec.frame_key(message.frame_id, extended=message.is_extended_frame))
         before: dict[str, tuple[Signal, int]] = {}
         for signal in message.signals:
-            problem = signal_problem(message, [signal])
+            problem = layout.signal_problem(message, [signal])
             bits = 0 if problem else layout.signal_bits(signal)
             shared = (n for n, (one, own) in before.items() if own & bits and _meet(one, signal))
             problem = problem or next((f"has bits of {name!r}" for name in shared), None)
@@ -378,4 +363,4 @@ def cycle_time_s(message: Message) -> float:
 def _is_count(signal: Signal) -> bool:
     """Return whether a signal is an integer from 0 on in every frame of its message."""
     field = layout.compile_field(signal)
-    return field.is_word and field.low == 0 and not layout.is_multiplexed(signal)
+    return field.is_word and field.low == 0 and not signal.multiplexer_ids

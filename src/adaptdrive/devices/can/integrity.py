@@ -23,7 +23,7 @@ was set meanwhile, each frame that is read until the queue is empty counts as th
 import time
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import can
 
@@ -113,34 +113,9 @@ _SAE_J1850 = Crc(width=8, poly=0x1D, init=0xFF, xorout=0xFF)
 _AUTOSAR_P01 = Crc(width=8, poly=0x1D)
 
 
-class Span(NamedTuple):
-    """Position of a checksum in its frame: whole bytes.
-
-    Attributes:
-        first: Its first byte.
-        length: How many they are.
-        order: Their order.
-    """
-
-    first: int
-    length: int
-    order: Literal["little", "big"]
-
-    @property
-    def end(self) -> int:
-        """The byte behind it."""
-        return self.first + self.length
-
-    def read(self, data: bytes) -> int:
-        """The checksum that a frame holds."""
-        if self.length == 1:
-            return data[self.first]
-        return int.from_bytes(data[self.first : self.end], self.order)
-
-    def write(self, data: bytes, checksum: int) -> bytes:
-        """The frame with its checksum."""
-        held = checksum.to_bytes(self.length, self.order)
-        return data[: self.first] + held + data[self.end :]
+Span = tuple[int, int, Literal["little", "big"]]
+"""Position of a checksum in its frame, which are whole bytes: the first one, the one behind the
+last one, and their order."""
 
 
 def checksum_function(integrity: FrameIntegrity) -> Checksum:
@@ -169,14 +144,14 @@ def _profile_1(integrity: FrameIntegrity) -> Checksum:
     return lambda data, _: crc(data)
 
 
-def covered_bytes(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], bytes]:
+def covered(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], bytes]:
     """Return what takes the bytes that the checksum covers out of a frame.
 
     Args:
         integrity: Its form.
         span: Where the checksum itself lies.
     """
-    first, end = span.first, span.end
+    first, end, _ = span
     covers = integrity.crc.covers if integrity.crc else None
     if covers is None:
         return lambda data: data[:first] + data[end:]
@@ -219,7 +194,7 @@ class AliveCounter:
 
     A counter that stands still is a repeated frame. One that leaps further than `max_jump` is
     refused. So are those after it, until one is the very next of the one before: a restarted sender
-    loses one frame, and of two senders that take turns neither is believed.
+    loses one frame, and of two senders that take turns neither is accepted.
 
     Frames that are repeated in turn are each the next of the one before, too. A counter among the
     newest ones is refused until one is ahead of them. One that falls back a little further is

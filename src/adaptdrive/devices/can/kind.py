@@ -23,18 +23,13 @@ from adaptdrive.config.root import CanSensorSection as Config
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
-from adaptdrive.devices.can import codec, connection, integrity, port
-from adaptdrive.devices.can.bus import describe_bus, requests
-from adaptdrive.devices.can.database import open_catalogue
-from adaptdrive.devices.can.mapping import (
-    CanMapping,
-    CanSource,
-    StatusFrame,
-    map_drive,
-    status_frame,
-)
-from adaptdrive.devices.port import Port, SensorListener
+from adaptdrive.devices.can import assembly, codec, connection, integrity, mapping, port
+from adaptdrive.devices.can.bus import requests
+from adaptdrive.devices.can.database import Located, open_catalogue
+from adaptdrive.devices.port import SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
+
+_Source = description.Source[Located]
 
 # Signals of a DBC, as candidates for the quantities of a configuration.
 
@@ -91,7 +86,7 @@ def build_can_sensors(
     clock: Callable[[], float],
     source: Path | str = "configuration",
     demands: description.Demands = description.NO_DEMANDS,
-) -> CanSensorPort:
+) -> SensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
     Args:
@@ -104,7 +99,7 @@ def build_can_sensors(
     Raises:
         ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
     """
-    return CanSensorPort(bus, map_sensors(bus, place, source, demands), clock)
+    return SensorPort(bus, map_sensors(bus, place, source, demands), clock)
 
 
 def map_sensors(
@@ -112,7 +107,7 @@ def map_sensors(
     place: str,
     source: Path | str,
     demands: description.Demands = description.NO_DEMANDS,
-) -> tuple[StatusFrame, ...]:
+) -> tuple[assembly.StatusFrame, ...]:
     """Find every configured signal in the DBC.
 
     Args:
@@ -125,18 +120,16 @@ def map_sensors(
         ConfigurationError: Something does not fit; every flaw is listed.
     """
     catalogue = open_catalogue(bus, source, place)
-    found: dict[str, list[CanSource]] = {}
+    found: dict[str, list[_Source]] = {}
     for one in catalogue.sources(binding.sensor_entries(bus, place), demands):
-        message, signal = one.item
-        value = CanSource(one.quantity, signal.name, one.scale, one.offset)
-        found.setdefault(message.name, []).append(value)
+        found.setdefault(one.item.message.name, []).append(one)
     catalogue.check_uses({f"{place}.signals": found})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
-    return tuple(status_frame(catalogue, bus, *item, bus.cycle_s) for item in found.items())
+    return tuple(mapping.status_frame(catalogue, bus, *item, bus.cycle_s) for item in found.items())
 
 
-class CanSensorPort(CountingPort):
+class SensorPort(CountingPort):
     """One connection to the sensors on one CAN bus.
 
     Attributes:
@@ -144,10 +137,9 @@ class CanSensorPort(CountingPort):
     """
 
     def __init__(
-        self, config: Config, messages: tuple[StatusFrame, ...], clock: Callable[[], float]
+        self, config: Config, messages: tuple[assembly.StatusFrame, ...], clock: Callable[[], float]
     ) -> None:
         super().__init__()
-        self.description = describe_bus(config)
         self._config = config
         self._messages = {one.codec.key: one for one in messages}
         self._clock = clock
@@ -155,13 +147,14 @@ class CanSensorPort(CountingPort):
         self._connection = connection.CanConnection[SensorListener](
             config, self, self._arrivals, self._counts
         )
+        self.description = self._connection.description
         asked = requests(config, [one.codec for one in messages])
         self._connection.asked = asked, config.cycle_s
-        self._heard_s = 0.0
+        self._good_s = 0.0
         self._silent = False
 
     async def run(self, listener: SensorListener) -> None:
-        """Hear the bus until cancelled; one that is lost or not there is opened again.
+        """Read the bus until cancelled; one that is lost or not there is opened again.
 
         Args:
             listener: Receiver of values and of the state of the bus.
@@ -176,37 +169,30 @@ class CanSensorPort(CountingPort):
             self.take_garbage()
             return
         self._counts["received"] += 1
-        decoded = message.codec.decode(bytes(frame.data))
-        self._counts["counter_lost"] += decoded.lost
-        if decoded.values and decoded.verdict in {
-            integrity.FrameVerdict.GOOD,
-            integrity.FrameVerdict.OUT_OF_RANGE,
-        }:
-            self._pass_on(message, decoded.values, self._clock() - self._arrivals.waited_s(frame))
-        if decoded.verdict not in {
-            integrity.FrameVerdict.GOOD,
-            integrity.FrameVerdict.COUNTER_LOST,
-        }:
-            self._counts[decoded.verdict] += 1
-
-    def hand_out(self) -> None:
-        """Nothing waits: each good frame is passed on at once."""
+        verdict, values, lost = message.codec.decode(bytes(frame.data))
+        self._counts["counter_lost"] += lost
+        if values and verdict in {integrity.FrameVerdict.GOOD, integrity.FrameVerdict.OUT_OF_RANGE}:
+            self._pass_on(message, values, self._clock() - self._arrivals.waited_s(frame))
+        if verdict not in {integrity.FrameVerdict.GOOD, integrity.FrameVerdict.COUNTER_LOST}:
+            self._counts[verdict] += 1
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""
         announce()
-        self._heard_s, self._silent = self._clock(), False
+        self._good_s, self._silent = self._clock(), False
         for message in self._messages.values():
             message.codec.resume()
         return await self._connection.read_beside(self._watch_silence(), "silence")
 
-    def _pass_on(self, message: StatusFrame, values: Mapping[str, float], arrival_s: float) -> None:
+    def _pass_on(
+        self, message: assembly.StatusFrame, values: Mapping[str, float], arrival_s: float
+    ) -> None:
         found = {
             one.quantity: value * one.scale + one.offset
             for one in message.sources
-            if (value := values.get(one.signal)) is not None
+            if (value := values.get(one.field.name)) is not None
         }
-        self._heard_s = self._clock()
+        self._good_s = self._clock()
         if self._silent:
             self._silent = False
             self._connection.report(up=True)
@@ -218,7 +204,7 @@ class CanSensorPort(CountingPort):
         limit_s = self._config.oldest_s
         while True:
             await asyncio.sleep(self._config.cycle_s)
-            if not self._silent and self._clock() - self._heard_s > limit_s:
+            if not self._silent and self._clock() - self._good_s > limit_s:
                 self._silent = True
                 self._connection.report(up=False, detail=f"no good frame for {limit_s:g} s")
 
@@ -228,16 +214,20 @@ class CanSensorPort(CountingPort):
 
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
-) -> Port:
-    return port.CanPort(
-        bus_of(configuration, CanBus), _mapped(configuration, source), clock, hears_all=passive
+) -> port.Port:
+    return port.Port(
+        bus_of(configuration, CanBus), _mapped(configuration, source), clock, takes_all=passive
     )
 
 
-def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanMapping:
+def _mapped(
+    configuration: Configuration, source: Path | str = "configuration"
+) -> assembly.CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
     timing, demands = configuration.timing, description.demands_of(configuration)
-    return map_drive(bus_of(configuration, CanBus), configuration.signals, timing, source, demands)
+    return mapping.map_drive(
+        bus_of(configuration, CanBus), configuration.signals, timing, source, demands
+    )
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
@@ -251,17 +241,17 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
-    timing, mapping = configuration.timing, _mapped(configuration)
-    sources = [(status.codec.name, one) for status in mapping.statuses for one in status.sources]
+    timing, mapped = configuration.timing, _mapped(configuration)
+    sources = [(status.codec.name, one) for status in mapped.statuses for one in status.sources]
     slack_s = min(one.slack_s for _, one in sources)
     yield from timeout_cautions(timing, "bus.clock_ticks", slack_s)
     for message, one in sources:
         if one.quantity == "bridge":
             yield from _bridge_cautions(timing, message, one)
-    yield from mapping.cautions
+    yield from mapped.cautions
 
 
-def _bridge_cautions(timing: Timing, message: str, bridge: CanSource) -> Iterator[Flaw]:
+def _bridge_cautions(timing: Timing, message: str, bridge: _Source) -> Iterator[Flaw]:
     """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
     timeout_s, limit_s = timing.command_timeout_s, timing.silent_s
     every_s, says = bridge.cycle_s, f"comes every {bridge.cycle_s * 1e3:.4g} ms"

@@ -1,24 +1,24 @@
-"""Positions of the bits of a signal: a DBC's layout, compiled for the fast path.
+"""A DBC's lines and signals: which cannot be used, how a signal is coded, and where its bits are.
 
-Integers of either byte order are cut out of one big integer by shift and mask. Whatever else a DBC
-can describe (floating point and multiplexed signals) takes the slow way through cantools, with the
-same results.
+Each flaw is a remark with its line. A line that cannot be mended is left out, so that it is an
+error only for who names what it describes.
 """
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
 from os.path import commonprefix
-from typing import Literal, NamedTuple, cast
 
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
+from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.devices.can.integrity import Span
 from adaptdrive.devices.field import Field, Raw, declared_limits, natural_limits, sensible_limits
 
-Unpack = Callable[[bytes], Mapping[str, Raw]]
-Pack = Callable[[Mapping[str, Raw]], bytes]
-_ByteOrder = Literal["little", "big"]
+_CLASSIC_LENGTH = 8
+"""Most bytes of a frame without CAN FD."""
 
 _UNKNOWN = re.compile(
     "(sna|n/?a|unknown|undefined|invalid)$|(signal[ _]?)?(not[ _]?available|unavailable)",
@@ -112,131 +112,201 @@ def _below_names(names: Collection[int], end: Raw) -> Raw:
     return end
 
 
-def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
-    """Return a function from the bytes of a frame to the raw values of some of its signals.
-
-    Args:
-        message: The message; a multiplexed one gives the signals that its frame has.
-        names: The signals wanted.
-    """
-    signals = [message.get_signal_by_name(name) for name in names]
-    if not all(map(_is_plain, signals)):
-        return _slow_unpack(message, frozenset(signal.name for signal in signals))
-    little, big = _cuts(message, signals, "little"), _cuts(message, signals, "big")
-    cut_little, cut_big = _cutter(little, "little"), _cutter(big, "big")
-    if not (little and big):
-        return cut_big if big else cut_little
-    return lambda data: {**cut_little(data), **cut_big(data)}
-
-
-def compile_pack(message: Message, idle: Mapping[str, Raw]) -> Pack:
-    """Return a function from the raw values of some signals of a message to the bytes of its frame.
-
-    Args:
-        message: The message.
-        idle: Raw values of all its signals, for those that the function is not given.
-    """
-    if not all(map(_is_plain, message.signals)):
-        return lambda raw: message.encode({**idle, **raw}, scaling=False, strict=False)
-    little, big = (_cuts(message, message.signals, order) for order in ("little", "big"))
-    length = message.length
-    if not big:
-        base, places = _put_in(idle, little), {cut.name: cut for cut in little}
-        return lambda raw: _replaced(base, places, raw).to_bytes(length, "little")
-
-    def pack(raw: Mapping[str, Raw]) -> bytes:
-        every = {**idle, **raw}
-        mirrored = _put_in(every, big).to_bytes(length, "big")
-        word = _put_in(every, little) | int.from_bytes(mirrored, "little")
-        return word.to_bytes(length, "little")
-
-    return pack
-
-
-def bit_mask(start: int, length: int, *, little: bool) -> int:
-    """Return the bits of a signal in its frame, bit 8 n + m for bit m of byte n.
-
-    Args:
-        start: First bit as a DBC names it: the highest one of a signal of big-endian order.
-        length: Number of bits.
-        little: Whether it is of little-endian order.
-    """
-    if little:
-        return ((1 << length) - 1) << start
-    bits = 0
-    for _ in range(length):
-        bits |= 1 << start
-        start = start - 1 if start % 8 else start + 15
+def signal_bits(signal: Signal) -> int:
+    """Return the bits of a signal in its frame, bit 8 n + m for bit m of byte n."""
+    if signal.byte_order == "little_endian":
+        return ((1 << signal.length) - 1) << signal.start
+    bits, at = 0, signal.start  # a DBC names the highest bit
+    for _ in range(signal.length):
+        bits |= 1 << at
+        at = at - 1 if at % 8 else at + 15
     return bits
 
 
-def signal_bits(signal: Signal) -> int:
-    """Return the bits of a signal in its frame, as `bit_mask` does."""
-    return bit_mask(signal.start, signal.length, little=signal.byte_order == "little_endian")
+def end_of(message: Message, signal: Signal) -> int:
+    """Return the bytes that a frame needs to have a signal, with what selects its page."""
+    end = (signal_bits(signal).bit_length() + 7) // 8
+    if not signal.multiplexer_ids or signal.multiplexer_signal is None:
+        return end
+    return max(end, end_of(message, message.get_signal_by_name(signal.multiplexer_signal)))
 
 
-def is_multiplexed(signal: Signal) -> bool:
-    """Return whether only some frames of its message carry a signal."""
-    return bool(signal.multiplexer_ids)
+def needs_fd(message: Message) -> bool:
+    """Return whether the frames of a message are those of CAN FD."""
+    return message.is_fd or message.length > _CLASSIC_LENGTH
 
 
-def _is_plain(signal: Signal) -> bool:
-    return not signal.is_float and not is_multiplexed(signal)
+def counter_modulus(counter: Field) -> int:
+    """Return the modulus of a counter, from the largest value that the DBC declares for it."""
+    return int(counter.high) + 1
 
 
-class _Cut(NamedTuple):
-    """Position of an integer in the whole frame as one number of its byte order."""
-
-    name: str
-    shift: int
-    mask: int
-    sign: int
+def follows_counter(integrity: FrameIntegrity) -> bool:
+    """Return whether a checksum covers something that goes with the alive counter."""
+    by_counter = integrity.crc is not None and bool(integrity.crc.by_counter)
+    return by_counter or integrity.data_id_mode == "alternating"
 
 
-def _cuts(message: Message, signals: Iterable[Signal], order: _ByteOrder) -> list[_Cut]:
-    chosen = [signal for signal in signals if signal.byte_order == f"{order}_endian"]
-    return [_cut(signal, message.length) for signal in chosen]
+def checksum_span(message: Message, checksum: str) -> Span | None:
+    """Return the position of a checksum signal, None when it does not fill whole bytes."""
+    signal = message.get_signal_by_name(checksum)
+    little = signal.byte_order == "little_endian"
+    first_bit = signal.start if little else signal.start - 7
+    if signal.length % 8 or first_bit % 8 or signal.is_float:
+        return None
+    first = first_bit // 8
+    return first, first + signal.length // 8, "little" if little else "big"
 
 
-def _cut(signal: Signal, frame_length: int) -> _Cut:
-    shift = signal.start
-    if signal.byte_order == "big_endian":
-        # a DBC counts bits from the right within a byte, and names the highest bit of the signal
-        first = 8 * (signal.start // 8) + 7 - signal.start % 8
-        shift = 8 * frame_length - first - signal.length
-    sign = 1 << (signal.length - 1) if signal.is_signed else 0
-    return _Cut(signal.name, shift, (1 << signal.length) - 1, sign)
+# Lines of a DBC that its parser refuses, although nothing may use them.
+
+_UNREAD = re.compile(
+    r'^[ \t]*(?:CM_(?=[ \t])[^"\n]*"(?:[^"\\]|\\.)*"[ \t]*;?|BS_[ \t]*:.*$)', re.MULTILINE
+)
+"""Comments and the bit timing, which nothing uses."""
+
+_MESSAGE = re.compile(r"[ \t]*BO_[ \t]+(\d+)[ \t]+(\w+)[ \t]*:")
+_SIGNAL = re.compile(r"[ \t]*SG_[ \t]+(\w+)")
+_OF_SIGNAL = re.compile(r"[ \t]*(?:VAL_|SIG_VALTYPE_)[ \t]+(\d+)[ \t]+(\w+)")
+_OF_ID = re.compile(
+    r"\b(BO_|BO_TX_BU_|SG_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_)([ \t]+)(\d+)(?![\w.])"
+)
+_NAMED_BY_DIGIT = re.compile(
+    r"^([ \t]*(?:BO_[ \t]+\d+|SG_|(?:VAL_|SIG_VALTYPE_|SG_MUL_VAL_)[ \t]+\d+|BA_.*SG_[ \t]+\d+))"
+    r"[ \t]+(?=\d+[A-Za-z_])"
+)
+_BARE_POINT = re.compile(r"(?<=[(,\[|])([ \t]*-?)\.(?=\d)")
+
+_REST = {"BO_": re.compile(r"[ \t]*SG_[ \t]"), "VAL_": re.compile(r'[ \t]*(?:-?\d|"|;)')}
+"""Lines that follow a line and belong to it."""
+
+_EXTENDED = 1 << 31
+_LARGEST_STANDARD, _LARGEST_ID = 0x7FF, 0x1FFF_FFFF
+_WITHOUT_FRAME = "VECTOR__INDEPENDENT_SIG_MSG"
+"""Name of the message that holds signals without a frame: the parser leaves it out."""
 
 
-def _cutter(cuts: Collection[_Cut], order: _ByteOrder) -> Unpack:
-    def cut_out(data: bytes) -> dict[str, Raw]:
-        word = int.from_bytes(data, order)
-        raw: dict[str, Raw] = {}
-        for name, shift, mask, sign in cuts:
-            # (x ^ sign) - sign extends the sign; an unsigned signal has sign = 0
-            raw[name] = ((word >> shift & mask) ^ sign) - sign
-        return raw
+@dataclass(slots=True)
+class MendedText:
+    """The text of a DBC for its parser.
 
-    return cut_out
+    Attributes:
+        lines: Its lines.
+        remarks: What is wrong in it, each with its line.
+        places: Line of each signal, from 1, by the id of its message as written and its name.
+    """
+
+    lines: list[str]
+    remarks: list[str] = field(default_factory=list)
+    places: dict[tuple[str, str], int] = field(default_factory=dict)
+
+    def leave_out(self, number: int, why: str) -> None:
+        """Leave out a line, with the signals of a message and further lines of a value table.
+
+        Args:
+            number: Its index.
+            why: Reason.
+        """
+        line, self.lines[number] = self.lines[number].strip(), ""
+        self.remarks.append(f"line {number + 1}: {line[:60]!r} is left out: {why}")
+        rest, following = _REST.get(line.split()[0]), number + 1
+        while rest and following < len(self.lines) and rest.match(self.lines[following]):
+            self.lines[following] = ""
+            following += 1
 
 
-def _put_in(raw: Mapping[str, Raw], cuts: Iterable[_Cut]) -> int:
-    word = 0
-    for name, shift, mask, _ in cuts:
-        word |= (cast("int", raw[name]) & mask) << shift
-    return word
+def mended(text: str) -> MendedText:
+    """Return a text in which the parser finds fewer flaws, with remarks on them.
+
+    Args:
+        text: Text of a DBC.
+    """
+    bare = _UNREAD.sub(lambda found: "\n" * found[0].count("\n"), text)
+    result = MendedText(bare.split("\n"))
+    for number, line in enumerate(result.lines):
+        result.lines[number] = _renamed(result, number, _renumbered(result, number, line))
+    without_frame = _read_messages(result)
+    for number, line in enumerate(result.lines):
+        found = _OF_SIGNAL.match(line)
+        if found and found[1] == without_frame:
+            result.lines[number] = ""
+        elif found and (found[1], found[2]) not in result.places:
+            result.leave_out(number, f"message {found[1]} has no signal {found[2]!r}")
+    return result
 
 
-def _replaced(word: int, places: Mapping[str, _Cut], raw: Mapping[str, Raw]) -> int:
-    for name, value in raw.items():
-        _, shift, mask, _ = places[name]
-        word = word & ~(mask << shift) | (cast("int", value) & mask) << shift
-    return word
+def _renumbered(result: MendedText, number: int, line: str) -> str:
+    """Return a line whose ids of 29 bits have the mark of such ids."""
+
+    def marked(found: re.Match[str]) -> str:
+        frame = int(found[3])
+        if not _LARGEST_STANDARD < frame <= _LARGEST_ID:
+            return found[0]
+        if found[1] == "BO_" and _MESSAGE.match(line):
+            remark = f"id {frame:#x} has more than 11 bits, and is taken as one of 29"
+            result.remarks.append(f"line {number + 1}: {remark}")
+        return f"{found[1]}{found[2]}{frame | _EXTENDED}"
+
+    return _OF_ID.sub(marked, line) if "_" in line else line
 
 
-def _slow_unpack(message: Message, names: frozenset[str]) -> Unpack:
-    def unpack(data: bytes) -> dict[str, Raw]:
-        decoded = message.decode_simple(data, decode_choices=False, scaling=False)
-        return {name: cast("Raw", raw) for name, raw in decoded.items() if name in names}
+def _renamed(result: MendedText, number: int, line: str) -> str:
+    """Return a line without names that begin with a digit, and numbers that begin with a point."""
+    found = _NAMED_BY_DIGIT.match(line)
+    if found:
+        line = f"{found[1]} _{line[found.end() :]}"
+        result.remarks.append(f"line {number + 1}: a name that begins with a digit")
+    return _BARE_POINT.sub(r"\g<1>0.", line) if line.lstrip().startswith("SG_") else line
 
-    return unpack
+
+def _read_messages(result: MendedText) -> str:
+    """Note the line of each signal; return the message without a frame, others without go."""
+    without_frame = frame = ""
+    for number, line in enumerate(result.lines):
+        message, found = _MESSAGE.match(line), _SIGNAL.match(line)
+        if message:
+            frame = message[1]
+            if message[2] == _WITHOUT_FRAME:
+                without_frame = frame
+            elif int(frame) & ~_EXTENDED > _LARGEST_ID:
+                result.leave_out(number, f"no frame has the id {int(frame):#x}")
+        elif found and result.places.setdefault((frame, found[1]), number + 1) <= number:
+            result.remarks.append(f"line {number + 1}: a signal {found[1]!r} is there before")
+    return without_frame
+
+
+# Flaws of a signal of a DBC, and what is probably one.
+
+
+def signal_problem(message: Message, found: Sequence[Signal]) -> str | None:
+    """Return why the signals of one name cannot be used, None where it is one that can."""
+    signal = found[0]
+    low, high, scale, offset = signal.minimum, signal.maximum, signal.scale, signal.offset
+    if len(found) > 1:
+        return f"is there {len(found)} times in message {message.name!r}: rename one"
+    if signal.start < 0 or signal_bits(signal) >> 8 * message.length:
+        return f"does not fit into the {message.length} bytes of message {message.name!r}"
+    if not (scale and math.isfinite(scale) and math.isfinite(offset)):
+        return f"has factor {scale:g} and offset {offset:g}"
+    if low is not None and high is not None and low > high:
+        return f"has the range [{low:g}|{high:g}], which ends below its start: state bus.ranges"
+    return None
+
+
+def sign_caution(signal: Signal) -> str | None:
+    """Return that a range begins below what an unsigned signal can be, None where it does not.
+
+    Args:
+        signal: A signal without a problem.
+    """
+    low, high, scale = signal.minimum, signal.maximum, signal.scale
+    if signal.is_signed or signal.is_float or low is None or high is None or not (low or high):
+        return None
+    first = min((end - signal.offset) / scale for end in (low, high))
+    if not -math.inf < first <= -1.0:
+        return None
+    top = (1 << signal.length) - 1
+    one, read = (raw * scale + signal.offset for raw in (-1, top))
+    unit = f" {signal.unit}" if signal.unit else ""
+    meant = f"has the range [{low:g}|{high:g}], and is unsigned: {one:g}{unit} would be read as"
+    return f"{meant} {read:g}{unit}; is it signed (@1-, @0-) in the manual of the device?"

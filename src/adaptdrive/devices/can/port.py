@@ -1,7 +1,7 @@
 """The port of a drive on a CAN bus.
 
 Every message keeps its last good values and their arrival. When a good clocking frame arrives and
-every quantity has been heard once, there is a reading, as old as its oldest value. One whose frame
+every quantity has come once, there is a reading, as old as its oldest value. One whose frame
 was read as soon as it came is handed out at once. One whose frame has waited is held back until no
 more frames wait: of readings that piled up while the process did not run, only the newest is worth
 a tick. A frame that fails a check is counted and changes nothing, but for the other values of one
@@ -22,11 +22,10 @@ from adaptdrive.config.timing import OBEY_S
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import bus, port
 from adaptdrive.devices.can import assembly, connection, integrity
-from adaptdrive.devices.can.bus import as_received, describe_bus, requests
+from adaptdrive.devices.can.assembly import CanMapping, CommandFrame, StatusFrame
+from adaptdrive.devices.can.bus import as_received, requests
 from adaptdrive.devices.can.codec import frame_key
-from adaptdrive.devices.can.mapping import CanMapping, StatusFrame
-from adaptdrive.devices.can.orders import CommandFrame, bridge_first
-from adaptdrive.devices.faults import LEAPT, Obedience, Relink, Rival
+from adaptdrive.devices.faults import LEAPT, Obedience, OtherSender, Relink
 
 _ASK_AGAIN_S = 1.0
 """Silence of the clock of a drive that is off after which its set-up is sent again: it may have
@@ -35,7 +34,7 @@ started anew, and forgotten the requests for its messages."""
 _GOOD: Final[integrity.FrameVerdict] = integrity.FrameVerdict.GOOD  # found at once by compiled code
 
 
-class CanPort:
+class Port:
     """One connection to one drive on a CAN bus.
 
     Attributes:
@@ -52,7 +51,7 @@ class CanPort:
         clock: Callable[[], float],
         wall_clock: Callable[[], float] = time.time,
         *,
-        hears_all: bool = False,
+        takes_all: bool = False,
     ) -> None:
         """Open nothing yet.
 
@@ -61,7 +60,7 @@ class CanPort:
             mapping: Messages and properties of the drive.
             clock: Monotonic clock, in seconds.
             wall_clock: The clock with which the bus stamps frames, in seconds.
-            hears_all: Whether to receive and record frames with unused ids, too.
+            takes_all: Whether to receive and record frames with unused ids, too.
         """
         self._config = config
         self._mapping = mapping
@@ -73,15 +72,16 @@ class CanPort:
         )
         asked = requests(config, [one.codec for one in mapping.statuses])
         self._connection.asked = asked, mapping.timing.reading_s
+        self._connection.caught_up = self.hand_out
         self._assembly = assembly.StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
-        self._rival = Rival(clock)
+        self._others = OtherSender(clock)
         self._refusals = assembly.Refusals()
-        self._hears_all = hears_all
+        self._takes_all = takes_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
-        self._stopping = bridge_first(mapping.orders)
-        self.description = describe_bus(config)
+        self._stopping = assembly.bridge_first(mapping.orders)
+        self.description = self._connection.description
         self.counter_modulus = mapping.counter_modulus
         self.stop_slack_s = self._assembly.bridge_slack_s
         self.bridge_cycle_s = self._assembly.bridge_cycle_s
@@ -103,16 +103,16 @@ class CanPort:
     def complaint(self) -> str | None:
         """Another sender, a fault not carried yet, commands not taken, or a stop unheard."""
         return (
-            self._rival.complaint
-            or self._assembly.faults.complaint
-            or self._connection.uptake.complaint
+            self._others.complaint
+            or self._assembly.newest.faults.complaint
+            or self._connection.complaint
             or self._relink.complaint
         )
 
     @property
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
-        return self._obedience.heard_s
+        return self._obedience.since_s
 
     def run(self, listener: port.Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -124,7 +124,7 @@ class CanPort:
         Raises:
             BusError: The bus cannot be opened at the first attempt.
         """
-        ids = [] if self._hears_all else [*self._statuses, *self._commands]
+        ids = [] if self._takes_all else [*self._statuses, *self._commands]
         return self._connection.run(ids, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:
@@ -150,26 +150,26 @@ class CanPort:
         safe = not bridge and command == SAFE_COMMAND
         if not safe:
             self._obedience.forget()
-        self._relink.note(bridge=bridge, safe=safe)
+        self._relink.note_command(bridge=bridge, safe=safe)
         if self._disobeyed or self._must_report(bridge=bridge):
             self._counts["withheld_commands"] += 1
             return False
         if not bridge and self._clock() > self._asked_s + _ASK_AGAIN_S:
             self._set_up()
         if bridge and not self._bridge_sent and not self._set_up():  # it may have started anew
-            self._connection.uptake.note(taken=False)
+            self._connection.note_command(taken=False)
             return False
         taken = 0
         for frame in frames:
             taken += self._connection.send(frame)
-        self._connection.uptake.note(taken=taken == len(frames))
+        self._connection.note_command(taken=taken == len(frames))
         if taken < len(frames):  # the frame that energises may be one of those that went out
             self._bridge_sent = self._bridge_sent or (bridge and taken > 0)
             return False
         self._bridge_sent = bridge
         self._sent_s |= {order.codec.key: self._clock() for order in orders if order.every_s}
         if safe:
-            self._obedience.hear()
+            self._obedience.note_safe()
         return True
 
     def catch_up(self) -> None:
@@ -187,7 +187,7 @@ class CanPort:
         """Return the oldest value, its source, its age, and the likeliest cause of that."""
         now_s = self._clock()
         status, source, oldest_s, newest_s = self._assembly.oldest()
-        value = f"{source.quantity} ({status.codec.label}, {source.signal})"
+        value = f"{source.quantity} ({status.codec.label}, {source.field.name})"
         age_s, came = now_s - oldest_s, oldest_s > -math.inf
         # not the age of the reading, which may be that of a value that has come since
         found = f"is the oldest value, {age_s * 1e3:.0f} ms old" if came else "has never come"
@@ -239,48 +239,45 @@ class CanPort:
     def _take_foreign(self, key: int, frame: can.Message) -> None:
         """Count a frame that is no measurement; no bus returns what this port has sent."""
         self._counts["foreign"] += 1
-        if self._hears_all:
+        if self._takes_all:
             sender = f" from 0x{key & 0xFF:02X} of J1939" if frame.is_extended_id else ""
             self._refusals.note(f"0x{frame.arbitration_id:03X}{sender}", None, bytes(frame.data))
         if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
             self._counts["foreign_commands"] += 1
-            self._rival.hear(self._commands[key])
+            self._others.note(self._commands[key])
 
     def _take_status(self, status: StatusFrame, frame: can.Message) -> None:
         waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - waited_s
-        decoded = status.codec.decode(bytes(frame.data))
-        verdict = decoded.verdict
-        if decoded.lost:
-            self._counts["counter_lost"] += decoded.lost
+        data = bytes(frame.data)
+        verdict, values, lost = status.codec.decode(data)
+        if lost:
+            self._counts["counter_lost"] += lost
         if verdict is not _GOOD:
-            self._refuse(status, verdict, frame)
+            self._refuse(status, verdict, data)
             if verdict is integrity.FrameVerdict.COUNTER_LOST:
-                self._doubt(arrival_s)
+                self._await_report(arrival_s)
             if verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
-                self._assembly.doubt(status, decoded.values)
+                self._assembly.keep_old(status, values)
                 return
         elif self._refusals.any:
             self._refusals.accept(status.codec.label)
-        self._assembly.keep(status, decoded.values, arrival_s, whole=verdict is _GOOD)
-        if status is self._clocking and self._has_page(status, decoded.values, frame):
+        self._assembly.keep(status, values, arrival_s, whole=verdict is _GOOD)
+        if status is self._clocking and self._has_page(status, values, data):
             self._asked_s = max(self._asked_s, arrival_s)
-            stopped = self._obedience.awaited
             reading = self._assembly.reading(
-                arrival_s, bridge_sent=self._bridge_sent, stopped=stopped
+                arrival_s, bridge_sent=self._bridge_sent, stopped=self._obedience.awaited
             )
             self._newest = reading or self._newest
             if frame.timestamp and waited_s < integrity.PROMPT_S:
                 self.hand_out()
 
-    def _has_page(
-        self, status: StatusFrame, found: Mapping[str, float], frame: can.Message
-    ) -> bool:
+    def _has_page(self, status: StatusFrame, found: Mapping[str, float], data: bytes) -> bool:
         """Return whether a good frame of the clocking message has the page that clocks."""
         page = self._mapping.page
-        return page is None or page in found or status.codec.carries(bytes(frame.data), page)
+        return page is None or page in found or status.codec.carries(data, page)
 
-    def _doubt(self, arrival_s: float) -> None:
+    def _await_report(self, arrival_s: float) -> None:
         """Let what energises wait for the next report of the bridge: the drive may be a new one.
 
         Never for one that does not report its bridge: the wait itself would let it stop.
@@ -290,24 +287,22 @@ class CanPort:
         self._leapt_s = arrival_s
         self._relink.open(bridge=self._bridge_sent, how=LEAPT)
 
-    def _refuse(
-        self, status: StatusFrame, verdict: integrity.FrameVerdict, frame: can.Message
-    ) -> None:
+    def _refuse(self, status: StatusFrame, verdict: integrity.FrameVerdict, data: bytes) -> None:
         """Count a frame that failed a check, and remember it for reports."""
         # a counter that leapt is in `counter_lost` already, with the length of its leap
         if verdict is not integrity.FrameVerdict.COUNTER_LOST:
             self._counts[verdict] += 1
         codec = status.codec
-        self._refusals.note(codec.label, verdict, bytes(frame.data), codec)
+        self._refusals.note(codec.label, verdict, data, codec)
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""
         reading, self._newest = self._newest, None
         if reading is not None and (listener := self._connection.listener) is not None:
             self._assembly.carry(reading)
-            self._connection.uptake.hear()
+            self._connection.note_reading()
             if reading.bridge_reported_s > self._leapt_s:
-                self._relink.hear(bridge=reading.bridge)
+                self._relink.note_reading(bridge=reading.bridge)
             listener.on_reading(reading)
 
     def _must_report(self, *, bridge: bool) -> bool:
@@ -317,21 +312,19 @@ class CanPort:
     @property
     def _disobeyed(self) -> bool:
         """True in every other second of a drive that is energised long after the safe command."""
-        seconds = self._obedience.overdue_s(powered=self._assembly.powered) / OBEY_S
+        seconds = self._obedience.overdue_s(powered=self._assembly.newest.powered) / OBEY_S
         return seconds >= 0.0 and int(seconds) % 2 == 0
 
     def _due(self, orders: Sequence[CommandFrame], *, bridge: bool) -> Sequence[CommandFrame]:
         """Return the frames that go with a command now; all of them where the bridge changes."""
         if bridge is not self._bridge_sent:
             self._sent_s.clear()
-        soon_s, sent_s = self._clock() + 0.5 * self._mapping.timing.reading_s, self._sent_s
-        return [
-            one for one in orders if soon_s >= sent_s.get(one.codec.key, -math.inf) + one.every_s
-        ]
+        by_s, sent_s = self._clock() + 0.5 * self._mapping.timing.reading_s, self._sent_s
+        return [one for one in orders if by_s >= sent_s.get(one.codec.key, -math.inf) + one.every_s]
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         stale_s = self._mapping.timing.stale_s
-        measured = self._assembly.fresh(self._clock(), stale_s) if order.copies else {}
+        measured = self._assembly.newest.fresh(self._clock(), stale_s) if order.copies else {}
         data, fast = order.encode(command, measured), self._config.bitrate_switch
         return order.codec.frame(data, bitrate_switch=fast)
 
@@ -345,11 +338,11 @@ class CanPort:
         """Use the open bus until it is lost; return the reason."""
         self._newest = None
         self._obedience.forget()
-        self._relink.open(bridge=self._bridge_sent, glimpsed=self._assembly.powered)
+        self._relink.open(bridge=self._bridge_sent, reported_on=self._assembly.newest.powered)
         self._bridge_sent = False
         self._sent_s.clear()
         self._assembly.forget()
-        if not self._hears_all:
+        if not self._takes_all:
             self._set_up()
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
 
@@ -358,7 +351,7 @@ def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.M
     """Frames as a drive without a fault might send them, each from a function that repeats it."""
     for status in mapping.statuses:
         codec = status.codec
-        faults = [one.signal for one in status.sources if one.quantity in mapping.faults]
+        faults = [one.field.name for one in status.sources if one.quantity in mapping.faults]
         data = codec.example(dict.fromkeys(faults, 0.0))
         if data is not None:
             yield as_received(config, codec.frame(data))

@@ -36,7 +36,7 @@ _IDENTITY = ("VendorNumber", "ProductNumber")
 
 _MORE = ("AccessType", "CompactSubObj", "LowLimit", "HighLimit", "DefaultValue")
 _KEYS = {one.lower(): one for one in (*_NUMBERS, *_IDENTITY, *_MORE, _NAME)}
-"""Names of entries as the parser knows them."""
+"""Names of entries as the parser spells them."""
 
 
 @dataclass(slots=True)
@@ -87,7 +87,7 @@ def _parts(text: str, remarks: list[str]) -> list[_Part]:
 
 
 def _section(name: str) -> str:
-    """Return the name of a section as the parser knows it, from any case."""
+    """Return the name of a section as the parser spells it, from any case."""
     found = _OBJECT.fullmatch(name)
     if found is None:
         return "DeviceInfo" if name.lower() == "deviceinfo" else name
@@ -138,6 +138,13 @@ def _written(part: _Part) -> str:
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
 
+DEVICE_TYPE = (0x1000, 0)
+SYNC_ID = (0x1005, 0)
+SYNC_PERIOD = (0x1006, 0)
+HEARTBEATS_HEARD = (0x1016, 1)
+HEARTBEAT_SENT = (0x1017, 0)
+ABORT_OPTION = (0x6007, 0)
+QUICK_STOP_OPTION = (0x605A, 0)
 VENDOR = (0x1018, 1)
 PRODUCT = (0x1018, 2)
 _ERROR_CODE = 0x603F

@@ -4,7 +4,7 @@ Everything that can be wrong is found here, before a bus is opened, and all of i
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,6 +18,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can.bus import channel_flaws
 from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
 from adaptdrive.devices.faults import FaultWord
@@ -32,7 +33,7 @@ _LARGEST_ENTRIES = 8
 """Mapped objects of one PDO: at least a byte each."""
 
 
-_CHANNELS = {"TPDO": (0x180, 0x1800), "RPDO": (0x200, 0x1400)}
+_FIRST_PDOS = {"TPDO": (0x180, 0x1800), "RPDO": (0x200, 0x1400)}
 """Frame id and index of the first PDO from a drive, and to it (CiA 301)."""
 
 _PRECONFIGURED = 4
@@ -40,63 +41,51 @@ _PRECONFIGURED = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
-    """The records that describe a PDO of the drive.
+class Pdo:
+    """One process data object of the drive.
 
     Attributes:
         name: Such as `TPDO1`.
         cob_id: Frame id that the predefined connection set gives it.
         communication: Index of its communication parameters.
         mapping: Index of its mapping.
+        entries: What travels in it, in this order; nothing in one that is switched off.
     """
 
     name: str
     cob_id: int
     communication: int
     mapping: int
+    entries: tuple[Entry, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Pdo:
-    """One process data object.
-
-    Attributes:
-        channel: Where the drive keeps its description.
-        entries: What travels in it, in this order.
-    """
-
-    channel: Channel
-    entries: tuple[Entry, ...]
-
-
-def channels_of(kind: str, node_id: int) -> list[Channel]:
-    """Return the PDO channels from a drive (`TPDO`) or to it (`RPDO`)."""
-    cob_id, first = _CHANNELS[kind]
+def pdos_of(kind: str, node_id: int) -> list[Pdo]:
+    """Return the empty PDOs from a drive (`TPDO`) or to it (`RPDO`)."""
+    cob_id, first = _FIRST_PDOS[kind]
     return [
-        Channel(f"{kind}{n + 1}", cob_id + 0x100 * n + node_id, first + n, first + 0x200 + n)
+        Pdo(f"{kind}{n + 1}", cob_id + 0x100 * n + node_id, first + n, first + 0x200 + n)
         for n in range(_PRECONFIGURED)
     ]
 
 
-def pack(channels: Sequence[Channel], entries: Iterable[Entry]) -> list[Pdo] | None:
+def pack(pdos: Sequence[Pdo], entries: Iterable[Entry]) -> list[Pdo] | None:
     """Put entries into as few PDOs as need be, each into the first one with room.
 
     Args:
-        channels: What the drive has.
+        pdos: What the drive has, empty.
         entries: What must travel.
 
     Returns:
         The PDOs in use, None when there is no room for everything.
     """
-    bins: list[list[Entry]] = [[] for _ in channels]
+    bins: list[list[Entry]] = [[] for _ in pdos]
     for entry in entries:
         chosen = next((one for one in bins if _has_room(one, entry)), None)
         if chosen is None:
             return None
         chosen.append(entry)
-    return [
-        Pdo(channel, tuple(found)) for channel, found in zip(channels, bins, strict=True) if found
-    ]
+    filled = zip(pdos, bins, strict=True)
+    return [replace(pdo, entries=tuple(found)) for pdo, found in filled if found]
 
 
 def codec(pdo: Pdo) -> MessageCodec:
@@ -105,7 +94,7 @@ def codec(pdo: Pdo) -> MessageCodec:
     for entry in pdo.entries:
         signals.append(_signal(entry, start))
         start += entry.bits
-    return MessageCodec(Message(pdo.channel.cob_id, pdo.channel.name, (start + 7) // 8, signals))
+    return MessageCodec(Message(pdo.cob_id, pdo.name, (start + 7) // 8, signals))
 
 
 def _has_room(entries: Sequence[Entry], entry: Entry) -> bool:
@@ -127,25 +116,24 @@ def _signal(entry: Entry, start: int) -> Signal:
 
 # Mapping of objects to quantities: checks the configuration against its EDS.
 
-Bound = TypeVar("Bound", binding.Source[Entry], binding.Sink[Entry])
+Bound = TypeVar("Bound", description.Source[Entry], description.Sink[Entry])
 
-DEVICE_TYPE = (0x1000, 0)
-SYNC_ID = (0x1005, 0)
-SYNC_PERIOD = (0x1006, 0)
-HEARTBEATS_HEARD = (0x1016, 1)
-HEARTBEAT_SENT = (0x1017, 0)
-ABORT_OPTION = (0x6007, 0)
-QUICK_STOP_OPTION = (0x605A, 0)
-
-_OPTIONAL = (SYNC_ID, SYNC_PERIOD, ABORT_OPTION, QUICK_STOP_OPTION)
+_OPTIONAL = (
+    dictionary.SYNC_ID,
+    dictionary.SYNC_PERIOD,
+    dictionary.ABORT_OPTION,
+    dictionary.QUICK_STOP_OPTION,
+)
 _ASKED = {
-    SYNC_ID: "its SYNC is taken to be 0x080, as CiA 301 has it",
-    HEARTBEATS_HEARD: "the drive is asked for it, and not used without: it monitors the daemon",
+    dictionary.SYNC_ID: "its SYNC is taken to be 0x080, as CiA 301 has it",
+    dictionary.HEARTBEATS_HEARD: (
+        "the drive is asked for it, and not used without: it monitors the daemon"
+    ),
 }
 """Objects that the drive may have although its EDS does not list them, and what is done then."""
 
 _NEEDED = {
-    HEARTBEAT_SENT: "its heartbeat could not be monitored",
+    dictionary.HEARTBEAT_SENT: "its heartbeat could not be monitored",
     CONTROLWORD: "it is no CiA 402 drive",
     STATUSWORD: "it is no CiA 402 drive",
 }
@@ -162,7 +150,7 @@ class StatusPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sources: tuple[binding.Source[Entry], ...]
+    sources: tuple[description.Source[Entry], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +159,7 @@ class CommandPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sinks: tuple[binding.Sink[Entry], ...]
+    sinks: tuple[description.Sink[Entry], ...]
 
     def encode(self, command: Command, word: int) -> tuple[int, bytes]:
         """Return the id and the bytes of its frame.
@@ -183,9 +171,7 @@ class CommandPdo:
         Raises:
             ValueError: A value is not finite, or its object cannot hold it.
         """
-        values: dict[str, float | None] = {
-            sink.item.label: sink.value(command) for sink in self.sinks
-        }
+        values: dict[str, float | None] = {one.item.label: one.value(command) for one in self.sinks}
         if any(entry.address == CONTROLWORD for entry in self.pdo.entries):
             values[label(CONTROLWORD)] = word
         return self.codec.frame_id, self.codec.encode(values)
@@ -209,7 +195,7 @@ class CanOpenMapping:
 
     statuses: tuple[StatusPdo, ...]
     orders: tuple[CommandPdo, ...]
-    unused: tuple[Channel, ...]
+    unused: tuple[Pdo, ...]
     counter_modulus: int | None
     setup: tuple[tuple[Entry, bytes, bool], ...]
     present: frozenset[Address]
@@ -218,7 +204,7 @@ class CanOpenMapping:
     faults: Mapping[str, FaultWord]
 
     @property
-    def sources(self) -> tuple[binding.Source[Entry], ...]:
+    def sources(self) -> tuple[description.Source[Entry], ...]:
         """Every quantity that is measured."""
         return tuple(source for status in self.statuses for source in status.sources)
 
@@ -249,11 +235,9 @@ def map_drive(
     taken = [catalogue.at(CONTROLWORD), *(one.item for one in sinks)]
     transmits, unsent = _plan(catalogue, bus.node_id, "TPDO", sent)
     receives, untaken = _plan(catalogue, bus.node_id, "RPDO", taken)
-    if catalogue.at(ABORT_OPTION) is None:
-        lacks = (
-            f"has no {label(ABORT_OPTION)}: the daemon cannot make the drive disable its voltage"
-        )
-        advice = "when the heartbeat stops; see in its manual that it does, and try it"
+    if catalogue.at(dictionary.ABORT_OPTION) is None:
+        lacks = f"has no {label(dictionary.ABORT_OPTION)}: the daemon cannot make the drive disable"
+        advice = "its voltage when the heartbeat stops; see in its manual that it does, and try it"
         catalogue.cautions.append(Flaw("bus.eds", f"{lacks} {advice}"))
     setup = tuple(_setup(catalogue, bus, {one.item.address for one in sinks}))
     if catalogue.flaws:
@@ -302,24 +286,23 @@ def _check_needed(catalogue: ObjectCatalogue) -> None:
 
 def _plan(
     catalogue: ObjectCatalogue, node_id: int, kind: str, entries: Iterable[Entry | None]
-) -> tuple[list[Pdo], list[Channel]]:
-    """Return the PDOs that carry some entries, and the drive's channels that carry nothing."""
+) -> tuple[list[Pdo], list[Pdo]]:
+    """Return the PDOs that carry some entries, and those of the drive that carry nothing."""
     has = catalogue.has
-    known = channels_of(kind, node_id)
-    channels = [one for one in known if has(one.communication) and has(one.mapping)]
+    known = [one for one in pdos_of(kind, node_id) if has(one.communication) and has(one.mapping)]
     wanted = list(dict.fromkeys(entry for entry in entries if entry is not None))
-    pdos = pack(channels, wanted)
-    if pdos is None:
+    used = pack(known, wanted)
+    if used is None:
         bits = sum(entry.bits for entry in wanted)
-        problem = f"{bits} bits do not fit into the drive's {len(channels)} {kind}s"
+        problem = f"{bits} bits do not fit into the drive's {len(known)} {kind}s"
         catalogue.note("signals", problem)
-        return [], channels
-    for pdo in pdos:
-        count = catalogue.at((pdo.channel.mapping, 0))
+        return [], known
+    for pdo in used:
+        count = catalogue.at((pdo.mapping, 0))
         if count is None or not count.variable.writable:
-            catalogue.note("bus.eds", f"the mapping of {pdo.channel.name} cannot be changed")
-    taken = {pdo.channel for pdo in pdos}
-    return pdos, [channel for channel in channels if channel not in taken]
+            catalogue.note("bus.eds", f"the mapping of {pdo.name} cannot be changed")
+    names = {pdo.name for pdo in used}
+    return used, [pdo for pdo in known if pdo.name not in names]
 
 
 def _setup(

@@ -1,4 +1,9 @@
-"""A node as it is seen: its status PDOs as readings, and a node that is only looked at.
+"""A node: its status PDOs as readings, its connection, and the daemon as its NMT master.
+
+A node is set up in state pre-operational and started then. It is lost when it is restarted, leaves
+the state operational, or its heartbeat stays away; it is then set up again. So is one whose objects
+another sender has written, once that is quiet. The port is notified first, and a node that may
+still take commands has time for the safe one.
 
 The values of a set were measured at the same moment; in place of one that must not be used stands
 the last good one. A PDO that comes again before the others have ends the set, and one without a
@@ -6,15 +11,14 @@ SYNC since the last reading begins none: repeated PDOs make no readings of their
 """
 
 import asyncio
-import math
+import contextlib
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 
 import can
 
 from adaptdrive.config.bus import CanOpenBus
-from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, bus, port
 from adaptdrive.devices.can import connection, integrity
 from adaptdrive.devices.can.bus import describe_bus
@@ -41,27 +45,21 @@ class Reports:
     """
 
     def __init__(
-        self,
-        mapping: CanOpenMapping,
-        control: profile.DriveControl,
-        unseen: profile.UnseenStop,
-        counts: Counter[str],
+        self, mapping: CanOpenMapping, control: profile.DriveControl, counts: Counter[str]
     ) -> None:
         """Expect PDOs; none has come yet.
 
         Args:
             mapping: PDOs of a reading, and fault words of the drive.
             control: Follows the statusword.
-            unseen: Watches the time between two statuswords.
             counts: Counts of the port, to which refused PDOs are added.
         """
         self._values = newest_values(mapping)
         self.faults = self._values.faults
         self._statuses = {status.codec.name: status for status in mapping.statuses}
         self._control = control
-        self._unseen = unseen
         self._counts = counts
-        self._heard: set[str] = set()
+        self._came: set[str] = set()
         self._sampled_s: float | None = None
         self._repeated = ""
         self._refused = 0
@@ -70,11 +68,11 @@ class Reports:
     @property
     def missing(self) -> list[str]:
         """Names of the PDOs that have not come since the last SYNC."""
-        return [name for name in self._statuses if name not in self._heard]
+        return [name for name in self._statuses if name not in self._came]
 
     def begin(self, sampled_s: float | None) -> None:
         """Begin a set: a SYNC has passed, and the drive measures now; None to end one."""
-        self._heard.clear()
+        self._came.clear()
         self._sampled_s = sampled_s
 
     def take(self, status: StatusPdo, data: bytes, arrival_s: float) -> bool:
@@ -88,21 +86,22 @@ class Reports:
         Returns:
             Whether it was the last of its set.
         """
-        decoded, name = status.codec.decode(data), status.codec.name
-        if decoded.verdict is not integrity.FrameVerdict.GOOD:
-            self._counts[decoded.verdict] += 1
+        verdict, found, _ = status.codec.decode(data)
+        name = status.codec.name
+        if verdict is not integrity.FrameVerdict.GOOD:
+            self._counts[verdict] += 1
             self._refused += 1
-            if decoded.verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
+            if verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
                 return False
         elif self._sampled_s is None:
             self._counts["counter_stuck"] += 1
-        values = self._hear(status, decoded.values, arrival_s)
-        if name in self._heard:
+        values = self._follow(status, found, arrival_s)
+        if name in self._came:
             self.begin(None)
             self._repeated = name
         if self._sampled_s is None:
             return False
-        self._heard.add(name)
+        self._came.add(name)
         carried = (source.quantity for source in status.sources)
         refused = [quantity for quantity in carried if quantity not in values]
         self._values.keep(values, self._sampled_s, refused)
@@ -145,7 +144,7 @@ class Reports:
         self._newest = None
         self._values.forget(binding.BRIDGE)
 
-    def _hear(
+    def _follow(
         self, status: StatusPdo, found: Mapping[str, float], arrival_s: float
     ) -> dict[str, float]:
         """Follow statusword and faults of a PDO; return its values by quantity."""
@@ -157,13 +156,10 @@ class Reports:
         self.faults.see(values)
         statusword = found.get(_STATUSWORD)
         if statusword is not None:
-            self._control.hear(int(statusword))
-            self._unseen.hear(arrival_s)
+            self._control.follow(int(statusword), arrival_s)
             values[binding.BRIDGE] = float(self._control.state in profile.POWERED)
         return values
 
-
-# A node that is only looked at, and what it has in common with one that is driven.
 
 # Parts that a port which drives a node, and one that only looks at it, have in common.
 
@@ -194,6 +190,7 @@ class NodePort(bus.CountingPort, ABC):
         self._connection = connection.CanConnection[port.Listener](
             config, self, self._arrivals, self._counts
         )
+        self._connection.description = self.description
         self._sdo = sdo.SdoLink(config, self._connection.put)
         self._takers: dict[int, Callable[[can.Message], None]] = {
             0x580 + config.node_id: self._sdo.take_reply
@@ -223,72 +220,158 @@ class NodePort(bus.CountingPort, ABC):
         else:
             taker(frame)
 
-    def hand_out(self) -> None:
-        """Nothing waits: a reading is handed out when it is whole."""
-
     @abstractmethod
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""
 
 
-# Looking at a drive without touching it: its objects are read over SDO, nothing is written.
+# The daemon as NMT master of one node: bringing it up, watching it, sending SYNC.
 
-_PAUSE_S = 0.2
-"""Pause between two readings: five lines a second are as many as can be read."""
+NMT = 0x000
+_START, _PRE_OPERATIONAL = 0x01, 0x80
+
+_RETRY_S = 2.0
+"""Wait before a node that did not answer, or refused, is asked again; its boot-up ends the wait."""
+
+_STARTED_S = 1.0
+"""Longest time from the start of a node to a heartbeat that confirms it."""
+
+_LOOK_AGAIN_S = 0.002
+"""Wait before a heartbeat is called lost: one that came while the loop was busy is read meanwhile,
+whatever loop it is and whether it looks at timers or at sockets first."""
+
+_TAKING_S = 0.05
+"""Time that a lost node has for the safe command before it is made pre-operational, where it takes
+none: several commands, and several of its cycles."""
 
 
-class CanOpenWatch(NodePort):
-    """Read-only port to one drive: it sends no command and leaves the node unchanged."""
+BOOT_UP, OPERATIONAL = 0, 5
+"""States of a node in its heartbeat."""
 
-    complaint = None
-    """None: this port cannot energise the drive."""
 
-    safe_s = math.inf
-    """Never: nothing is commanded."""
+class Master:
+    """Brings one node up and keeps watch over it.
 
-    def send(self, command: Command) -> bool:  # noqa: ARG002 - what a port takes
-        """Send nothing."""
-        self._counts["send_drops"] += 1
-        return False
+    Attributes:
+        ready: Whether the node is set up and operational.
+        mapped: Whether it has been set up on this bus and not restarted since: its RPDOs are known.
+        overwritten: Whether another sender has written an object of it since its set-up began: it
+            may have changed what was set up.
+        problem: Why it is not.
+    """
 
-    def explain_age(self) -> str:
-        """Name nothing: nothing is driven from here."""
-        return ""
+    def __init__(
+        self,
+        bus: CanOpenBus,
+        set_up: Callable[[], Awaitable[None]],
+        send: Callable[[int, bytes], bool],
+        clock: Callable[[], float],
+    ) -> None:
+        """Prepare for the node; nothing is sent yet.
 
-    async def _serve(self, announce: Callable[[], None]) -> str:
-        """Read the drive until the bus is lost; return the reason."""
-        announce()
-        return await self._connection.read_beside(self._look(), "look")
+        Args:
+            bus: `[bus]`.
+            set_up: Sets the node up; it is in state pre-operational then.
+            send: Puts a frame on the bus.
+            clock: Monotonic clock in seconds.
+        """
+        self._bus = bus
+        self._set_up = set_up
+        self._send = send
+        self._clock = clock
+        self._beat = asyncio.Event()
+        self._beat_s = 0.0
+        self._state: int | None = None
+        self._booted = False
+        self.ready = self.mapped = self.overwritten = False
+        self.problem = "not heard yet"
 
-    async def _look(self) -> None:
-        """Read all objects at intervals; report when the drive stops or resumes its replies."""
+    async def run(self, report: Callable[[str | None], None], is_quiet: Callable[[], bool]) -> None:
+        """Bring the node up whenever it is lost, until cancelled.
+
+        Args:
+            report: Called with None when the node is ready, and with the reason whenever it is not.
+            is_quiet: Returns whether other senders leave the node alone: only then is one that
+                they have written to set up again.
+        """
         while True:
-            start_s = self._clock()
             try:
-                values = await self._sdo.run(self._read)
-            except BusError as problem:
-                self._counts["timeouts"] += 1
-                self._connection.report(up=False, detail=problem.problem)
+                await self._bring_up()
+            except BusError as refusal:
+                self._lose(refusal.problem)
+                report(self.problem)
+                await self._await(_RETRY_S, lambda: self._booted)
+                continue
+            self.ready = True
+            report(None)
+            await self._watch(is_quiet)
+            report(self.problem)
+            if self.mapped:
+                await asyncio.sleep(_TAKING_S)
+
+    def note_state(self, state: int) -> None:
+        """Take a heartbeat or a boot-up message."""
+        self._beat_s = self._clock()
+        self._state = state
+        if state == BOOT_UP:
+            self._booted, self.mapped = True, False
+        if self.ready and state != OPERATIONAL:
+            left = f"is not operational any more (state {state})"
+            self._lose("has been restarted" if self._booted else left)
+        self._beat.set()
+
+    def leave(self, problem: str) -> None:
+        """The bus is gone, and the node with it."""
+        self._lose(problem)
+        self.mapped = False
+
+    def _lose(self, problem: str) -> None:
+        self.ready, self.problem = False, problem
+
+    async def _bring_up(self) -> None:
+        """Set the node up and start it.
+
+        Raises:
+            BusError: It does not answer or refuses.
+        """
+        self._booted = self.overwritten = False
+        self._command(_PRE_OPERATIONAL)
+        await self._set_up()
+        if self._booted:
+            raise BusError(sdo.describe_node(self._bus), "was restarted while it was set up")
+        self.mapped = True
+        self._command(_START)
+        await self._await(_STARTED_S + self._bus.heartbeat_s, self._has_started)
+        if not self._has_started():
+            raise BusError(sdo.describe_node(self._bus), "does not become operational")
+
+    def _has_started(self) -> bool:
+        return self._state == OPERATIONAL and not self._booted
+
+    async def _watch(self, is_quiet: Callable[[], bool]) -> None:
+        """Wait until the node is lost."""
+        timeout_s = self._bus.heartbeat_timeout_s
+        while self.ready:
+            beat_s = self._beat_s
+            silent_s = self._clock() - beat_s
+            if self.overwritten and is_quiet():
+                self._lose("is set up again: another sender has written its objects")
+            elif silent_s <= timeout_s:
+                self._beat.clear()
+                await self._await(timeout_s - silent_s + 0.001, self._beat.is_set)
             else:
-                self._connection.report(up=True)
-                self._pass_on(values, start_s)
-            await asyncio.sleep(_PAUSE_S)
+                await asyncio.sleep(_LOOK_AGAIN_S)
+                if beat_s == self._beat_s:
+                    self._lose(f"heartbeat lost for {1e3 * silent_s:.0f} ms")
 
-    def _read(self, server: sdo.Server) -> dict[str, float]:
-        """Every quantity, and whether the bridge is on by the drive's state."""
-        values = {
-            one.quantity: server.value(one.item) * one.scale + one.offset
-            for one in self._mapping.sources
-        }
-        return values | {
-            binding.BRIDGE: float(
-                profile.state_of(server.number(profile.STATUSWORD)) in profile.POWERED
-            )
-        }
+    async def _await(self, limit_s: float, done: Callable[[], bool]) -> None:
+        """Wait for heartbeats until something is done, no longer than a limit in s."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(limit_s):
+                while not done():
+                    self._beat.clear()
+                    await self._beat.wait()
 
-    def _pass_on(self, values: dict[str, float], start_s: float) -> None:
-        newest, listener = newest_values(self._mapping), self._connection.listener
-        newest.keep(values, start_s)
-        reading = newest.reading(self._clock(), set_s=start_s)
-        if listener is not None and reading is not None:
-            listener.on_reading(reading)
+    def _command(self, command: int) -> None:
+        self._state = None
+        self._send(NMT, bytes((command, self._bus.node_id)))

@@ -19,14 +19,13 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices import description, faults, port
+from adaptdrive.devices import binding, description, faults
 from adaptdrive.devices.bus import BusKind, Row, bus_of, stale_limits
 from adaptdrive.devices.can.integrity import PROMPT_S
-from adaptdrive.devices.canopen import master, profile, sdo
+from adaptdrive.devices.canopen import node, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
-from adaptdrive.devices.canopen.node import CanOpenWatch, NodePort, Reports
 from adaptdrive.util.clock import pulsing
-from adaptdrive.util.errors import Flaw
+from adaptdrive.util.errors import BusError, Flaw
 
 # The port of a CiA 402 drive on CANopen.
 
@@ -36,11 +35,13 @@ _FAULT_RESET_S = 1.0
 _SDO_WRITES = frozenset({0, 1, 6})
 """Client command specifiers of SDO frames that write: segment, initiate and block download."""
 
+_UNFIT = frozenset({None, profile.DriveState.UNKNOWN, profile.DriveState.NOT_READY})
+
 _LOOK_S = 0.005
 """Time between two looks whether the fault is gone: short compared with the longest wait."""
 
 
-class CanOpenPort(NodePort):
+class Port(node.NodePort):
     """One connection to one drive on CANopen."""
 
     def __init__(
@@ -50,43 +51,55 @@ class CanOpenPort(NodePort):
         timing: Timing,
         clock: Callable[[], float],
     ) -> None:
-        """Prepare for the drive; nothing is opened yet.
-
-        Args:
-            config: `[bus]`.
-            mapping: Which object is which quantity.
-            timing: Times of the drive.
-            clock: Monotonic clock, in seconds.
-        """
+        """Prepare for the drive; nothing is opened yet."""
         super().__init__(config, mapping, clock)
         self.counter_modulus = mapping.counter_modulus
-        self._control = profile.DriveControl()
-        self._unseen = profile.UnseenStop(self._control, timing)
-        self._reports = Reports(mapping, self._control, self._unseen, self._counts)
-        self._master = master.Master(config, self._set_up, self._connection.put, clock)
-        self._emergency: master.Emergency | None = None
+        self._control = profile.DriveControl(timing.reported_seldom_s)
+        self._reports = node.Reports(mapping, self._control, self._counts)
+        self._master = node.Master(config, self._set_up, self._connection.put, clock)
+        self._emergency: profile.Emergency | None = None
         self._half_cycle_s = timing.half_cycle_s
         self._obedience = faults.Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
         self._been_up = False
-        self._rival = faults.Rival(clock)
+        self._others = faults.OtherSender(clock)
         self._takers |= self._make_takers()
+        self._connection.caught_up = self.hand_out
 
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for no reason."""
-        for seen in (self._rival, self._reports.faults, self._connection.uptake):
+        for seen in (self._others, self._reports.faults, self._connection):
             if seen.complaint is not None:
                 return seen.complaint
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a separate cause
-        problem = master.problem_of(self._emergency, self._control, self._master)
+        problem = self._problem_of_node()
         return None if problem is None else f"{sdo.describe_node(self._config)}: {problem}"
+
+    def _problem_of_node(self) -> str | None:
+        """Return the most telling thing that is wrong with the node, None when nothing is.
+
+        `reset` does not end the emergency of a node that is not ready: the reason follows it then.
+        """
+        control, master = self._control, self._master
+        if self._emergency is not None:
+            more = "" if master.ready else f"; not ready: {master.problem}"
+            return f"{self._emergency}{more}"
+        if control.fallen is not None:
+            return control.fallen
+        if not master.ready:
+            return master.problem
+        if master.overwritten:
+            return "another sender has written its objects: it is set up again when that is quiet"
+        if control.faulty or control.state in _UNFIT:
+            return f"the drive's state is {control.state or 'not known yet'}"
+        return None
 
     @property
     def safe_s(self) -> float:
         """Time at which the bus took the safe command in force, infinite while none is in force."""
-        return self._obedience.heard_s
+        return self._obedience.since_s
 
     def send(self, command: Command) -> bool:
         """Send one command now, and the daemon's heartbeat when it is due.
@@ -101,9 +114,7 @@ class CanOpenPort(NodePort):
         Raises:
             ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
         """
-        self._unseen.look(self._clock())
-        word = self._control.controlword(command)
-        self._unseen.note(word)
+        word = self._control.controlword(command, self._clock())
         frames = [order.encode(command, word) for order in self._mapping.orders]
         if command != SAFE_COMMAND:
             self._obedience.forget()
@@ -113,13 +124,13 @@ class CanOpenPort(NodePort):
                 self._disable_lost()
             return False
         taken = [self._connection.put(*frame) for frame in frames]
-        self._connection.uptake.note(taken=all(taken))
+        self._connection.note_command(taken=all(taken))
         if not all(taken):
             return False
         if self._obedience.overdue_s(powered=self._control.powered) <= 0.0:
             self._beat()
         if command == SAFE_COMMAND:
-            self._obedience.hear()
+            self._obedience.note_safe()
         return True
 
     def catch_up(self) -> None:
@@ -157,32 +168,32 @@ class CanOpenPort(NodePort):
         would let control run too fast. NMT is no command: a node that it stops or restarts reports
         that itself.
         """
-        node, own, taken_by = self._config.node_id, self._config.own_node_id, functools.partial
-        another = taken_by(self._take_rival, "SYNC of another node")
+        its_id, own_id, taken_by = self._config.node_id, self._config.own_node_id, functools.partial
+        another = taken_by(self._take_foreign_command, "SYNC of another node")
         takers: dict[int, Callable[[can.Message], None]] = {
             sdo.SYNC_COB_ID: self._take_sync if self._config.sync == "drive" else another,
-            0x080 + node: self._take_emergency,
-            0x600 + node: self._take_sdo_request,
-            0x700 + node: self._take_heartbeat,
-            0x700 + own: taken_by(
-                self._take_rival, "heartbeat of another node with bus.own_node_id"
+            0x080 + its_id: self._take_emergency,
+            0x600 + its_id: self._take_sdo_request,
+            0x700 + its_id: self._take_heartbeat,
+            0x700 + own_id: taken_by(
+                self._take_foreign_command, "heartbeat of another node with bus.own_node_id"
             ),
         }
         for status in self._mapping.statuses:
             takers[status.codec.frame_id] = taken_by(self._take_pdo, status)
         for order in self._mapping.orders:
-            takers[order.codec.frame_id] = taken_by(self._take_rival, order.codec.name)
+            takers[order.codec.frame_id] = taken_by(self._take_foreign_command, order.codec.name)
         return takers
 
-    def _take_rival(self, name: str, frame: can.Message) -> None:
+    def _take_foreign_command(self, name: str, frame: can.Message) -> None:
         self._counts["foreign"] += 1
         self._counts["foreign_commands"] += 1
-        self._rival.hear(f"0x{frame.arbitration_id:03X} ({name})")
+        self._others.note(f"0x{frame.arbitration_id:03X} ({name})")
 
     def _take_sdo_request(self, frame: can.Message) -> None:
         """Note that another sender writes an object; one that reads objects does no harm."""
         if frame.data and frame.data[0] >> 5 in _SDO_WRITES:
-            self._take_rival("SDO write", frame)
+            self._take_foreign_command("SDO write", frame)
             self._master.overwritten = True
         else:
             self._counts["foreign"] += 1
@@ -195,12 +206,12 @@ class CanOpenPort(NodePort):
             self._counts["wrong_length"] += 1
             return
         state = frame.data[0] & 0x7F
-        if state == master.NodeState.BOOT_UP:
+        if state == node.BOOT_UP:
             self._emergency = None
-        self._master.hear(state)
+        self._master.note_state(state)
 
     def _take_emergency(self, frame: can.Message) -> None:
-        emergency = master.parse_emergency(bytes(frame.data))
+        emergency = profile.parse_emergency(bytes(frame.data))
         if emergency is None:
             self._counts["wrong_length"] += 1
         elif emergency.over:
@@ -221,7 +232,7 @@ class CanOpenPort(NodePort):
         """Pass the newest reading on: no more frames wait."""
         listener = self._connection.listener
         if listener is not None and (reading := self._reports.hand_out()) is not None:
-            self._connection.uptake.hear()
+            self._connection.note_reading()
             listener.on_reading(reading)
 
     async def _set_up(self) -> None:
@@ -245,9 +256,7 @@ class CanOpenPort(NodePort):
         now_s = self._clock()
         if now_s - self._beat_s > self._config.heartbeat_s - self._half_cycle_s:
             self._beat_s = now_s
-            self._connection.put(
-                0x700 + self._config.own_node_id, bytes((master.NodeState.OPERATIONAL,))
-            )
+            self._connection.put(0x700 + self._config.own_node_id, bytes((node.OPERATIONAL,)))
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Use the open bus until it is lost; return the reason."""
@@ -255,7 +264,7 @@ class CanOpenPort(NodePort):
         try:
             with pulsing(self._half_cycle_s, *syncs):
                 announce()
-                node = self._master.run(self._report_node, lambda: self._rival.complaint is None)
+                node = self._master.run(self._report_node, lambda: self._others.complaint is None)
                 return await self._connection.read_beside(node, "node")
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
@@ -283,6 +292,66 @@ class CanOpenPort(NodePort):
         self._reports.forget()
 
 
+# Looking at a drive without touching it: its objects are read over SDO, nothing is written.
+
+_PAUSE_S = 0.2
+"""Pause between two readings: five lines a second are as many as can be read."""
+
+
+class CanOpenWatch(node.NodePort):
+    """Read-only port to one drive: it sends no command and leaves the node unchanged."""
+
+    complaint = None
+    """None: this port cannot energise the drive."""
+
+    safe_s = math.inf
+    """Never: nothing is commanded."""
+
+    def send(self, command: Command) -> bool:  # noqa: ARG002 - what a port takes
+        """Send nothing."""
+        self._counts["send_drops"] += 1
+        return False
+
+    def explain_age(self) -> str:
+        """Name nothing: nothing is driven from here."""
+        return ""
+
+    async def _serve(self, announce: Callable[[], None]) -> str:
+        """Read the drive until the bus is lost; return the reason."""
+        announce()
+        return await self._connection.read_beside(self._look(), "look")
+
+    async def _look(self) -> None:
+        """Read all objects at intervals; report when the drive stops or resumes its replies."""
+        while True:
+            start_s = self._clock()
+            try:
+                values = await self._sdo.run(self._read)
+            except BusError as problem:
+                self._counts["timeouts"] += 1
+                self._connection.report(up=False, detail=problem.problem)
+            else:
+                self._connection.report(up=True)
+                self._pass_on(values, start_s)
+            await asyncio.sleep(_PAUSE_S)
+
+    def _read(self, server: sdo.Server) -> dict[str, float]:
+        """Every quantity, and whether the bridge is on by the drive's state."""
+        values = {
+            one.quantity: server.value(one.item) * one.scale + one.offset
+            for one in self._mapping.sources
+        }
+        state = profile.state_of(server.number(profile.STATUSWORD))
+        return values | {binding.BRIDGE: float(state in profile.POWERED)}
+
+    def _pass_on(self, values: dict[str, float], start_s: float) -> None:
+        newest, listener = node.newest_values(self._mapping), self._connection.listener
+        newest.keep(values, start_s)
+        reading = newest.reading(self._clock(), set_s=start_s)
+        if listener is not None and reading is not None:
+            listener.on_reading(reading)
+
+
 # A CiA 402 drive on CANopen, as the daemon builds it.
 
 _LOST_HEARTBEATS = 2
@@ -291,11 +360,11 @@ _LOST_HEARTBEATS = 2
 
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
-) -> port.Port:
+) -> Port | CanOpenWatch:
     bus, mapping = bus_of(configuration, CanOpenBus), _mapped(configuration, source)
     if passive:
         return CanOpenWatch(bus, mapping, clock)
-    return CanOpenPort(bus, mapping, configuration.timing, clock)
+    return Port(bus, mapping, configuration.timing, clock)
 
 
 def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:

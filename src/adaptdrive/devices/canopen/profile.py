@@ -11,11 +11,12 @@ A fault is reset by an edge of bit 7, and only when that is asked for.
 
 import math
 from collections.abc import Iterator
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 from functools import cache
 from typing import Final
 
-from adaptdrive.config.timing import Timing
+from canopen.emcy import EmcyError
+
 from adaptdrive.control.signals import Command
 
 CONTROLWORD = (0x6040, 0)
@@ -47,16 +48,11 @@ class DriveState(StrEnum):
     UNKNOWN = "unknown"
 
 
-class Goal(IntEnum):
-    """Degree to which a command switches the drive on."""
-
-    REST = 0
-    SWITCHED_ON = 2
-    ENABLED = 3
-
-
 _LADDER = ("SWITCH_ON_DISABLED", "READY", "SWITCHED_ON", "ENABLED")
 _RUNGS = {DriveState[name]: rung for rung, name in enumerate(_LADDER)}
+_REST, _SWITCHED_ON, _ENABLED = 0, 2, 3
+"""Rungs to which a command switches the drive on."""
+
 _UP = (SHUTDOWN, SWITCH_ON, ENABLE_OPERATION)
 """Words that lead from each rung to the next one; the last one up to a goal also holds it."""
 
@@ -88,29 +84,32 @@ def state_of(statusword: int) -> DriveState:
     return next(found, DriveState.UNKNOWN)
 
 
-def goal_of(command: Command) -> Goal:
-    """Return the degree to which a command switches the drive on."""
-    if command.bridge:
-        return Goal.ENABLED
-    if command.current_scale_S or command.boost_reference_V:
-        return Goal.SWITCHED_ON
-    return Goal.REST
-
-
 class DriveControl:
     """Follows one drive's state, and derives the next controlword.
 
+    A drive that was on is not driven on before it has reported again. One that was only commanded
+    on may be yet to come on, or have stopped, where it reports *switched on* after a silence in
+    which its own time-out may have ended: it falls.
+
     Attributes:
-        state: State heard last, None before the first.
-        powered: Whether the power stage may be on, by the state heard last, also a forgotten one.
+        state: State reported last, None before the first.
+        powered: Whether the power stage may be on, by that state, also a forgotten one.
         fallen: Why the drive is not brought up any further, None while all is well.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limit_s: float) -> None:
+        """Expect no statusword yet.
+
+        Args:
+            limit_s: Longest time between two statuswords of a drive that is commanded on, in s.
+        """
+        self._limit_s = limit_s
         self.state: DriveState | None = None
         self.powered = False
         self.fallen: str | None = None
-        self._goal = Goal.REST
+        self._reported_s = math.inf
+        self._commanded_on = False
+        self._goal = _REST
         self._rested = False
         self._reached = 0
         self._resets: Iterator[int] = iter(())
@@ -120,23 +119,30 @@ class DriveControl:
         """True if the drive is in a fault, or reacts to one."""
         return self.state in _FAULTS
 
-    def hear(self, statusword: int) -> None:
-        """Take the drive's state."""
+    def follow(self, statusword: int, arrival_s: float) -> None:
+        """Take the drive's state.
+
+        Args:
+            statusword: Its statusword.
+            arrival_s: Arrival of that by the monotonic clock.
+        """
         self.state = state = state_of(statusword)
         self.powered = state in POWERED
         if state is DriveState.SWITCH_ON_DISABLED:
             self._rested = True
-        if self._goal is Goal.REST or not self._rested:
-            return
-        rung = _RUNGS.get(state)
-        if rung is None or rung < self._reached:
-            self.fall(f"the drive left its state by itself: {state}")
-        else:
-            self._reached = min(rung, self._goal)
+        if self._goal != _REST and self._rested:
+            rung = _RUNGS.get(state)
+            if rung is None or rung < self._reached:
+                self.fall(f"the drive left its state by itself: {state}")
+            else:
+                self._reached = min(rung, self._goal)
+        if state is not DriveState.ENABLED:
+            self._check_silence(arrival_s)
+        self._reported_s = arrival_s
 
     def fall(self, reason: str) -> None:
         """Bring an energised drive to rest, and keep it there until it is commanded safe."""
-        if self._goal is not Goal.REST and self.fallen is None:
+        if self._goal != _REST and self.fallen is None:
             self.fallen = reason
 
     def forget(self) -> None:
@@ -147,14 +153,33 @@ class DriveControl:
         """Let the coming controlwords reset a fault, if there is one."""
         self._resets = iter(_RESET)
 
-    def controlword(self, command: Command) -> int:
-        """The word to send with a command.
+    def controlword(self, command: Command, now_s: float) -> int:
+        """The word to send with a command; a drive that was silent for too long falls before.
 
         Args:
             command: Command to the drive.
+            now_s: The monotonic clock.
         """
-        goal = goal_of(command)
-        if goal is Goal.REST:
+        self._check_silence(now_s)
+        word = self._next_word(command)
+        self._commanded_on = word == ENABLE_OPERATION
+        return word
+
+    def _check_silence(self, now_s: float) -> None:
+        silent_s = now_s - self._reported_s
+        if self._commanded_on and silent_s > self._limit_s:
+            self.fall(
+                "the drive left its state by itself, or may have: nothing was heard of it for "
+                f"{silent_s * 1e3:.0f} ms while it was commanded on"
+            )
+
+    def _next_word(self, command: Command) -> int:
+        goal = _REST
+        if command.bridge:
+            goal = _ENABLED
+        elif command.current_scale_S or command.boost_reference_V:
+            goal = _SWITCHED_ON
+        if goal == _REST:
             return self._rest()
         self._goal, self._resets = goal, iter(())
         self._reached = min(self._reached, goal)
@@ -163,8 +188,8 @@ class DriveControl:
         return _UP[min(self._reached, goal - 1)]
 
     def _rest(self) -> int:
-        if self._goal is not Goal.REST:
-            self._goal, self._rested, self._reached = Goal.REST, False, 0
+        if self._goal != _REST:
+            self._goal, self._rested, self._reached = _REST, False, 0
         self.fallen = None
         word = next(self._resets, DISABLE_VOLTAGE)
         if word == FAULT_RESET and self.state is not DriveState.FAULT:
@@ -173,41 +198,51 @@ class DriveControl:
         return word
 
 
-class UnseenStop:
-    """Watches the time between two statuswords of a drive that is commanded to enable operation.
+# Emergency (EMCY) frames in words: classes of CiA 301 by the library, single codes of CiA 402.
 
-    A drive that was on is not driven on before it has reported again. One that was only commanded
-    on may be yet to come on, or have stopped, where it reports *switched on* after a silence in
-    which its own time-out may have ended: it falls.
+_CODE_BYTES = 2
+"""Least bytes of an emergency: some drives send the code alone, without register and detail."""
+
+_SINGLE = {
+    0x2310: "continuous over-current at the output",
+    0x2320: "short circuit at the output",
+    0x3110: "mains over-voltage",
+    0x3120: "mains under-voltage",
+    0x3130: "mains phase failure",
+    0x3210: "DC link over-voltage",
+    0x3220: "DC link under-voltage",
+    0x4210: "excess temperature of the device",
+    0x4310: "excess temperature of the drive",
+    0x8130: "heartbeat of the daemon lost",
+    0x8140: "recovered from bus off",
+}
+
+
+class Emergency(EmcyError):  # noqa: N818 - never raised
+    """One emergency: the library's `code`, `register` 0x1001 and `data`, which the maker adds."""
+
+    @property
+    def over(self) -> bool:
+        """True if the frame reports the end of all errors."""
+        return self.code >> 8 == 0
+
+    def __str__(self) -> str:
+        words = _SINGLE.get(self.code) or self.get_desc().lower() or "unknown"
+        more = "" if self.register < 0 else f" (error register 0x{self.register:02X})"
+        return f"emergency 0x{self.code:04X}, {words}{more}"
+
+
+def parse_emergency(data: bytes) -> Emergency | None:
+    """Read an emergency frame.
+
+    Args:
+        data: Its bytes.
+
+    Returns:
+        The emergency, whose register is -1 where the frame ends before it; None for a frame
+        without a whole code.
     """
-
-    def __init__(self, control: DriveControl, timing: Timing) -> None:
-        """Expect no statusword yet.
-
-        Args:
-            control: Follows the statusword.
-            timing: Times of the drive; each reading has a statusword.
-        """
-        self._control = control
-        self._limit_s = timing.reported_seldom_s
-        self._heard_s = math.inf
-        self._commanded_on = False
-
-    def hear(self, heard_s: float) -> None:
-        """Take the arrival of a statusword, which the control has heard."""
-        if self._control.state is not DriveState.ENABLED:
-            self.look(heard_s)
-        self._heard_s = heard_s
-
-    def look(self, now_s: float) -> None:
-        """Let a drive fall that has been silent for too long, before it is commanded."""
-        silent_s = now_s - self._heard_s
-        if self._commanded_on and silent_s > self._limit_s:
-            self._control.fall(
-                "the drive left its state by itself, or may have: nothing was heard of it for "
-                f"{silent_s * 1e3:.0f} ms while it was commanded on"
-            )
-
-    def note(self, controlword: int) -> None:
-        """Take the controlword that is sent."""
-        self._commanded_on = controlword == ENABLE_OPERATION
+    if len(data) < _CODE_BYTES:
+        return None
+    code, register = int.from_bytes(data[:_CODE_BYTES], "little"), (*data[2:3], -1)[0]
+    return Emergency(code, register, data[3:], 0.0)

@@ -22,18 +22,8 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.devices.canopen import dictionary
-from adaptdrive.devices.canopen.mapping import (
-    ABORT_OPTION,
-    DEVICE_TYPE,
-    HEARTBEAT_SENT,
-    HEARTBEATS_HEARD,
-    QUICK_STOP_OPTION,
-    SYNC_ID,
-    SYNC_PERIOD,
-    CanOpenMapping,
-    Channel,
-    Pdo,
-)
+from adaptdrive.devices.canopen.dictionary import label
+from adaptdrive.devices.canopen.mapping import CanOpenMapping, Pdo
 from adaptdrive.devices.canopen.profile import CONTROLWORD, DISABLE_VOLTAGE
 from adaptdrive.util.errors import BusError
 
@@ -87,9 +77,7 @@ class Server:
                     data += part
                     if len(data) > _LONGEST_BYTES:
                         self._client.abort()
-                        raise self.refuse(
-                            f"{dictionary.label(address)} has over {_LONGEST_BYTES} bytes"
-                        )
+                        raise self.refuse(f"{label(address)} has over {_LONGEST_BYTES} bytes")
         except (SdoError, struct.error) as problem:
             raise self._failure("read", address, problem) from problem
         return bytes(data[:size] if len(data) <= _NUMBER_BYTES else data)
@@ -103,7 +91,7 @@ class Server:
         data = self.read(address)
         if len(data) > _NUMBER_BYTES:
             wanted = f"a number has at most {_NUMBER_BYTES}"
-            raise self.refuse(f"{dictionary.label(address)} has {len(data)} bytes, {wanted}")
+            raise self.refuse(f"{label(address)} has {len(data)} bytes, {wanted}")
         return int.from_bytes(data, "little")
 
     def value(self, entry: dictionary.Entry) -> float:
@@ -138,9 +126,7 @@ class Server:
         kept = self.read(address, len(data))
         if kept != data:
             found, wanted = kept[::-1].hex(), data[::-1].hex()
-            raise self.refuse(
-                f"{dictionary.label(address)} is 0x{found} after 0x{wanted} was written"
-            )
+            raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
 
     def settle(self, address: dictionary.Address, data: bytes) -> None:
         """Write an entry that does not hold some bytes yet: one that is read-only may hold them.
@@ -165,11 +151,9 @@ class Server:
 
     def _failure(self, verb: str, address: dictionary.Address, problem: Exception) -> BusError:
         if not isinstance(problem, SdoAbortedError):
-            return self.refuse(f"no answer when asked to {verb} {dictionary.label(address)}")
+            return self.refuse(f"no answer when asked to {verb} {label(address)}")
         words = str(problem).partition(", ")[2] or f"abort code 0x{problem.code:08X}"
-        return self.refuse(
-            f"cannot {verb} {dictionary.label(address)}: {words[0].lower()}{words[1:]}"
-        )
+        return self.refuse(f"cannot {verb} {label(address)}: {words[0].lower()}{words[1:]}")
 
 
 class SdoLink(Network):
@@ -267,14 +251,14 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
     server.offer(CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))
     for address, data in watch_writes(bus, mapping):
         # a consumer that is written anew waits for a first heartbeat: its time-out would not end
-        if address != HEARTBEATS_HEARD or server.read(address, len(data)) != data:
+        if address != dictionary.HEARTBEATS_HEARD or server.read(address, len(data)) != data:
             server.write_surely(address, data)
     _end_quick_stops(server, mapping)
     for address, data in sync_writes(bus, mapping, half_cycle_s):
         known = address in mapping.present or bus.sync == "drive"
         (server.settle if known else server.offer)(address, data)
-    for channel in mapping.unused:
-        _switch_off(server, channel)
+    for pdo in mapping.unused:
+        _switch_off(server, pdo)
     for status in mapping.statuses:
         _describe(server, status.pdo, _EACH_SYNC)
     for order in mapping.orders:
@@ -286,24 +270,24 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
 
 def watch_writes(bus: CanOpenBus, mapping: CanOpenMapping) -> Iterator[Write]:
     """Heartbeats, and what the drive does when the daemon's stop."""
-    yield HEARTBEAT_SENT, _milliseconds(bus.heartbeat_s).to_bytes(2, "little")
+    yield dictionary.HEARTBEAT_SENT, _milliseconds(bus.heartbeat_s).to_bytes(2, "little")
     consumer = bus.own_node_id << 16 | _milliseconds(bus.heartbeat_timeout_s)
-    yield HEARTBEATS_HEARD, consumer.to_bytes(4, "little")
-    if ABORT_OPTION in mapping.present:
-        yield ABORT_OPTION, _TO_DISABLE_VOLTAGE.to_bytes(2, "little")
+    yield dictionary.HEARTBEATS_HEARD, consumer.to_bytes(4, "little")
+    if dictionary.ABORT_OPTION in mapping.present:
+        yield dictionary.ABORT_OPTION, _TO_DISABLE_VOLTAGE.to_bytes(2, "little")
 
 
 def sync_writes(bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_s: float) -> Iterator[Write]:
     """Return the writes that select the sender of SYNC and its period."""
-    yield SYNC_ID, SYNC_COB_ID.to_bytes(4, "little")
-    if SYNC_PERIOD in mapping.present:
-        yield SYNC_PERIOD, round(1e6 * half_cycle_s).to_bytes(4, "little")
+    yield dictionary.SYNC_ID, SYNC_COB_ID.to_bytes(4, "little")
+    if dictionary.SYNC_PERIOD in mapping.present:
+        yield dictionary.SYNC_PERIOD, round(1e6 * half_cycle_s).to_bytes(4, "little")
     if bus.sync == "drive":
-        yield SYNC_ID, (SYNC_COB_ID | _PRODUCES_SYNC).to_bytes(4, "little")
+        yield dictionary.SYNC_ID, (SYNC_COB_ID | _PRODUCES_SYNC).to_bytes(4, "little")
 
 
 def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
-    profile = server.number(DEVICE_TYPE) & 0xFFFF
+    profile = server.number(dictionary.DEVICE_TYPE) & 0xFFFF
     if profile != _PROFILE:
         raise server.refuse(f"is no CiA 402 drive: its device type 0x1000 names profile {profile}")
     names = {dictionary.VENDOR: "vendor", dictionary.PRODUCT: "product"}
@@ -321,30 +305,29 @@ def _end_quick_stops(server: Server, mapping: CanOpenMapping) -> None:
 
     One that stays is ended by the next command to enable operation, before anybody has seen it.
     """
-    if QUICK_STOP_OPTION not in mapping.present:
+    if dictionary.QUICK_STOP_OPTION not in mapping.present:
         return
-    option = server.number(QUICK_STOP_OPTION)
+    option = server.number(dictionary.QUICK_STOP_OPTION)
     if option in _STAYING_STOPS:
-        server.write_surely(QUICK_STOP_OPTION, (option - _ENDED).to_bytes(2, "little"))
+        server.write_surely(dictionary.QUICK_STOP_OPTION, (option - _ENDED).to_bytes(2, "little"))
 
 
 def _describe(server: Server, pdo: Pdo, transmission: int) -> None:
     """Write the mapping of a PDO, which is switched off meanwhile."""
-    channel = pdo.channel
-    remote = _switch_off(server, channel) & _NO_REMOTE_REQUEST
-    server.write((channel.communication, 2), bytes((transmission,)))
-    count = channel.mapping, 0
+    remote = _switch_off(server, pdo) & _NO_REMOTE_REQUEST
+    server.write((pdo.communication, 2), bytes((transmission,)))
+    count = pdo.mapping, 0
     server.write(count, b"\0")
     for number, entry in enumerate(pdo.entries, start=1):
         mapped = entry.address[0] << 16 | entry.address[1] << 8 | entry.bits
-        server.write_surely((channel.mapping, number), mapped.to_bytes(4, "little"))
+        server.write_surely((pdo.mapping, number), mapped.to_bytes(4, "little"))
     server.write_surely(count, bytes((len(pdo.entries),)))
-    server.write((channel.communication, 1), (channel.cob_id | remote).to_bytes(4, "little"))
+    server.write((pdo.communication, 1), (pdo.cob_id | remote).to_bytes(4, "little"))
 
 
-def _switch_off(server: Server, channel: Channel) -> int:
+def _switch_off(server: Server, pdo: Pdo) -> int:
     """Make a PDO invalid; its frame id as it was."""
-    address = channel.communication, 1
+    address = pdo.communication, 1
     cob_id = server.number(address)
     if not cob_id & _INVALID:
         server.write(address, (cob_id | _INVALID).to_bytes(4, "little"))

@@ -142,12 +142,12 @@ class TcpFrames:
         self._transaction, self._device = self._transaction % 0xFFFF + 1, device
         return _HEADER.pack(self._transaction, 0, len(message) + 1, device) + message
 
-    def reply(self, heard: bytes) -> bytes | None:
+    def reply(self, received: bytes) -> bytes | None:
         """Return the reply among what came since the request, None while there is none."""
         self.foreign = 0
-        while len(heard) > _HEADER.size:
-            transaction, protocol, length, device = _HEADER.unpack_from(heard)
-            packet, heard = heard[: length + _UNNUMBERED], heard[length + _UNNUMBERED :]
+        while len(received) > _HEADER.size:
+            transaction, protocol, length, device = _HEADER.unpack_from(received)
+            packet, received = received[: length + _UNNUMBERED], received[length + _UNNUMBERED :]
             whole = len(packet) == length + _UNNUMBERED and _is_known(packet[_HEADER.size :])
             if transaction != self._transaction:
                 self.foreign += 1
@@ -155,9 +155,9 @@ class TcpFrames:
                 return packet[_HEADER.size :]
         return None
 
-    def explain(self, heard: bytes) -> str:
+    def explain(self, received: bytes) -> str:
         """Return why what came is no reply."""
-        head = heard[: _HEADER.size].ljust(_HEADER.size, b"\0")
+        head = received[: _HEADER.size].ljust(_HEADER.size, b"\0")
         came, protocol, length, replied = _HEADER.unpack(head)
         if came != self._transaction:
             return "one to another transaction came"
@@ -165,11 +165,11 @@ class TcpFrames:
             return f"device {replied} replied, asked was device {self._device}"
         if protocol != 0:
             return f"one of protocol {protocol} came, that of Modbus is 0"
-        return f"{len(heard) - _UNNUMBERED} bytes of one came whose header says {length}"
+        return f"{len(received) - _UNNUMBERED} bytes of one came whose header says {length}"
 
 
 class SerialFrames:
-    """Frames on a serial line, one at a time; an adapter of two wires hears what it sends.
+    """Frames on a serial line, one at a time; an adapter of two wires receives what it sends.
 
     The request for one register from 0x300 to 0x3FF is, byte for byte, also a reply of three bytes.
     The reply to a single write (functions 5 and 6) repeats its request: what came for another
@@ -189,27 +189,27 @@ class SerialFrames:
         self._sent = frame + _checksum(frame)
         return self._sent
 
-    def reply(self, heard: bytes) -> bytes | None:
+    def reply(self, received: bytes) -> bytes | None:
         """Return the reply among what came since the request, None while there is none."""
         single = self._sent[1] in {_WRITE_COIL, _WRITE_REGISTER}
-        echoed = heard.startswith(self._sent) and not (single and self._echoes is False)
-        reply = self._unframed(heard[len(self._sent) :] if echoed else heard)
+        echoed = received.startswith(self._sent) and not (single and self._echoes is False)
+        reply = self._unframed(received[len(self._sent) :] if echoed else received)
         if reply is not None and not single:
             self._echoes = echoed
         return reply
 
-    def _unframed(self, heard: bytes) -> bytes | None:
+    def _unframed(self, received: bytes) -> bytes | None:
         """Return the message of a whole frame of the device that was asked, None without one."""
-        size = _size(heard[1:])
-        body, checksum = heard[: size - 2], heard[size - 2 : size]
-        ours = self._sent[0] in {0, *heard[:1]}
+        size = _size(received[1:])
+        body, checksum = received[: size - 2], received[size - 2 : size]
+        ours = self._sent[0] in {0, *received[:1]}
         return body[1:] if size and ours and checksum == _checksum(body) else None
 
     @staticmethod
-    def explain(heard: bytes) -> str:
+    def explain(received: bytes) -> str:
         """Return what came in place of a reply."""
-        more = "…" if len(heard) > _SHOWN_BYTES else ""
-        return f"bytes that are no reply: {heard[:_SHOWN_BYTES].hex(' ')}{more}"
+        more = "…" if len(received) > _SHOWN_BYTES else ""
+        return f"bytes that are no reply: {received[:_SHOWN_BYTES].hex(' ')}{more}"
 
 
 _SHOWN_BYTES = 16

@@ -181,7 +181,7 @@ class ModbusConnection(PolledLink):
         self._patience = max(_PATIENCE, sharers)
         self._numbered = config.numbered
         self._frames = frames.TcpFrames() if config.numbered else frames.SerialFrames()
-        self._stream.heard = self._hear
+        self._stream.unasked = self._note_unasked
         self._settled_s = -math.inf
         self._missed = 0
         self._replied_s = clock()
@@ -229,19 +229,19 @@ class ModbusConnection(PolledLink):
         if reply is not None:
             return reply
         self._miss(exchange)
-        heard = self._stream.received
-        instead = f"; {self._frames.explain(heard)}" if heard else f" to {exchange}"
+        received = self._stream.received
+        instead = f"; {self._frames.explain(received)}" if received else f" to {exchange}"
         raise ExchangeError(f"no reply within {self._timeout_s:g} s{instead}")
 
     def _miss(self, exchange: Exchange) -> None:
         """Count a missing reply, and what came in its place."""
         self.suspect()
         self._missed += 1
-        heard = len(self._stream.received)
+        received = len(self._stream.received)
         if self.lost is not None:
             return
-        if not self._numbered and heard:
-            short = heard < exchange.reply_bytes + RTU_FRAME
+        if not self._numbered and received:
+            short = received < exchange.reply_bytes + RTU_FRAME
             self._counts["wrong_length" if short else "wrong_checksum"] += 1
         elif isinstance(self._config, TcpLink) and self._missed >= self._patience:
             stuck = self._stream.undelivered_bytes > 0
@@ -289,7 +289,7 @@ class ModbusConnection(PolledLink):
         if not self._numbered:
             self._settled_s = self._clock() + _SILENT_TIMEOUTS * self._timeout_s
 
-    def _hear(self) -> None:
+    def _note_unasked(self) -> None:
         """Count what no request waits for: noise, a late reply, another transaction."""
         self.suspect()
         self._counts["foreign"] += 1

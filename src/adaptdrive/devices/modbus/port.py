@@ -13,8 +13,7 @@ least is asked for once in ten cycles, or as soon as there is time for a missing
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
 
@@ -23,12 +22,13 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.timing import LATE_READINGS, Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, polled_cautions, tcp_locks
+from adaptdrive.devices.description import Source
 from adaptdrive.devices.modbus.frames import are_alike
 from adaptdrive.devices.modbus.link import ModbusConnection, SerialPort, describe_bus, miss_s
 from adaptdrive.devices.polled import mapping, port
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Polling
 from adaptdrive.devices.polled.registers import Exchange, cycle_flaws, plan_blocks
-from adaptdrive.devices.port import Port, SensorListener
+from adaptdrive.devices.port import SensorListener
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Sensors on a Modbus link: modules that are polled in a cycle of their own.
@@ -40,37 +40,26 @@ _UNANSWERED = frozenset({None, 10, 11})
 """No exception reply, or the codes of a gateway for a device behind it that does not answer."""
 
 
-@dataclass(slots=True, eq=False)
-class SensorBlock:
-    """Registers that are asked for at once, with what became of the requests on an open link.
-
-    Attributes:
-        exchange: The request.
-        sources: Values in the registers.
-        misses: Replies that are missing in a row.
-    """
-
-    exchange: Exchange
-    sources: tuple[binding.Source[mapping.Named], ...]
-    misses: int = 0
+_Blocks = Mapping[Exchange, tuple[Source[mapping.Named], ...]]
+"""Requests for registers, each with the values in them."""
 
 
 class Turns:
-    """The blocks of one open link, those with the fewest missing replies first."""
+    """The requests of one open link, those with the fewest missing replies first."""
 
-    def __init__(self, blocks: tuple[SensorBlock, ...], patience: int) -> None:
+    def __init__(self, exchanges: Iterable[Exchange], patience: int) -> None:
         """Ask for every block in the first cycle.
 
         Args:
-            blocks: The blocks in the order in which they are asked for while all answer.
+            exchanges: The requests in the order in which they are made while all are answered.
             patience: Replies missing in a row after which a block is silent.
         """
-        self._blocks = [replace(block) for block in blocks]
+        self._misses = dict.fromkeys(exchanges, 0)
         self._patience = patience
         self._cycle = 0
         self._missing: set[int | None] = set()
 
-    def due(self, left_s: Callable[[], float], miss_s: float) -> Iterator[SensorBlock]:
+    def due(self, left_s: Callable[[], float], miss_s: float) -> Iterator[Exchange]:
         """Yield what is asked for in a cycle; each must be noted before the next one is taken.
 
         Args:
@@ -79,24 +68,26 @@ class Turns:
         """
         self._cycle += 1
         self._missing.clear()
-        order = sorted(self._blocks, key=lambda one: one.misses)
-        for block in order:
-            silent, device = block.misses >= self._patience, block.exchange.device_id
-            doubtful = device in self._missing or (block.misses and self._missing)
-            wanted = block is order[0] if silent else not doubtful
+        order = sorted(self._misses, key=self._misses.__getitem__)
+        for one in order:
+            misses = self._misses[one]
+            silent = misses >= self._patience
+            doubtful = one.device_id in self._missing or (misses and self._missing)
+            wanted = one is order[0] if silent else not doubtful
             needed_s = miss_s if silent and self._cycle % SELDOM_CYCLES else 0.0
             if wanted or left_s() >= needed_s:
-                yield block
+                yield one
 
-    def note(self, block: SensorBlock, *, answered: bool) -> None:
+    def note(self, exchange: Exchange, *, answered: bool) -> None:
         """Note what became of a request; a silent device that answers is awake as a whole."""
-        found = answered and block.misses >= self._patience
-        block.misses = 0 if answered else block.misses + 1
+        device, awake = exchange.device_id, self._misses[exchange] >= self._patience
         if not answered:
-            self._missing.add(block.exchange.device_id)
-        for one in self._blocks:
-            if found and one.exchange.device_id == block.exchange.device_id:
-                one.misses = 0
+            self._missing.add(device)
+            self._misses[exchange] += 1
+            return
+        same = [one for one in self._misses if one.device_id == device]
+        for one in same if awake else [exchange]:
+            self._misses[one] = 0
 
 
 def build_modbus_sensors(
@@ -105,7 +96,7 @@ def build_modbus_sensors(
     clock: Callable[[], float],
     source: Path | str = "configuration",
     demands: description.Demands = description.NO_DEMANDS,
-) -> ModbusSensorPort:
+) -> SensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
     Args:
@@ -120,28 +111,27 @@ def build_modbus_sensors(
     """
     catalogue = mapping.RegisterCatalogue(bus.registers)
     sources = catalogue.sources(binding.sensor_entries(bus, place), demands)
-    blocks = tuple(_blocks(bus, sources))
-    exchanges = [one.exchange for one in blocks]
-    flaws = [*catalogue.flaws, *cycle_flaws(bus, exchanges, bus.cycle_s, f"{place}.cycle_s")]
+    blocks = dict(_blocks(bus, sources))
+    flaws = [*catalogue.flaws, *cycle_flaws(bus, [*blocks], bus.cycle_s, f"{place}.cycle_s")]
     if flaws:
         raise ConfigurationError(source, flaws)
-    return ModbusSensorPort(bus, blocks, clock)
+    return SensorPort(bus, blocks, clock)
 
 
-class ModbusSensorPort(Polling[ModbusConnection, SensorListener]):
+class SensorPort(Polling[ModbusConnection, SensorListener]):
     """One connection to the modules on one link."""
 
     def __init__(
         self,
         config: root.ModbusTcpSensors | root.ModbusRtuSensors,
-        blocks: tuple[SensorBlock, ...],
+        blocks: _Blocks,
         clock: Callable[[], float],
     ) -> None:
         super().__init__(describe_bus(config), config.cycle_s, clock)
         self._serial = SerialPort(config) if isinstance(config, polled.RtuLink) else None
         self._config = config
         self._blocks = blocks
-        self._alike = are_alike(config, [block.exchange for block in blocks])
+        self._alike = are_alike(config, [*blocks])
         self._patience = math.ceil(config.oldest_s / config.cycle_s - 1e-6)
 
     async def run(self, listener: SensorListener) -> None:
@@ -169,54 +159,53 @@ class ModbusSensorPort(Polling[ModbusConnection, SensorListener]):
     async def _poll(self, link: ModbusConnection, turns: Turns) -> None:
         """Ask for the blocks that are due; one that does not come leaves the others wanted."""
         end_s = self._clock() + self._config.cycle_s
-        heard, problem = False, ""
+        answered, problem = False, ""
         self._begin_cycle()
-        for block in turns.due(lambda: end_s - self._clock() - link.unsettled_s(), link.miss_s):
+        for asked in turns.due(lambda: end_s - self._clock() - link.unsettled_s(), link.miss_s):
             if link.lost is not None or self._closing:
                 return
             try:
-                words = await link.exchange(block.exchange, [], lambda: self._closing)
+                words = await link.exchange(asked, [], lambda: self._closing)
             except ExchangeError as failure:
-                turns.note(block, answered=failure.code not in _UNANSWERED)
+                turns.note(asked, answered=failure.code not in _UNANSWERED)
                 problem = failure.problem
                 continue
-            turns.note(block, answered=True)
-            heard = True
+            turns.note(asked, answered=True)
+            answered = True
             self._note_bus(up=True)
             if self._listener is not None and not self._is_mixed_up:
-                self._listener.on_values(self._values(block, words), link.asked_s)
+                self._listener.on_values(self._values(asked, words), link.asked_s)
         if self._is_mixed_up:
             link.suspect()  # the replies that are left would answer the next cycle
-        if heard:
+        if answered:
             self._silent = 0
         else:
             self._note_silence(problem)
 
-    def _values(self, block: SensorBlock, words: list[int]) -> dict[str, float]:
-        """The values of a block that may be used, by name."""
-        read = block.exchange.read
+    def _values(self, asked: Exchange, words: list[int]) -> dict[str, float]:
+        """The values of a reply that may be used, by name."""
+        read = asked.read
         assert read is not None  # noqa: S101 - sensors are read, never written
-        values = {one.quantity: mapping.value_in(one, read, words) for one in block.sources}
+        sources = self._blocks[asked]
+        values = {one.quantity: mapping.value_in(one, read, words) for one in sources}
         good = {name: value for name, value in values.items() if value is not None}
         self._counts["out_of_range"] += len(values) - len(good)
         return good
 
 
 def _blocks(
-    bus: root.ModbusTcpSensors | root.ModbusRtuSensors, sources: list[binding.Source[mapping.Named]]
-) -> Iterator[SensorBlock]:
+    bus: root.ModbusTcpSensors | root.ModbusRtuSensors, sources: list[Source[mapping.Named]]
+) -> Iterator[tuple[Exchange, tuple[Source[mapping.Named], ...]]]:
     """Blocks of every device on the link, one device after the other."""
 
-    def device(source: binding.Source[mapping.Named]) -> int:
+    def device(source: Source[mapping.Named]) -> int:
         return bus.registers[source.item.name].device_id or bus.device_id
 
     for device_id, found in groupby(sorted(sources, key=device), key=device):
         taken = [*found]
         registers = (one.item.register for one in taken)
         for block in plan_blocks(registers, bus.max_gap, bus.max_block):
-            yield SensorBlock(
-                Exchange(read=block, device_id=device_id), mapping.inside(block, taken)
-            )
+            yield Exchange(read=block, device_id=device_id), mapping.inside(block, taken)
 
 
 # A drive on Modbus: its port, and how the daemon builds it.
@@ -225,7 +214,7 @@ _LOST_REPLIES = 2
 """Replies in a row that may be lost on a drive that runs."""
 
 
-class ModbusPort(port.PolledPort):
+class Port(port.Port):
     """One connection to one drive on Modbus."""
 
     def __init__(
@@ -250,7 +239,7 @@ def _build(
 ) -> Port:
     bus = _bus(configuration)
     poll = mapping.planned(configuration, bus, source, passive=passive)
-    return ModbusPort(bus, poll, configuration.timing, clock)
+    return Port(bus, poll, configuration.timing, clock)
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:

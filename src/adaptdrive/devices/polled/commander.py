@@ -2,14 +2,61 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
+from adaptdrive.config.references import DAY_S
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.faults import Obedience
-from adaptdrive.devices.polled import mapping, pace, reports
+from adaptdrive.devices import binding, description, faults
+from adaptdrive.devices.polled import reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void
+from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, block_words
 from adaptdrive.devices.polled.registers import Block, Exchange
+
+
+class WritePace:
+    """Keeps what the drive has acknowledged of each block, and since when."""
+
+    def __init__(self, poll: Poll, clock: Callable[[], float]) -> None:
+        """Let each block be written."""
+        self._clock = clock
+        self._interval_s = poll.interval_s
+        self._least_s = {block: _least_s(sinks) for block, sinks in poll.writes}
+        self._switches = {block for block, sinks in poll.writes if _has_switch(sinks)}
+        self._resets = {
+            block for block, sinks in poll.writes if all(one.reset is not None for one in sinks)
+        }
+        self._held: dict[Block, list[int] | None] = {}
+        self._written_s: dict[Block, float] = {}
+
+    def forget(self) -> None:
+        """Begin a link: the drive may hold other registers; the times of the writes stay."""
+        self._held.clear()
+
+    def is_due(self, block: Block, words: list[int]) -> bool:
+        """Return whether a block is written now, with some registers."""
+        age_s = self._clock() - self._written_s.get(block, -math.inf)
+        limited = self._least_s[block]
+        if self._held.get(block) == words:
+            repeated = not limited and block not in self._resets
+            return repeated and age_s >= self._interval_s
+        return age_s >= limited or block in self._switches
+
+    def note(self, block: Block, words: list[int] | None = None) -> None:
+        """Note what the drive holds of a block; None for what is unknown until its reply."""
+        self._held[block] = words
+        self._written_s[block] = self._clock()
+
+
+def _has_switch(sinks: Iterable[description.Sink[Named]]) -> bool:
+    """Return whether a block has the switch of the bridge, by which a stop begins."""
+    return any(sink.name == binding.BRIDGE and sink.factor != 0.0 for sink in sinks)
+
+
+def _least_s(sinks: Iterable[description.Sink[Named]]) -> float:
+    """Return the least time between two writes, 0 for registers that endure any number."""
+    limits = (one.item.register.write_limit for one in sinks)
+    return max((DAY_S / limit for limit in limits if limit is not None), default=0.0)
 
 
 class Commander:
@@ -21,8 +68,8 @@ class Commander:
 
     def __init__(
         self,
-        poll: mapping.Poll,
-        witness: reports.PollWitness,
+        poll: Poll,
+        history: reports.PollHistory,
         counts: Counter[str],
         clock: Callable[[], float],
         timing: Timing,
@@ -31,24 +78,24 @@ class Commander:
 
         Args:
             poll: Registers of the drive.
-            witness: Knows what the drive has reported and taken.
+            history: Notes of what the drive has reported and taken.
             counts: `sent`, `send_drops` and `withheld_commands` are counted here.
             clock: Monotonic clock, in s.
             timing: Times of the drive.
         """
         self._poll = poll
-        self._pace = pace.WritePace(poll, clock)
+        self._pace = WritePace(poll, clock)
         self._counts = counts
         self._clock = clock
         self._command: Command | None = None
         self._written: Command | None = None
         self._withheld = False
-        self._witness = witness
-        self._untaken = pace.UntakenCommands()
+        self._history = history
+        self._untaken = reports.UntakenCommands()
         self._alive = 0
         self._begun_s = -math.inf
         self._taken_s = timing.taken_s
-        self._obedience = Obedience(timing.obeyed_s(timing.reading_s), clock)
+        self._obedience = faults.Obedience(timing.obeyed_s(timing.reading_s), clock)
         self.safe_s = math.inf
 
     @property
@@ -59,7 +106,7 @@ class Commander:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or has stopped."""
-        return self._untaken.complaint or self._witness.complaint
+        return self._untaken.complaint or self._history.complaint
 
     @property
     def urgent(self) -> bool:
@@ -74,8 +121,8 @@ class Commander:
     @property
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
-        on = self._obedience.overdue_s(powered=self._witness.may_be_on) > 0.0
-        untaken_s = self._clock() - max(self._obedience.heard_s, self._begun_s)
+        on = self._obedience.overdue_s(powered=self._history.may_be_on) > 0.0
+        untaken_s = self._clock() - max(self._obedience.since_s, self._begun_s)
         return on or (self.safe_s == math.inf and untaken_s > self._taken_s)
 
     @property
@@ -90,10 +137,10 @@ class Commander:
             ValueError: A value is not finite, or its register cannot hold it.
         """
         for block, sinks in self._poll.writes:
-            mapping.block_words(block, sinks, command, 0)
+            block_words(block, sinks, command, 0)
         if command != SAFE_COMMAND:
             self._obedience.forget()
-        self._witness.renew(command)
+        self._history.renew(command)
         self._command = command
         self._withheld = False
 
@@ -102,7 +149,7 @@ class Commander:
         self.safe_s = math.inf
         self._untaken.clear()
         self._pace.forget()
-        self._witness.begin()
+        self._history.begin()
         self._begun_s = self._clock()
 
     def note_read(self, *, answered: bool) -> None:
@@ -113,7 +160,7 @@ class Commander:
         """
         if not answered:  # it may have started anew
             self._pace.forget()
-        self._witness.note_read(answered=answered)
+        self._history.note_read(answered=answered)
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.
@@ -125,13 +172,13 @@ class Commander:
         joins = self._poll.combined and self._newest(joined=True) is not None
         if not joins:
             self._written = None  # it takes none with this read
-            self._witness.forget_report()
+            self._history.forget_report()
         return joins
 
     def is_starved(self, since_s: float) -> bool:
         """Return whether a drive that is commanded on has taken no command since a time."""
         command = self._command
-        return command is not None and command.bridge and self._witness.fed_s < since_s
+        return command is not None and command.bridge and self._history.fed_s < since_s
 
     async def read(self, link: PolledLink, exchange: Exchange, *, joined: bool) -> list[int]:
         """Read a block, and write the command with it where it joins the read.
@@ -147,9 +194,9 @@ class Commander:
                 registers = await self._read_with(link, exchange, command)
         finally:
             if joined:
-                self._witness.forget_report()
+                self._history.forget_report()
         if self._poll.bridge_block in {None, exchange.read}:
-            self._witness.reported_s = link.asked_s
+            self._history.reported_s = link.asked_s
         return registers
 
     async def _read_with(self, link: PolledLink, exchange: Exchange, command: Command) -> list[int]:
@@ -161,14 +208,14 @@ class Commander:
         block, _ = self._poll.writes[0]
         words = self._words(command)[0]
         void = None if self._at_once else lambda: not self._may_go(command, joined=True)
-        self._doubt(command)
+        self._begin_write(command)
         both = Exchange(exchange.read, block)
         try:
             registers = await self._exchange(link, both, words, void)
         except OvertakenError:
             return await self._read(link, exchange)
         except ExchangeError as failure:
-            self._untaken.note(failure, silent=self._witness.silent)
+            self._untaken.note(failure, silent=self._history.silent)
             if failure.code is None:
                 raise
             return await self._read(link, exchange)
@@ -187,12 +234,12 @@ class Commander:
         void = None if self._at_once else lambda: not self._may_go(command)
         parts = [*zip(self._poll.writes, self._words(command), strict=True)]
         if not command.bridge:
-            parts.sort(key=lambda part: not pace.has_switch(part[0][1]))
-        must_stop = command == SAFE_COMMAND and (self.urgent or self._witness.may_be_on)
-        self._doubt(command)
+            parts.sort(key=lambda part: not _has_switch(part[0][1]))
+        must_stop = command == SAFE_COMMAND and (self.urgent or self._history.may_be_on)
+        self._begin_write(command)
         taken, sent = True, False
         for (block, sinks), registers in parts:
-            if self._disobeyed and all(sink.name == mapping.HEARTBEAT for sink in sinks):
+            if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
                 continue
             if any(sink.only not in {None, command.bridge} for sink in sinks):
                 self._pace.note(block)  # the other coil ends what it has begun
@@ -219,7 +266,7 @@ class Commander:
         known = self.urgent
 
         def overtaken() -> bool:
-            self._witness.note_step()
+            self._history.note_step()
             return self.urgent and not known
 
         return await self._exchange(link, exchange, [], overtaken)
@@ -232,11 +279,11 @@ class Commander:
         Raises:
             ExchangeError: As the link does.
         """
-        self._witness.note_step()
+        self._history.note_step()
         try:
             return await link.exchange(exchange, words, void)
         finally:
-            self._witness.note_step()
+            self._history.note_step()
 
     async def _wrote(
         self, link: PolledLink, block: Block, words: list[int], void: Void | None
@@ -250,7 +297,7 @@ class Commander:
             return False
         except ExchangeError as failure:
             self._counts["send_drops"] += 1
-            self._untaken.note(failure, silent=self._witness.silent)
+            self._untaken.note(failure, silent=self._history.silent)
             return False
         self._pace.note(block, words)
         return True
@@ -274,8 +321,8 @@ class Commander:
         newest = self._command
         if command == SAFE_COMMAND or newest is None:
             return True
-        valid = newest != SAFE_COMMAND and self._witness.admits(newest)
-        return valid and self._witness.may_go(command, joined=joined)
+        valid = newest != SAFE_COMMAND and self._history.admits(newest)
+        return valid and self._history.may_go(command, joined=joined)
 
     def _words(self, command: Command) -> list[list[int]]:
         """The registers of every block that is written, with the next heartbeat.
@@ -283,24 +330,21 @@ class Commander:
         The heartbeat stands still for a drive that does not obey: its own watchdog ends that.
         """
         self._alive += not self._disobeyed
-        return [
-            mapping.block_words(block, sinks, command, self._alive)
-            for block, sinks in self._poll.writes
-        ]
+        return [block_words(*one, command, self._alive) for one in self._poll.writes]
 
-    def _doubt(self, command: Command) -> None:
+    def _begin_write(self, command: Command) -> None:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
-        self._witness.attempt(command)
+        self._history.attempt(command)
         if command == SAFE_COMMAND:
-            self._obedience.hear()
+            self._obedience.note_safe()
         else:
             self.safe_s = math.inf
 
     def _confirm(self, command: Command, asked_s: float, *, sent: bool = True) -> None:
         self._counts["sent"] += sent
         self._written = command
-        self._witness.take(command, asked_s)
+        self._history.take(command, asked_s)
         self._untaken.clear()
         if command == SAFE_COMMAND:
             self.safe_s = min(self.safe_s, self._clock())

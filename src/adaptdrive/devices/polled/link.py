@@ -11,9 +11,9 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from adaptdrive.devices.bus import BusBackoff, CountingPort
+from adaptdrive.devices.bus import CountingPort, backoff_s
 from adaptdrive.devices.polled.registers import Exchange
-from adaptdrive.devices.port import Listener, SensorListener
+from adaptdrive.devices.port import AnyListener
 from adaptdrive.util.clock import find
 from adaptdrive.util.errors import AdaptdriveError, BusError
 
@@ -54,7 +54,7 @@ class ExchangeError(AdaptdriveError):
 
 
 class OvertakenError(ExchangeError):
-    """An exchange was not made, as it was no longer wanted: this says nothing of the device."""
+    """An exchange was not made, as it was no longer wanted: this is no fault of the device."""
 
 
 def never() -> bool:
@@ -69,16 +69,16 @@ class Stream(asyncio.Protocol):
         received: Bytes that nobody has taken yet.
         transport: Of the connection, None without one.
         waiting: Whether something that comes may be the reply to a request.
-        heard: Called when something has come that is none.
+        unasked: Called when something has come that is none.
     """
 
     def __init__(self) -> None:
         self.received = b""
         self.transport: asyncio.Transport | None = None
         self.waiting = False
-        self.heard: Callable[[], None] = lambda: None
+        self.unasked: Callable[[], None] = lambda: None
         self._ended = False
-        self._news = asyncio.Event()
+        self._changed = asyncio.Event()
 
     async def connect(self, host: str, port: int) -> None:
         """Connect to the first address of a host that accepts.
@@ -127,8 +127,8 @@ class Stream(asyncio.Protocol):
 
     async def more(self) -> None:
         """Wait until more has come, or the connection has ended."""
-        self._news.clear()
-        await self._news.wait()
+        self._changed.clear()
+        await self._changed.wait()
 
     def close(self, *, drop: bool) -> None:
         """Disconnect.
@@ -158,13 +158,13 @@ class Stream(asyncio.Protocol):
         """Keep what comes, and wake whoever waits for it."""
         self.received = (self.received + data)[-_LONGEST:]
         if not self.waiting:
-            self.heard()
-        self._news.set()
+            self.unasked()
+        self._changed.set()
 
     def connection_lost(self, _: Exception | None) -> None:
         """Wake whoever waits: nothing comes any more."""
         self._ended = True
-        self._news.set()
+        self._changed.set()
 
 
 class PolledLink(ABC):
@@ -245,9 +245,6 @@ class PolledLink(ABC):
     def _begin(self, void: Void | None) -> None:
         """Note the time of a request, which must not be sent on a connection that is lost.
 
-        Args:
-            void: Whether it is not wanted any more; None where it is in any case.
-
         Raises:
             ExchangeError: The connection is lost, or the request is not wanted any more.
         """
@@ -286,13 +283,12 @@ class PolledLink(ABC):
 # A link that is polled: opened, served until it is lost, and opened again until the end.
 
 Link = TypeVar("Link", bound=PolledLink)
-Hearer = TypeVar("Hearer", Listener, SensorListener)
 
 _SILENT_CYCLES = 3
 """Cycles without a reading, or any reply, after which the bus is reported lost."""
 
 
-class Polling(CountingPort, ABC, Generic[Link, Hearer]):
+class Polling(CountingPort, ABC, Generic[Link, AnyListener]):
     """Parts that the port of a drive and that of sensors have in common.
 
     Attributes:
@@ -304,7 +300,7 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
         self.description = description
         self._cycle_s = cycle_s
         self._clock = clock
-        self._listener: Hearer | None = None
+        self._listener: AnyListener | None = None
         self._up: bool | None = None
         self._wake = asyncio.Event()
         self._closing = self._alike = False
@@ -312,12 +308,7 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
         self._foreign = self._known_foreign = 0
 
     async def _run(self, link: Link | None, problem: str) -> None:
-        """Serve one link after the other until cancelled.
-
-        Args:
-            link: An open link, None for the first to be opened later.
-            problem: Why it could not be opened.
-        """
+        """Serve one link after the other until cancelled, and first the open one, if any."""
         worker = asyncio.create_task(self._work(link, problem), name="polling")
         try:
             await asyncio.shield(worker)
@@ -329,7 +320,7 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
             await worker
 
     async def _work(self, link: Link | None, problem: str) -> None:
-        backoff = BusBackoff(lambda: self._counts["received"])
+        delays_s = backoff_s(lambda: self._counts["received"])
         while True:
             if link is not None:
                 try:
@@ -341,7 +332,7 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
                 return
             self._note_bus(up=False, problem=problem)
             self._wake.clear()  # what was urgent when the link was lost does not hurry it back
-            await self._sleep(backoff.next_s())
+            await self._sleep(next(delays_s))
             if self._closing:
                 return
             link, problem = await self._try()
@@ -400,7 +391,7 @@ class Polling(CountingPort, ABC, Generic[Link, Hearer]):
         """Report whether the bus answers, once it does not, unless the port is being closed."""
         if self._listener is None or self._closing or up is self._up:
             return
-        news, self._up = self._up is not None or not up, up
-        if news:
+        changed, self._up = self._up is not None or not up, up
+        if changed:
             detail = self.description if up else f"{self.description}: {problem}"
             self._listener.on_bus(up=up, detail=detail)

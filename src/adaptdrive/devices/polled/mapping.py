@@ -9,24 +9,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from adaptdrive.config import Configuration
+from adaptdrive.config import Configuration, polled
 from adaptdrive.config.bus import CommandSwitch, Signals
-from adaptdrive.config.polled import ModbusBus, Register
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
+from adaptdrive.devices.description import Sink, Source
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
-from adaptdrive.devices.polled.registers import (
-    Block,
-    Exchange,
-    count,
-    cycle_flaws,
-    decode,
-    encode_count,
-    plan_blocks,
-    refusal,
-    register_field,
-)
+from adaptdrive.devices.polled import registers
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 HEARTBEAT = "bus.heartbeat"
@@ -36,14 +26,14 @@ _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
 
 
-Bound = TypeVar("Bound", binding.Source["Named"], binding.Sink["Named"])
+Bound = TypeVar("Bound", Source["Named"], Sink["Named"])
 
 
 class Named(NamedTuple):
     """A register and its name in the map."""
 
     name: str
-    register: Register
+    register: polled.Register
 
 
 class RegisterCatalogue(binding.Catalogue[Named]):
@@ -51,9 +41,9 @@ class RegisterCatalogue(binding.Catalogue[Named]):
 
     on = None
 
-    def __init__(self, registers: Mapping[str, Register]) -> None:
+    def __init__(self, named: Mapping[str, polled.Register]) -> None:
         super().__init__()
-        self._registers = registers
+        self._registers = named
 
     def find(self, reference: str, place: str) -> Named | None:  # noqa: ARG002 - none is missing
         """The register that a reference of a validated configuration names."""
@@ -61,7 +51,7 @@ class RegisterCatalogue(binding.Catalogue[Named]):
 
     def field(self, item: Named, use: binding.Use) -> Field:
         """Return how a register is coded."""
-        return register_field(item.name, item.register, use)
+        return registers.register_field(item.name, item.register, use)
 
     def count_problem(self, item: Named) -> str | None:  # noqa: ARG002 - polls are counted by none
         """Return None: no tick is counted by a register."""
@@ -69,7 +59,7 @@ class RegisterCatalogue(binding.Catalogue[Named]):
 
     def _switches(
         self, switch: CommandSwitch | None, name: str = binding.BRIDGE
-    ) -> Iterator[binding.Sink[Named]]:
+    ) -> Iterator[Sink[Named]]:
         if switch is None or switch.off_signal is None or name != binding.BRIDGE:
             yield from super()._switches(switch, name)
             return
@@ -81,41 +71,42 @@ class RegisterCatalogue(binding.Catalogue[Named]):
             if item.register.table != "coil":
                 self.note(place, f"{coil!r} is no coil, which off_signal needs")
             field = self.field(item, "command")
-            yield binding.Sink(binding.BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
+            yield Sink(binding.BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
 
     def switch(self, item: Named) -> tuple[float, float]:
         """Return the counts that switch on and off."""
         return float(item.register.on), float(item.register.off)
 
 
-def value_in(source: binding.Source[Named], block: Block, words: list[int]) -> float | None:
+def value_in(source: Source[Named], block: registers.Block, words: list[int]) -> float | None:
     """Return a quantity from the registers of its block, None when it must not be used."""
     taken = _words(source, block, words)
-    value = decode(source.item.register, source.field, taken)
+    value = registers.decode(source.item.register, source.field, taken)
     if value is None:
         return None
     if source.on is not None:
         value = float(value == source.on)
-    if not value and count(source.item.register, taken) in source.field.blanks:
+    if not value and registers.count(source.item.register, taken) in source.field.blanks:
         return None  # it only reads as off
     return value * source.scale + source.offset
 
 
-def explain(source: binding.Source[Named], block: Block, words: list[int]) -> str:
+def explain(source: Source[Named], block: registers.Block, words: list[int]) -> str:
     """Return why a quantity must not be used: its name, its place and what is there."""
     register, taken = source.item.register, _words(source, block, words)
-    place = f"{source.quantity}: {Block(register.table, register.address, register.words)}"
-    return f"{place} {refusal(register, source.field, taken)}"
+    block = registers.Block(register.table, register.address, register.words)
+    refused = registers.refusal(register, source.field, taken)
+    return f"{source.quantity}: {block} {refused}"
 
 
-def _words(source: binding.Source[Named], block: Block, words: list[int]) -> list[int]:
+def _words(source: Source[Named], block: registers.Block, words: list[int]) -> list[int]:
     register = source.item.register
     start = register.address - block.address
     return words[start : start + register.words]
 
 
 def block_words(
-    block: Block, sinks: Iterable[binding.Sink[Named]], command: Command, heartbeat: int
+    block: registers.Block, sinks: Iterable[Sink[Named]], command: Command, heartbeat: int
 ) -> list[int]:
     """Return the registers of a block; fields of one register are put together.
 
@@ -130,7 +121,7 @@ def block_words(
     return words
 
 
-def written(sink: binding.Sink[Named], command: Command, heartbeat: int) -> list[int]:
+def written(sink: Sink[Named], command: Command, heartbeat: int) -> list[int]:
     """Return the registers of a part of a command, or of the daemon's heartbeat.
 
     Raises:
@@ -139,8 +130,8 @@ def written(sink: binding.Sink[Named], command: Command, heartbeat: int) -> list
     register = sink.item.register
     if sink.name == HEARTBEAT:  # a signed register stays positive
         bits = 16 * register.words - register.type.startswith("int")
-        return encode_count(register, heartbeat % (1 << bits))
-    return encode_count(register, sink.field.raw(sink.value(command)))
+        return registers.encode_count(register, heartbeat % (1 << bits))
+    return registers.encode_count(register, sink.field.raw(sink.value(command)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,39 +148,39 @@ class Poll:
         faults: Watched words of the drive, of faults and warnings.
     """
 
-    reads: tuple[tuple[Block, tuple[binding.Source[Named], ...]], ...]
-    writes: tuple[tuple[Block, tuple[binding.Sink[Named], ...]], ...]
+    reads: tuple[tuple[registers.Block, tuple[Source[Named], ...]], ...]
+    writes: tuple[tuple[registers.Block, tuple[Sink[Named], ...]], ...]
     combined: bool
     interval_s: float = 0.0
-    setup: tuple[tuple[Block, binding.Sink[Named], bool], ...] = ()
+    setup: tuple[tuple[registers.Block, Sink[Named], bool], ...] = ()
     other: tuple[str, ...] = ()
     faults: Mapping[str, FaultWord] = field(default_factory=dict)
 
     @property
-    def bridge_block(self) -> Block | None:
+    def bridge_block(self) -> registers.Block | None:
         """The block with the report of the bridge, None for a drive without one."""
         return next((read[0] for read in self.reads if _has_bridge(read)), None)
 
     @property
-    def bridge_last(self) -> tuple[tuple[Block, tuple[binding.Source[Named], ...]], ...]:
-        """The reads, that of the bridge last: a command that follows knows the newest report."""
+    def bridge_last(self) -> tuple[tuple[registers.Block, tuple[Source[Named], ...]], ...]:
+        """The reads, that of the bridge last: a command follows the newest report."""
         return tuple(sorted(self.reads, key=_has_bridge))
 
-    def exchanges(self) -> Iterator[Exchange]:
+    def exchanges(self) -> Iterator[registers.Exchange]:
         """Every exchange of a poll in which a new command goes out."""
         for number, (block, _) in enumerate(self.reads):
             together = self.combined and number == 0
-            yield Exchange(read=block, write=self.writes[0][0] if together else None)
+            yield registers.Exchange(read=block, write=self.writes[0][0] if together else None)
         for block, _ in self.writes:
-            yield Exchange(write=block)
+            yield registers.Exchange(write=block)
 
 
-def _has_bridge(block: tuple[Block, tuple[binding.Source[Named], ...]]) -> bool:
+def _has_bridge(block: tuple[registers.Block, tuple[Source[Named], ...]]) -> bool:
     return any(source.quantity == binding.BRIDGE for source in block[1])
 
 
 def map_drive(
-    bus: ModbusBus,
+    bus: polled.ModbusBus,
     signals: Signals,
     half_cycle_s: float,
     source: Path | str = "configuration",
@@ -214,17 +205,16 @@ def map_drive(
     if bus.heartbeat.drive is not None:
         beat = Named(bus.heartbeat.drive, bus.registers[bus.heartbeat.drive])
         field = catalogue.field(beat, "word")
-        sources.append(
-            binding.Source(HEARTBEAT, beat, field, 1.0, 0.0, None, "bus.heartbeat.drive")
-        )
+        sources.append(Source(HEARTBEAT, beat, field, 1.0, 0.0, None, "bus.heartbeat.drive"))
     if bus.heartbeat.daemon is not None:
         beat = Named(bus.heartbeat.daemon, bus.registers[bus.heartbeat.daemon])
-        sinks.append(binding.Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
-    reads = plan_blocks((one.item.register for one in sources), bus.max_gap, bus.max_block)
+        sinks.append(Sink(HEARTBEAT, beat, catalogue.field(beat, "command"), 0.0, 1.0))
+    measured = (one.item.register for one in sources)
+    reads = registers.plan_blocks(measured, bus.max_gap, bus.max_block)
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
     longest = 1 if bus.write == "single" else _MAX_WRITE
-    plan = functools.partial(plan_blocks, max_gap=0, max_count=longest, write=True)
+    plan = functools.partial(registers.plan_blocks, max_gap=0, max_count=longest, write=True)
     written_to = [one.item.register for one in sinks]
     limited = [one for one in written_to if one.write_limit is not None]
     writes = *plan(one for one in written_to if one.write_limit is None), *plan(limited)
@@ -244,14 +234,14 @@ def map_drive(
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     if not flaws:
         wanted = (bus.poll_ticks * half_cycle_s, "bus.poll_ticks", half_cycle_s)
-        flaws += cycle_flaws(bus, [*poll.exchanges()], *wanted)
+        flaws += registers.cycle_flaws(bus, [*poll.exchanges()], *wanted)
     if flaws:
         raise ConfigurationError(source, flaws)
     return poll
 
 
 def planned(
-    configuration: Configuration, bus: ModbusBus, source: Path | str, *, passive: bool
+    configuration: Configuration, bus: polled.ModbusBus, source: Path | str, *, passive: bool
 ) -> Poll:
     """Return the polls of a drive.
 
@@ -269,13 +259,13 @@ def planned(
     return replace(poll, setup=()) if passive else poll  # without a command, nothing is written
 
 
-def inside(block: Block, bound: Iterable[Bound]) -> tuple[Bound, ...]:
+def inside(block: registers.Block, bound: Iterable[Bound]) -> tuple[Bound, ...]:
     """Return what is taken from a block, or goes into it."""
     return tuple(one for one in bound if block.holds(one.item.register))
 
 
 def _combined_flaws(
-    bus: ModbusBus, reads: tuple[Block, ...], writes: tuple[Block, ...]
+    bus: polled.ModbusBus, reads: tuple[registers.Block, ...], writes: tuple[registers.Block, ...]
 ) -> Iterator[Flaw]:
     alone = [block for block in writes if bus.write == "single" and block.count > 1]
     for block in alone:

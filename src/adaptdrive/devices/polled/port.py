@@ -13,9 +13,10 @@ from adaptdrive.config.polled import ModbusBus
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.bus import pulse_reset
-from adaptdrive.devices.polled import commander, registers, reports
+from adaptdrive.devices.polled import commander, reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Polling
 from adaptdrive.devices.polled.mapping import Named, Poll, explain, written
+from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.devices.port import Listener
 from adaptdrive.util.errors import BusError
 
@@ -25,7 +26,7 @@ _MIXED_UP = (
 )
 
 
-class PolledPort(Polling[PolledLink, Listener]):
+class Port(Polling[PolledLink, Listener]):
     """One connection to one drive that is polled."""
 
     _explain = staticmethod(explain)
@@ -45,11 +46,10 @@ class PolledPort(Polling[PolledLink, Listener]):
         self._poll = poll
         self.stop_slack_s = 0.0 if poll.bridge_block else None
         look_s = reports.look_limit_s(bus.timeout_s, len(poll.writes))
-        self._witness = reports.PollWitness(poll.bridge_block is not None, timing, look_s, clock)
-        self._commander = commander.Commander(poll, self._witness, self._counts, clock, timing)
+        self._history = reports.PollHistory(poll.bridge_block is not None, timing, look_s, clock)
+        self._commander = commander.Commander(poll, self._history, self._counts, clock, timing)
         self._link: PolledLink | None = None
-        self._assembly = reports.PollAssembly(poll, self._explain)
-        self._heartbeat = reports.DriveHeartbeat(bus.heartbeat)
+        self._assembly = reports.PollAssembly(poll, bus.heartbeat, self._explain)
         self._failure = ""
 
     @property
@@ -123,13 +123,13 @@ class PolledPort(Polling[PolledLink, Listener]):
     async def _serve(self, link: PolledLink) -> None:
         """Poll over an open link until it is lost or the port is closed; leave the drive safe."""
         self._link = link
-        self._heartbeat.forget()
+        self._assembly.forget_heartbeat()
         self._commander.begin()
         next_s, hurried = self._clock(), False
         try:
             await self._set_up(link)
             while link.lost is None and not self._closing:
-                self._witness.note_step()
+                self._history.note_step()
                 start_s = self._clock()
                 await self._poll_once(link)
                 hurried = not hurried and self._commander.is_starved(start_s)
@@ -153,13 +153,13 @@ class PolledPort(Polling[PolledLink, Listener]):
         for block, sink, reads in self._poll.setup:
             words, name = written(sink, SAFE_COMMAND, 0), sink.item.name
             try:
-                if not (reads or answered):  # what is heard of a read shows whether the line echoes
-                    await self._ask(link, registers.Exchange(read=self._poll.reads[0][0]), [])
+                if not (reads or answered):  # what comes after a read shows whether the line echoes
+                    await self._ask(link, Exchange(read=self._poll.reads[0][0]), [])
                 answered = True
-                if reads and await self._ask(link, registers.Exchange(read=block), []) == words:
+                if reads and await self._ask(link, Exchange(read=block), []) == words:
                     continue
-                await self._ask(link, registers.Exchange(write=block), words)
-                held = await self._ask(link, registers.Exchange(read=block), []) if reads else words
+                await self._ask(link, Exchange(write=block), words)
+                held = await self._ask(link, Exchange(read=block), []) if reads else words
             except ExchangeError as failure:
                 problem = failure.problem
             else:
@@ -170,18 +170,16 @@ class PolledPort(Polling[PolledLink, Listener]):
             link.lost = link.lost or f"set-up of {name!r}: {problem}"
             return
 
-    def _unlike(self, _: Named, words: list[int], held: list[int], block: registers.Block) -> str:
+    def _unlike(self, _: Named, words: list[int], held: list[int], block: Block) -> str:
         """Name what a drive keeps in place of what it was set to."""
         found, wanted = (" ".join(f"{one:04x}" for one in part) for part in (held, words))
         return f"{block} holds {found} after {wanted} was written"
 
-    async def _ask(
-        self, link: PolledLink, exchange: registers.Exchange, words: list[int]
-    ) -> list[int]:
+    async def _ask(self, link: PolledLink, exchange: Exchange, words: list[int]) -> list[int]:
         """Exchange one part of the set-up; a safe command that is urgent goes before it."""
         if self._commander.urgent:
             await self._commander.write(link)
-        self._witness.note_step()
+        self._history.note_step()
         return await link.exchange(exchange, words)
 
     async def _idle(self, link: PolledLink, until_s: float) -> None:
@@ -229,21 +227,21 @@ class PolledPort(Polling[PolledLink, Listener]):
         for block, sources in self._poll.reads if joined else self._poll.bridge_last:
             if self._commander.urgent:
                 await self._commander.write(link)
-            words = await self._commander.read(link, registers.Exchange(read=block), joined=joined)
+            words = await self._commander.read(link, Exchange(read=block), joined=joined)
             joined = False
             assembly.take(block, sources, words)
         self._failure = assembly.refusal
         self._counts["out_of_range"] += bool(assembly.refusal)
 
     def _take(self, start_s: float) -> None:
-        """Hand out the reading of a poll; a drive that stands still has said nothing."""
+        """Hand out the reading of a poll; none of a drive that stands still."""
         if not self._is_alive(start_s):
             return
-        assembly, sent = self._assembly, self._witness.bridge
+        assembly, sent = self._assembly, self._history.bridge
         reading = assembly.reading(self._clock(), start_s, bridge_sent=sent)
         powered = assembly.bridge(sent)
         if powered is not None:
-            self._witness.note_bridge(powered=powered)
+            self._history.note_bridge(powered=powered)
         if reading is None:
             return
         self._silent = 0
@@ -253,7 +251,7 @@ class PolledPort(Polling[PolledLink, Listener]):
             self._listener.on_reading(reading)
 
     def _is_alive(self, start_s: float) -> bool:
-        alive = self._heartbeat.beats(self._assembly.heartbeat, start_s)
+        alive = self._assembly.is_alive(start_s)
         if alive is False:
             self._counts["counter_stuck"] += 1
             self._failure = reports.STANDS_STILL

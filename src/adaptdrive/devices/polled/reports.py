@@ -7,6 +7,8 @@ from adaptdrive.config.polled import Heartbeat
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import binding, faults, port
+from adaptdrive.devices.description import Source
+from adaptdrive.devices.polled.link import ExchangeError
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in
 from adaptdrive.devices.polled.registers import Block
 
@@ -16,7 +18,7 @@ _LOOK_TIMEOUTS = 0.5
 """Age of a report at which a write still follows, in time-outs besides those of the exchanges."""
 
 
-class PollWitness:
+class PollHistory:
     """Notes what the polls of a drive have shown, and what it has taken, each with its time.
 
     Times count from the request: the process may have stood still with the reply in its buffer.
@@ -35,7 +37,7 @@ class PollWitness:
     def __init__(
         self, reported: bool, timing: Timing, look_s: float, clock: Callable[[], float]
     ) -> None:
-        """Know nothing of the drive yet.
+        """Begin without a report of the drive.
 
         Args:
             reported: Whether the drive reports its bridge.
@@ -62,7 +64,7 @@ class PollWitness:
 
     def renew(self, command: Command) -> None:
         """Note that a new command was decided."""
-        self._relink.note(bridge=command.bridge, safe=command == SAFE_COMMAND)
+        self._relink.note_command(bridge=command.bridge, safe=command == SAFE_COMMAND)
         self._outdated = False
 
     def attempt(self, command: Command) -> None:
@@ -111,7 +113,7 @@ class PollWitness:
         self._powered = self.may_be_on = powered
         self._seen_s = self._read_s = self.reported_s
         self._blank = False
-        self._relink.hear(bridge=powered)
+        self._relink.note_reading(bridge=powered)
 
     def forget_report(self) -> None:
         """Begin a poll: reports of the one before do not count for its commands."""
@@ -176,6 +178,63 @@ def look_limit_s(timeout_s: float, writes: int) -> float:
     return (writes + _LOOK_TIMEOUTS) * timeout_s
 
 
+# Commands that a drive has not taken.
+
+_REFUSED_WRITES = 2
+"""Commands refused in a row after which the drive counts as refusing."""
+
+_UNTAKEN_WRITES = 5
+"""Commands in a row that a drive which answers reads has not taken, for whatever reasons.
+
+Where one reply in twenty is lost, five in a row are within days, and three within minutes.
+"""
+
+_BUSY = frozenset({5, 6})
+"""Exception codes of a drive that has no time for a command, and does not refuse it."""
+
+
+class UntakenCommands:
+    """Counts of commands that failed since the last one that the drive acknowledged.
+
+    Attributes:
+        doubtful: Whether the reply to the last one may still come: only silence shows that none is
+            on its way.
+    """
+
+    def __init__(self) -> None:
+        self._refused = self._untaken = 0
+        self.doubtful = False
+        self.last = ""
+
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive, None while too few commands have failed."""
+        if self._refused < _REFUSED_WRITES and self._untaken < _UNTAKEN_WRITES:
+            return None
+        does = "refuses" if self._refused else "does not answer"
+        check = "check [bus.registers], its remote mode and write access"
+        return f"the drive {does} commands: {self.last}; {check}"
+
+    def note(self, failure: ExchangeError, *, silent: bool) -> None:
+        """Note that the drive has not taken a command, or not provably.
+
+        Args:
+            failure: What came of it.
+            silent: Whether the drive answers no reads either: it ignores more than commands.
+        """
+        self.doubtful = failure.doubtful
+        refused = failure.code is not None and failure.code not in _BUSY
+        self._refused = self._refused + 1 if refused else 0
+        self._untaken += not silent
+        self.last = failure.problem
+
+    def clear(self) -> None:
+        """Note that the drive has acknowledged a command, or begin anew on another link."""
+        self._refused = self._untaken = 0
+        self.doubtful = False
+        self.last = ""
+
+
 # Putting the blocks of one poll together: a reading, or the reason why there is none.
 
 STANDS_STILL = "the drive's heartbeat register stands still: its controller hangs"
@@ -189,21 +248,21 @@ class PollAssembly:
         raw: Registers of each block that was read last.
     """
 
-    def __init__(self, poll: Poll, explain: Callable[..., str] = explain) -> None:
+    def __init__(
+        self, poll: Poll, heartbeat: Heartbeat, explain: Callable[..., str] = explain
+    ) -> None:
         self._poll = poll
+        self._heartbeat = heartbeat
         self._explain = explain
         sources = (one.quantity for _, read in poll.reads for one in read)
         slacks = {name: 0.0 for name in sources if name != HEARTBEAT}
         self._newest = port.NewestValues(slacks, poll.other, poll.faults)
         self._values: dict[str, float] = {}
         self._refused: dict[str, str] = {}
+        self._known_beat: float | None = None
+        self._advanced_s = -math.inf
         self.faults = self._newest.faults
         self.raw: dict[Block, list[int]] = {}
-
-    @property
-    def heartbeat(self) -> float | None:
-        """Heartbeat of the drive in this poll, None where it must not be used."""
-        return self._values.get(HEARTBEAT)
 
     @property
     def refusal(self) -> str:
@@ -218,9 +277,7 @@ class PollAssembly:
         self._values.clear()
         self._refused.clear()
 
-    def take(
-        self, block: Block, sources: Sequence[binding.Source[Named]], words: list[int]
-    ) -> None:
+    def take(self, block: Block, sources: Sequence[Source[Named]], words: list[int]) -> None:
         """Take one block.
 
         Args:
@@ -263,33 +320,23 @@ class PollAssembly:
         self._newest.keep(values, start_s, self._refused)
         return self._newest.reading(arrival_s, bridge=bridge_sent, set_s=start_s)
 
+    def forget_heartbeat(self) -> None:
+        """Forget the last heartbeat: the link was opened again."""
+        self._known_beat, self._advanced_s = None, -math.inf
 
-class DriveHeartbeat:
-    """Judges from poll to poll whether a drive's heartbeat advances."""
-
-    def __init__(self, config: Heartbeat) -> None:
-        self._watched = config.drive is not None
-        self._patience_s = config.drive_timeout_s or 0.0
-        self._known: float | None = None
-        self._advanced_s = -math.inf
-
-    def forget(self) -> None:
-        """Forget the last value: the link was opened again."""
-        self._known, self._advanced_s = None, -math.inf
-
-    def beats(self, value: float | None, now_s: float) -> bool | None:
-        """Return whether the drive is alive, None while that is not known.
+    def is_alive(self, now_s: float) -> bool | None:
+        """Return whether the heartbeat of the drive advances, None while that is not known.
 
         Args:
-            value: Heartbeat of a poll, None where it must not be used.
             now_s: When the poll began, monotonic clock.
         """
-        if not self._watched:
+        if self._heartbeat.drive is None:
             return True
-        known, self._known = self._known, value
+        value = self._values.get(HEARTBEAT)
+        known, self._known_beat = self._known_beat, value
         if known is None:
             return None  # one value alone shows no life, and neither does the same one again
         if value != known:
             self._advanced_s = now_s
             return True
-        return now_s - self._advanced_s <= self._patience_s
+        return now_s - self._advanced_s <= (self._heartbeat.drive_timeout_s or 0.0)

@@ -9,14 +9,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from adaptdrive.config import Configuration
-from adaptdrive.config.polled import ScpiBus, ScpiValue
+from adaptdrive.config import Configuration, polled
 from adaptdrive.config.timing import Timing
-from adaptdrive.devices import binding
 from adaptdrive.devices.bus import BusKind, bus_of, polled_cautions, tcp_locks
+from adaptdrive.devices.description import Source
 from adaptdrive.devices.polled import link, mapping, port
 from adaptdrive.devices.polled.registers import Block, Exchange, count, encode_count
-from adaptdrive.devices.port import Port
 
 _COMPLETE = "*OPC?"
 """Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
@@ -30,7 +28,7 @@ class ScpiConnection(link.PolledLink):
 
     def __init__(
         self,
-        config: ScpiBus,
+        config: polled.ScpiBus,
         counts: Counter[str],
         clock: Callable[[], float],
         replies: dict[str, str],
@@ -74,7 +72,7 @@ class ScpiConnection(link.PolledLink):
                 await self._set(value, value.line(number), void)
         return []
 
-    async def _set(self, value: ScpiValue, line: str, void: link.Void | None) -> None:
+    async def _set(self, value: polled.ScpiValue, line: str, void: link.Void | None) -> None:
         """Send a command, and wait until the supply has done it, where it can say so."""
         done, lines = self._config.done, [line]
         if value.answer is not None:
@@ -143,16 +141,16 @@ class ScpiConnection(link.PolledLink):
         return f"; {shown!r} came without the end of a line, see bus.line_end" if came else ""
 
 
-def describe_supply(config: ScpiBus) -> str:
+def describe_supply(config: polled.ScpiBus) -> str:
     """Return the bus in one phrase, such as `scpi 10.0.0.7:5025`."""
     return f"scpi {config.host}:{config.port}"
 
 
-class ScpiPort(port.PolledPort):
+class Port(port.Port):
     """One connection to one supply."""
 
     def __init__(
-        self, supply: ScpiBus, poll: mapping.Poll, timing: Timing, clock: Callable[[], float]
+        self, supply: polled.ScpiBus, poll: mapping.Poll, timing: Timing, clock: Callable[[], float]
     ) -> None:
         """Prepare a port; nothing is opened yet.
 
@@ -171,7 +169,7 @@ class ScpiPort(port.PolledPort):
         refused = [line for line in super().details() if line.startswith("refused")]
         return [*(f"{question} {reply}" for question, reply in self._replies.items()), *refused]
 
-    def _explain(self, source: binding.Source[mapping.Named], *_: object) -> str:
+    def _explain(self, source: Source[mapping.Named], *_: object) -> str:
         """Name the reply that is refused."""
         question = self._supply.values[source.item.name].query or ""
         reply = self._replies[question]
@@ -190,14 +188,14 @@ class ScpiPort(port.PolledPort):
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
-    bus = bus_of(configuration, ScpiBus)
+    bus = bus_of(configuration, polled.ScpiBus)
     poll = mapping.planned(configuration, bus.as_registers(), source, passive=passive)
-    return ScpiPort(bus, poll, configuration.timing, clock)
+    return Port(bus, poll, configuration.timing, clock)
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:
     """Yield a supply by its name and its addresses."""
-    bus = bus_of(configuration, ScpiBus)
+    bus = bus_of(configuration, polled.ScpiBus)
     yield describe_supply(bus)
     yield from tcp_locks("scpi", bus.host, bus.port)
 

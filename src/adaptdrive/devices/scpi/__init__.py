@@ -1,1 +1,0 @@
-"""Supplies that speak SCPI over TCP."""
