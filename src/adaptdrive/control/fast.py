@@ -228,7 +228,7 @@ def take_rounding(settings: ControllerSettings, bank: FilterBank) -> tuple[float
     if not settings.exact:
         return 0.0, 0.0
     step = learning.resolution
-    if vectors.lacks(step, 0.0):
+    if not step > 0.0:  # or no number
         step = filters.step_found(quantiser, learning.output_scale)
     return step, filters.rounding_error(step, quantiser.share)
 

@@ -49,7 +49,7 @@ import sys
 from dataclasses import dataclass
 
 from adaptdrive.control.thresholds import MEMORY, NOISE_FLOOR, PRIOR_SAMPLES
-from adaptdrive.control.vectors import Vector, lacks, reaches
+from adaptdrive.control.vectors import Vector
 
 # The λ filters: a chain of first-order low-pass filters, run at the fast rate.
 
@@ -266,11 +266,11 @@ def note_sample(quantiser: Quantiser, sample: float, scale: float, ticks: int = 
     quantiser.last = sample
     quantiser.changes += ticks
     finest = FINEST * scale
-    if lacks(quantiser.candidate, 0.0):
+    if quantiser.candidate <= 0.0:
         quantiser.candidate = difference if finest <= difference < 1.0 / FINEST * scale else 0.0
         return
     ratio = difference / quantiser.candidate
-    if reaches(ratio, _LARGEST_MULTIPLE):
+    if not ratio < _LARGEST_MULTIPLE:  # or no number
         return
     multiple = math.floor(ratio + 0.5)
     rest = abs(ratio - multiple)
