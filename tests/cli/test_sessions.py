@@ -237,7 +237,8 @@ def test_an_unknown_kind_of_event_is_refused_with_the_known_ones(state: Path) ->
 
 def test_every_kind_of_event_is_known() -> None:
     event = re.compile(
-        r'\b(?:(?:publish_event|report|Event)\(\s*"([^"]+)",\s*(?:S|s)everity|_?warn\W\s*"([^"]+)")'
+        r'\b(?:(?:publish_event|report|Event)\(\s*"([^"]+)",\s*(?:reports\.)?(?:S|s)everity'
+        r'|_?warn\W\s*"([^"]+)")'
     )
     sources = [path.read_text() for path in Path(adaptdrive.__file__).parent.rglob("*.py")]
     found = {kind for source in sources for kinds in event.findall(source) for kind in kinds}
