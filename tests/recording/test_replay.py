@@ -197,11 +197,11 @@ def test_ticks_missing_from_the_record_are_told_apart_from_missed_half_cycles(
 ) -> None:
     ticks = daemon.ticks[:300] + daemon.ticks[320:]
     report = replay(recorded(directory, ticks, daemon.slow), StandIn())
-    ((before_tick, missing),) = report.gaps
-    assert missing == 20
-    assert before_tick == daemon.ticks[320].measurement.tick
+    (gap,) = report.gaps
+    assert gap.missing == 20
+    assert gap.before_tick == daemon.ticks[320].measurement.tick
     assert not report.exact
-    assert f"the record lacks ticks: 20 before tick {before_tick}" in str(report)
+    assert f"the record lacks ticks: 20 before tick {gap.before_tick}" in str(report)
 
 
 def test_slow_steps_missing_from_the_record_do_not_spoil_the_commands(

@@ -42,6 +42,22 @@ class Difference:
         return f"at tick {self.tick}: recorded {_text(self.recorded)}; now {_text(self.replayed)}"
 
 
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Ticks that were run and not recorded.
+
+    Attributes:
+        before_tick: First recorded tick after them.
+        missing: How many; negative where the record goes back.
+    """
+
+    before_tick: int
+    missing: int
+
+    def __str__(self) -> str:
+        return f"{self.missing} before tick {self.before_tick}"
+
+
 @dataclass(slots=True)
 class ReplayReport:
     """Result of a replay.
@@ -55,8 +71,7 @@ class ReplayReport:
         largest: Largest difference by quantity of the command; only quantities that differ.
         differing_decisions: Slow steps that came out differently.
         first_decision: The first of them.
-        gaps: Where ticks are missing from the record: the first one after them, and their number,
-            which is negative where the record goes back.
+        gaps: Where ticks are missing from the record.
         unmatched: Slow indices that took effect in the record, but had no decision in the replay.
     """
 
@@ -68,7 +83,7 @@ class ReplayReport:
     largest: dict[str, float] = field(default_factory=dict)
     differing_decisions: int = 0
     first_decision: Difference | None = None
-    gaps: list[tuple[int, int]] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
     unmatched: list[int] = field(default_factory=list)
 
     @property
@@ -82,12 +97,11 @@ class ReplayReport:
     def _lines(self) -> Iterator[str]:
         yield f"{self.session}: replayed {self.ticks} ticks and {self.slow_steps} slow steps"
         if self.gaps:
-            first = [f"{missing} before tick {tick}" for tick, missing in self.gaps[:5]]
-            shown = ", ".join(first) + (", ..." if len(self.gaps) > 5 else "")
+            shown = ", ".join(map(str, self.gaps[:5])) + (", ..." if len(self.gaps) > 5 else "")
             yield f"cannot be exact, the record lacks ticks: {shown}"
         if self.unmatched:
-            count, k = len(self.unmatched), self.unmatched[0]
-            yield f"no decision to apply for {count} slow steps, the first at k = {k}"
+            count, first = len(self.unmatched), self.unmatched[0]
+            yield f"no decision to apply for {count} slow steps, the first at k = {first}"
         if self.first_command is None:
             yield "every command is bit-equal"
         else:
@@ -169,7 +183,7 @@ class _Player:
         """Replay one tick."""
         tick, missing = recorded.measurement.tick, recorded.sequence - self._next_sequence
         if missing:
-            self.report.gaps.append((tick, missing))
+            self.report.gaps.append(Gap(before_tick=tick, missing=missing))
         self._next_sequence = recorded.sequence + 1
         if recorded.applied_k >= 0:
             self._deliver(recorded.applied_k)
