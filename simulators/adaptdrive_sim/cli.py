@@ -28,7 +28,9 @@ ANSWER_s = 5.0
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
     try:
-        sys.exit(carry_out(app.name[0], commands.understood(app), sys.argv[1:], unusable=FAILED))
+        sys.exit(
+            carry_out(app.name[0], commands.parsed_command(app), sys.argv[1:], unusable=FAILED)
+        )
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise

@@ -159,7 +159,7 @@ _LEVELS: dict[reports.Severity, lines.Level] = {
 }
 
 
-def news_of(
+def start_events(
     given: Given, known: reports.Event | None, recalled: Recalled
 ) -> Iterator[reports.Event]:
     """Yield the events that a run begins with.

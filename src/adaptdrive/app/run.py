@@ -238,10 +238,10 @@ async def _serve(
     asyncio.get_running_loop().set_default_executor(helpers)
     _stop_on_signals(course.end)
     feed = functools.partial(course.feed_between, tick_support.ServiceManager(os.environ))
-    greet = functools.partial(process.send_visitors_away, locks)
+    release = functools.partial(process.close_refused, locks)
     services = [
         asyncio.create_task(clock.repeat(*one))
-        for one in ((feed, reload.FEED_S), (greet, process.VISITS_S))
+        for one in ((feed, reload.FEED_S), (release, process.RELEASE_S))
     ]
     complete = True
     while (present := course.next_run()) is not None:
@@ -309,7 +309,7 @@ async def _run(
             )
             ending.callback(keeper.save)
             start("checkpoint", keeper.run())
-        for event in reload.news_of(given, known, recalled):
+        for event in reload.start_events(given, known, recalled):
             hub.publish(event)
         with (
             clock.uncaught_errors_end(daemon.fail),

@@ -270,7 +270,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
             digest = digest or _write(path, commissioned)
             _put_to_use(drive, commissioned, digest, contact)
         else:
-            _say_next(drive, run.reached(commissioned), path if write else None)
+            _print_next(drive, run.reached(commissioned), path if write else None)
     return 0
 
 
@@ -297,7 +297,7 @@ def _put_to_use(
     )
 
 
-def _say_next(drive: str, setpoint: float, written: Path | None) -> None:
+def _print_next(drive: str, setpoint: float, written: Path | None) -> None:
     if written is None:
         print(f"\nnext: adaptdrive commission {drive} --apply, or copy the values by hand")
         return

@@ -37,7 +37,7 @@ _LIST = "List the drives of a broker."
 _SESSIONS = "List, show, verify and prune recorded sessions."
 
 
-def understood(app: App, words: Sequence[str] | None = None) -> Callable[[], object]:
+def parsed_command(app: App, words: Sequence[str] | None = None) -> Callable[[], object]:
     """Return what carries out the command that words name, or tells what is wrong with them.
 
     Args:
@@ -50,12 +50,12 @@ def understood(app: App, words: Sequence[str] | None = None) -> Callable[[], obj
             return app(words)
         except CycloptsError as problem:
             program = app.name[0]
-            return print_error(program, _misuse(program, problem), UNUSABLE)
+            return print_error(program, _usage_error(program, problem), UNUSABLE)
 
     return carry_out
 
 
-def _misuse(program: str, problem: CycloptsError) -> str:
+def _usage_error(program: str, problem: CycloptsError) -> str:
     """Return what is wrong with the words of a command."""
     words = " ".join(problem.unused_tokens or ())
     if isinstance(problem, UnknownCommandError):

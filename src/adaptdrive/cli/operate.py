@@ -204,10 +204,10 @@ def _ask(drive: str, verb: str, value: object, contact: options.Contact, **field
     except NoAnswerError as problem:
         return no_answer(problem)
     if contact.as_json:
-        _tell(json.dumps(asdict_of(reply)))
+        _print_answer(json.dumps(asdict_of(reply)))
         return ACCEPTED if reply.accepted else REFUSED
     if reply.accepted:
-        _tell(f"{drive}: {verb} accepted, {reply.state}")
+        _print_answer(f"{drive}: {verb} accepted, {reply.state}")
         return ACCEPTED
     print(f"adaptdrive: {drive} refused {verb}: {reply.reason}", file=sys.stderr)
     if advice := display.refusal_advice(reply.reason):
@@ -215,7 +215,7 @@ def _ask(drive: str, verb: str, value: object, contact: options.Contact, **field
     return REFUSED
 
 
-def _tell(answer: str) -> None:
+def _print_answer(answer: str) -> None:
     """Print what a drive has answered, on standard error where standard output takes nothing."""
     try:
         print(answer, flush=True)

@@ -92,7 +92,7 @@ async def run_view(
             task.cancel()
         await asyncio.wait(tasks)
         if unanswered:
-            terminal.tell_last(
+            terminal.print_last(
                 "\n".join(f"adaptdrive: {commands.printable(one)}" for one in unanswered)
             )
 
