@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 from cyclopts import Parameter, Token, convert
@@ -21,10 +21,19 @@ from adaptdrive.util.files import directory_flaw
 # Options that several commands have, what they refuse, and the form of what they print.
 
 
-def _check_finite(_: object, number: float | None) -> None:
-    """Refuse infinity and what is no number."""
-    if number is not None and not math.isfinite(number):
-        raise ValueError("A finite number is needed.")
+def refusing(is_valid: Callable[[Any], bool], rule: str) -> Callable[[object, Any], None]:
+    """Return the check of an option that may be left out.
+
+    Args:
+        is_valid: Whether a value may be used.
+        rule: What is printed where it may not.
+    """
+
+    def check(_: object, value: object) -> None:
+        if value is not None and not is_valid(value):
+            raise ValueError(rule)
+
+    return check
 
 
 def _read_integer(_: object, tokens: Sequence[Token]) -> int:
@@ -39,8 +48,9 @@ def _read_integer(_: object, tokens: Sequence[Token]) -> int:
 Flag = Annotated[bool, Parameter(negative=())]
 Json = Annotated[bool, Parameter(name="--json", negative=())]
 Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
-Number = Annotated[float, Parameter(validator=_check_finite)]
-Second = Annotated[float | None, Parameter(validator=_check_finite)]
+_FINITE = refusing(math.isfinite, "A finite number is needed.")
+Number = Annotated[float, Parameter(validator=_FINITE)]
+Second = Annotated[float | None, Parameter(validator=_FINITE)]
 Integer = Annotated[int, Parameter(converter=_read_integer)]
 
 
@@ -107,21 +117,18 @@ def _check_address(_: object, text: str | None) -> None:
         read_address(text)
 
 
-def _check_drive(_: object, name: str) -> None:
-    if _DRIVE.fullmatch(name) is None:
-        raise ValueError(
-            "The name of a drive has 1 to 64 letters, digits, '-' and '_', no '-' first."
-        )
-
-
-def _check_timeout(_: object, timeout: float) -> None:
-    if not 0.0 < timeout <= _LONGEST_WAIT_S:
-        raise ValueError(f"A timeout is above 0 and at most {_LONGEST_WAIT_S:g} seconds.")
-
-
-def _check_user(_: object, name: str | None) -> None:
-    if name is not None and (len(name) > _LONGEST_USER or not name.isprintable()):
-        raise ValueError(f"A user name has at most {_LONGEST_USER} letters, all printable.")
+_check_drive = refusing(
+    lambda name: _DRIVE.fullmatch(name) is not None,
+    "The name of a drive has 1 to 64 letters, digits, '-' and '_', no '-' first.",
+)
+_check_timeout = refusing(
+    lambda timeout: 0.0 < timeout <= _LONGEST_WAIT_S,
+    f"A timeout is above 0 and at most {_LONGEST_WAIT_S:g} seconds.",
+)
+_check_user = refusing(
+    lambda name: len(name) <= _LONGEST_USER and name.isprintable(),
+    f"A user name has at most {_LONGEST_USER} letters, all printable.",
+)
 
 
 def _check_authority(_: object, contact: Contact | None) -> None:
