@@ -32,7 +32,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings, operat
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
-from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.service import MqttService, OperatorLog
 from adaptdrive.pure import build_name
 from adaptdrive.recording import journal_files, records
 from adaptdrive.recording.journal_files import recall as recall_log
@@ -294,7 +294,7 @@ async def _run(
 
         start("log", reload.log_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
-        profile, around = operator_profile(configuration), surroundings_of(recalled, recorder)
+        profile, around = operator_profile(configuration), operator_log(recalled, recorder)
         start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
         start("opened", course.opened(daemon.opened))
         if recording.is_kept(settings):
@@ -319,7 +319,7 @@ async def _run(
     return recorder.complete
 
 
-def surroundings_of(recalled: journal_files.Recalled, recorder: Recorder) -> ServiceSurroundings:
+def operator_log(recalled: journal_files.Recalled, recorder: Recorder) -> OperatorLog:
     """Return the log as the operators' side sees it.
 
     Args:
@@ -330,7 +330,7 @@ def surroundings_of(recalled: journal_files.Recalled, recorder: Recorder) -> Ser
     def note_reply(identity: str, body: bytes) -> None:
         recorder.note(records.Kind.REPLY, msgspec.msgpack.encode((identity, body)))
 
-    return ServiceSurroundings(
+    return OperatorLog(
         replies=recalled.replies,
         events=[(row.time, row.event) for row in recalled.unsent],
         trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.detail),

@@ -24,7 +24,7 @@ from adaptdrive.runtime import (
 )
 from adaptdrive.runtime.capacitor import CapacitorBalance
 from adaptdrive.runtime.interlocks import Guard
-from adaptdrive.runtime.settings import FastLoopSettings, LoopSurroundings, TickCounts
+from adaptdrive.runtime.settings import FastLoopSettings, LoopServices, TickCounts
 
 _OFF: Final[signals.Stage] = signals.Stage.OFF  # found at once by compiled code
 _PRECHARGE: Final[signals.Stage] = signals.Stage.PRECHARGE
@@ -53,7 +53,7 @@ class FastLoop:
         controller: TwoRate,
         machine: state_machine.Machine,
         settings: FastLoopSettings,
-        surroundings: LoopSurroundings,
+        surroundings: LoopServices,
     ) -> None:
         """Join the pieces.
 
