@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.cli import FAILED, carry_out
-from adaptdrive.cli.commands import parsed_command
+from adaptdrive.cli.options import parsed_command
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.util.errors import RefusedError

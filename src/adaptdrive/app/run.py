@@ -218,7 +218,7 @@ def run(path: Path) -> int:
             asyncio.Runner() as runner,
         ):
             complete = runner.run(
-                _serve(reload.Given(configuration, text), path, locks, start_thread)
+                _serve(reload.RunInput(configuration, text), path, locks, start_thread)
             )
     except* AdaptdriveError as group:
         raise first_error(group) from None
@@ -226,7 +226,7 @@ def run(path: Path) -> int:
 
 
 async def _serve(
-    given: reload.Given,
+    given: reload.RunInput,
     path: Path,
     locks: Sequence[socket.socket],
     start_thread: Callable[[], None],
@@ -253,7 +253,7 @@ async def _serve(
 
 
 async def _run(
-    given: reload.Given, course: reload.RunCourse, start_thread: Callable[[], None]
+    given: reload.RunInput, course: reload.RunCourse, start_thread: Callable[[], None]
 ) -> bool:
     """Serve until the run ends; False when the end of its session is not recorded."""
     configuration, hub = given.configuration, reports.Hub()

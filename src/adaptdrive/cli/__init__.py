@@ -84,7 +84,7 @@ def _daemon(words: Sequence[str]) -> Callable[[], object] | None:
 
 
 def _parsed_command(words: Sequence[str]) -> Callable[[], object]:
-    from adaptdrive.cli.commands import build_app, parsed_command  # noqa: PLC0415 - see above
+    from adaptdrive.cli.options import build_app, parsed_command  # noqa: PLC0415 - see above
 
     return parsed_command(build_app(), words)
 
