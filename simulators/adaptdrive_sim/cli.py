@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 import adaptdrive
-from adaptdrive.cli import FAILED, carry_out, commands, options, print_error
+from adaptdrive.cli import FAILED, carry_out, options, print_error
 from adaptdrive_sim.demo.story import DemoSettings
 from adaptdrive_sim.device import DeviceSettings, parse_address
 
@@ -28,7 +28,7 @@ ANSWER_s = 5.0
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
     try:
-        sys.exit(carry_out(app.name[0], commands.understood(app), sys.argv[1:], unusable=FAILED))
+        sys.exit(carry_out(app.name[0], options.parsed_command(app), sys.argv[1:], unusable=FAILED))
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise

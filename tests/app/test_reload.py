@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.reload import ANSWER_S, Given, RunCourse
+from adaptdrive.app.reload import ANSWER_S, RunCourse, RunInput
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.requests import Reload
 from adaptdrive.runtime.tick_support import ServiceManager
@@ -27,9 +27,9 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "motor.toml"
 
 
-def at_once(read: Callable[[], Given], _: str) -> Future[Given]:
+def at_once(read: Callable[[], RunInput], _: str) -> Future[RunInput]:
     """Read without a thread: virtual time would not wait for it."""
-    future: Future[Given] = Future()
+    future: Future[RunInput] = Future()
     try:
         future.set_result(read())
     except Exception as problem:  # noqa: BLE001 - as a thread would
@@ -40,7 +40,7 @@ def at_once(read: Callable[[], Given], _: str) -> Future[Given]:
 @pytest.fixture
 def course(path: Path, monkeypatch: pytest.MonkeyPatch) -> RunCourse:
     monkeypatch.setattr(clock, "in_thread", at_once)
-    course = RunCourse(path, Given(load_configuration(path), path.read_text(encoding="utf-8")))
+    course = RunCourse(path, RunInput(load_configuration(path), path.read_text(encoding="utf-8")))
     assert course.next_run() is not None
     return course
 

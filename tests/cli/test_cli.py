@@ -21,7 +21,7 @@ from cyclopts import App
 
 from adaptdrive import __version__
 from adaptdrive.cli import carry_out, main, operate
-from adaptdrive.cli.commands import build_app, understood
+from adaptdrive.cli.options import build_app, parsed_command
 from adaptdrive.config import Configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode, Shape, Waveform
@@ -281,7 +281,7 @@ def written_to(
         monkeypatch.setattr(sys, "stdout", output)
         if program == "adaptdrive":
             return main(words.split())
-        return carry_out(program, understood(sim_app, words.split()), words.split())
+        return carry_out(program, parsed_command(sim_app, words.split()), words.split())
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.cli.commands import _COMMANDS
+from adaptdrive.cli.options import _COMMANDS
 from adaptdrive.runtime.requests import REQUESTS
 
 PAGE = Path(__file__).parents[2] / "deploy" / "debian" / "adaptdrive.1"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from cyclopts import CycloptsError, MissingArgumentError
 
-from adaptdrive.cli.commands import build_app
+from adaptdrive.cli.options import build_app
 from adaptdrive_sim.cli import app as simulator
 
 ROOT = Path(__file__).parents[2]

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.app.run import surroundings_of
+from adaptdrive.app.run import operator_log
 from adaptdrive.mqtt.desk import ReplyMemory
-from adaptdrive.mqtt.service import ServiceSurroundings
+from adaptdrive.mqtt.service import OperatorLog
 from adaptdrive.recording.journal import Log
 from adaptdrive.recording.journal_files import Recalled, recall
 from adaptdrive.recording.recorder import Recorder
@@ -67,7 +67,7 @@ async def remembering(folder: Path, clocks: Time, limit: int = 1000) -> AsyncIte
 
 
 @asynccontextmanager
-async def keeping(folder: Path, hub: Hub) -> AsyncIterator[ServiceSurroundings]:
+async def keeping(folder: Path, hub: Hub) -> AsyncIterator[OperatorLog]:
     """The log of a daemon that records no session."""
     recalled, loop = recall(folder, datetime.now(UTC)), asyncio.get_running_loop()
     recorder = Recorder(
@@ -81,7 +81,7 @@ async def keeping(folder: Path, hub: Hub) -> AsyncIterator[ServiceSurroundings]:
     hub.kept = recorder.kept
     running = asyncio.create_task(recorder.run())
     try:
-        yield surroundings_of(recalled, recorder)
+        yield operator_log(recalled, recorder)
     finally:
         running.cancel()
         await asyncio.wait([running])

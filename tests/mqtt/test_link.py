@@ -14,7 +14,7 @@ from aiomqtt import Will
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.connection import BrokerLink, ClientName
 from adaptdrive.mqtt.contract import Profile
-from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.service import MqttService, OperatorLog
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import Disable, Request, Reset, SetSetpoint
 from tests.mqtt.memory_broker import V311, MemoryBroker, MemoryClient
@@ -125,9 +125,7 @@ async def test_a_secret_that_cannot_be_read_is_tried_again(
     spoilt, host = tmp_path / "spoilt", RememberingHost()
     damage(spoilt)
     settings = Mqtt(tls=True).model_copy(update={key: spoilt})
-    service = MqttService(
-        Profile("guarded"), settings, host, host.hub, ServiceSurroundings(uniform=min)
-    )
+    service = MqttService(Profile("guarded"), settings, host, host.hub, OperatorLog(uniform=min))
     with captured_lines() as lines:
         running = asyncio.create_task(service.run())
         await asyncio.sleep(100.0)

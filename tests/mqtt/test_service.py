@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.mqtt.contract import Synchronisation
-from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.service import MqttService, OperatorLog
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -322,7 +322,7 @@ def _junk() -> st.SearchStrategy[bytes]:
 def test_junk_never_stops_the_service(junk: list[tuple[str, bytes]]) -> None:
     async def scenario() -> None:
         broker, host = MemoryBroker(), RememberingHost(highest=-1.0)
-        service = MqttService(profile("junk"), Mqtt(), host, host.hub, ServiceSurroundings())
+        service = MqttService(profile("junk"), Mqtt(), host, host.hub, OperatorLog())
         with broker.joined():
             running = asyncio.create_task(service.run())
             await asyncio.sleep(1.0)

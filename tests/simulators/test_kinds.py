@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.cli import FAILED, carry_out
-from adaptdrive.cli.commands import understood
+from adaptdrive.cli.options import parsed_command
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.util.errors import RefusedError
@@ -69,7 +69,7 @@ def test_an_unknown_parameter_is_refused_with_the_nearest_one() -> None:
 
 def status_of(words: str) -> int:
     """Carry out a command of the simulators; return its status."""
-    return carry_out("adaptdrive-sim", understood(cli.app, words.split()), (), FAILED)
+    return carry_out("adaptdrive-sim", parsed_command(cli.app, words.split()), (), FAILED)
 
 
 MOTOR = EXAMPLES / "motor.toml"

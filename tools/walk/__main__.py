@@ -31,7 +31,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode
 from adaptdrive.devices.can.connection import FrameReader
 from adaptdrive.mqtt.contract import Profile
-from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.service import MqttService, OperatorLog
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.requests import SetMode, SetSetpoint
@@ -129,7 +129,7 @@ async def follow(folder: Path) -> dict[str, Walk]:
 async def _setpoints(wire: Wire) -> list[Walk]:
     """Send set-points through a broker, and wait for the reply to each."""
     walks, broker = [Walk() for _ in range(20)], MemoryBroker()
-    service = MqttService(Profile("motor"), Mqtt(), wire.daemon, wire.hub, ServiceSurroundings())
+    service = MqttService(Profile("motor"), Mqtt(), wire.daemon, wire.hub, OperatorLog())
     with broker.joined(), captured_lines():
         serving = asyncio.create_task(service.run())
         await asyncio.sleep(1.0)

@@ -41,14 +41,14 @@ _CREDENTIALS = struct.Struct("3i")
 _START_FIELD = 19
 """Place of `starttime` in /proc/PID/stat, counted after the name of the program."""
 
-_VISITORS = 4096
-"""Refused processes that may wait to be sent away; more cannot learn which process holds a lock."""
+_BACKLOG = 4096
+"""Refused processes that may wait for the answer; more cannot learn which process holds a lock."""
 
-VISITS_S = 1.0
-"""Time from one visit of the locks to the next."""
+RELEASE_S = 1.0
+"""Time from one closing of the connections of refused processes to the next."""
 
-_VISITORS_AT_ONCE = 64
-"""Refused processes that are sent away between two ticks: about 1 ms."""
+_CLOSED_AT_ONCE = 64
+"""Connections of refused processes that are closed between two ticks: about 1 ms."""
 
 
 class LockedError(AdaptdriveError):
@@ -95,10 +95,10 @@ def locked(names: Iterable[str], environment: Mapping[str, str]) -> Iterator[lis
         yield [stack.enter_context(_lock(name, _address(namespace, name))) for name in names]
 
 
-async def send_visitors_away(locks: Iterable[socket.socket]) -> None:
+async def close_refused(locks: Iterable[socket.socket]) -> None:
     """Keep the locks able to name this process to those that are refused."""
     for lock in locks:
-        _empty(lock)
+        _close_waiting(lock)
 
 
 def _address(namespace: str, name: str) -> str:
@@ -115,13 +115,13 @@ def _lock(name: str, address: str) -> socket.socket:
         if problem.errno != errno.EADDRINUSE:
             raise AdaptdriveError(f"{name} cannot be locked: {problem.strerror}") from problem
         raise LockedError(name, _holder(address)) from None
-    lock.listen(_VISITORS)
+    lock.listen(_BACKLOG)
     lock.settimeout(0.0)
     return lock
 
 
-def _empty(lock: socket.socket) -> None:
-    for _ in range(_VISITORS_AT_ONCE):
+def _close_waiting(lock: socket.socket) -> None:
+    for _ in range(_CLOSED_AT_ONCE):
         try:
             lock.accept()[0].close()
         except OSError:
@@ -130,11 +130,11 @@ def _empty(lock: socket.socket) -> None:
 
 def _holder(address: str) -> str:
     """The process that holds a lock, in words."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as visitor:
-        visitor.settimeout(0.0)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.settimeout(0.0)
         try:
-            visitor.connect(address)
-            found = visitor.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+            client.connect(address)
+            found = client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         except OSError:
             return "another process (`ss -xlp` as root names it)"
     pid, uid, _ = _CREDENTIALS.unpack(found)

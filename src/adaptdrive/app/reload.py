@@ -38,7 +38,7 @@ FEED_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class RunInput:
     """Input of a run: its configuration.
 
     Attributes:
@@ -62,18 +62,13 @@ class RunCourse:
         path: File of the configuration.
     """
 
-    def __init__(self, path: Path, given: Given) -> None:
-        """Begin with the configuration of the start.
-
-        Args:
-            path: Its file.
-            given: What was in it.
-        """
+    def __init__(self, path: Path, given: RunInput) -> None:
+        """Begin with the configuration of the start, and its file."""
         self.stop = asyncio.Event()
         self.path = path
         self._given = given
         self._descriptions = descriptions(given.configuration)
-        self._next: Given | None = given
+        self._next: RunInput | None = given
         self._ended = False
         self._fed_until_s = -math.inf
 
@@ -82,7 +77,7 @@ class RunCourse:
         self._ended = True
         self.stop.set()
 
-    def next_run(self) -> Given | None:
+    def next_run(self) -> RunInput | None:
         """Return what the next run is built from, None where the process ends."""
         given, self._next = self._next, None
         if given is None or (self._ended and given is not self._given):
@@ -112,7 +107,7 @@ class RunCourse:
             raise RefusedError(f"{self.path} is not valid, nothing has changed: {flaws}") from None
         return functools.partial(self._follow, given)
 
-    def _follow(self, given: Given) -> None:
+    def _follow(self, given: RunInput) -> None:
         self._next = given
         asyncio.get_running_loop().call_later(ANSWER_S, self._end_run)
 
@@ -120,7 +115,7 @@ class RunCourse:
         self._fed_until_s = clock.now_s() + _LONGEST_BETWEEN_S
         self.stop.set()
 
-    def _read(self, request: requests.Reload) -> Given:
+    def _read(self, request: requests.Reload) -> RunInput:
         text = read_text(self.path)
         measured = request.measured is not None
         if measured and request.measured != digest_of(text):
@@ -137,7 +132,7 @@ class RunCourse:
             )
         if descriptions(after) != self._descriptions:
             raise RefusedError("a changed DBC or EDS file needs a restart of the daemon")
-        return Given(after, text, measured, tuple(changed))
+        return RunInput(after, text, measured, tuple(changed))
 
     async def feed_between(self, manager: tick_support.ServiceManager) -> None:
         """Feed the watchdog between two runs, in which no tick does."""
@@ -159,8 +154,8 @@ _LEVELS: dict[reports.Severity, log.Level] = {
 }
 
 
-def news_of(
-    given: Given, known: reports.Event | None, recalled: Recalled
+def start_events(
+    given: RunInput, known: reports.Event | None, recalled: Recalled
 ) -> Iterator[reports.Event]:
     """Yield the events that a run begins with.
 
@@ -185,7 +180,7 @@ def _state_event(directory: Path) -> reports.Event | None:
     )
 
 
-def _reload_event(given: Given) -> reports.Event | None:
+def _reload_event(given: RunInput) -> reports.Event | None:
     if not given.changed and not given.measured:
         return None
     changed = ", ".join(f"[{name}]" for name in given.changed) or "nothing"

@@ -32,7 +32,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings, operat
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
-from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.service import MqttService, OperatorLog
 from adaptdrive.pure import build_name
 from adaptdrive.recording import journal_files, records
 from adaptdrive.recording.journal_files import recall as recall_log
@@ -217,7 +217,7 @@ def run(path: Path) -> int:
             asyncio.Runner() as runner,
         ):
             complete = runner.run(
-                _serve(reload.Given(configuration, text), path, locks, start_thread)
+                _serve(reload.RunInput(configuration, text), path, locks, start_thread)
             )
     except* AdaptdriveError as group:
         raise first_error(group) from None
@@ -225,7 +225,7 @@ def run(path: Path) -> int:
 
 
 async def _serve(
-    given: reload.Given,
+    given: reload.RunInput,
     path: Path,
     locks: Sequence[socket.socket],
     start_thread: Callable[[], None],
@@ -238,10 +238,10 @@ async def _serve(
     asyncio.get_running_loop().set_default_executor(helpers)
     _stop_on_signals(course.end)
     feed = functools.partial(course.feed_between, tick_support.ServiceManager(os.environ))
-    greet = functools.partial(process.send_visitors_away, locks)
+    release = functools.partial(process.close_refused, locks)
     services = [
         asyncio.create_task(clock.repeat(*one))
-        for one in ((feed, reload.FEED_S), (greet, process.VISITS_S))
+        for one in ((feed, reload.FEED_S), (release, process.RELEASE_S))
     ]
     complete = True
     while (present := course.next_run()) is not None:
@@ -253,7 +253,7 @@ async def _serve(
 
 
 async def _run(
-    given: reload.Given, course: reload.RunCourse, start_thread: Callable[[], None]
+    given: reload.RunInput, course: reload.RunCourse, start_thread: Callable[[], None]
 ) -> bool:
     """Serve until the run ends; False when the end of its session is not recorded."""
     configuration, hub = given.configuration, reports.Hub()
@@ -294,7 +294,7 @@ async def _run(
 
         start("log", reload.log_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
-        profile, around = operator_profile(configuration), surroundings_of(recalled, recorder)
+        profile, around = operator_profile(configuration), operator_log(recalled, recorder)
         start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
         start("opened", course.opened(daemon.opened))
         if recording.is_kept(settings):
@@ -309,7 +309,7 @@ async def _run(
             )
             ending.callback(keeper.save)
             start("checkpoint", keeper.run())
-        for event in reload.news_of(given, known, recalled):
+        for event in reload.start_events(given, known, recalled):
             hub.publish(event)
         with (
             clock.uncaught_errors_end(daemon.fail),
@@ -319,7 +319,7 @@ async def _run(
     return recorder.complete
 
 
-def surroundings_of(recalled: journal_files.Recalled, recorder: Recorder) -> ServiceSurroundings:
+def operator_log(recalled: journal_files.Recalled, recorder: Recorder) -> OperatorLog:
     """Return the log as the operators' side sees it.
 
     Args:
@@ -330,7 +330,7 @@ def surroundings_of(recalled: journal_files.Recalled, recorder: Recorder) -> Ser
     def note_reply(identity: str, body: bytes) -> None:
         recorder.note(records.Kind.REPLY, msgspec.msgpack.encode((identity, body)))
 
-    return ServiceSurroundings(
+    return OperatorLog(
         replies=recalled.replies,
         events=[(row.time, row.event) for row in recalled.unsent],
         trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.detail),

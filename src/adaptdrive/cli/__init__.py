@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     unblock_signals()
     words = sys.argv[1:] if arguments is None else list(arguments)
-    return carry_out("adaptdrive", _daemon(words) or _understood(words), words)
+    return carry_out("adaptdrive", _daemon(words) or _parsed_command(words), words)
 
 
 def carry_out(
@@ -83,10 +83,10 @@ def _daemon(words: Sequence[str]) -> Callable[[], object] | None:
     return None
 
 
-def _understood(words: Sequence[str]) -> Callable[[], object]:
-    from adaptdrive.cli.commands import build_app, understood  # noqa: PLC0415 - see above
+def _parsed_command(words: Sequence[str]) -> Callable[[], object]:
+    from adaptdrive.cli.options import build_app, parsed_command  # noqa: PLC0415 - see above
 
-    return understood(build_app(), words)
+    return parsed_command(build_app(), words)
 
 
 # Signals and standard files as a process needs them, whatever its starter has left.

@@ -208,14 +208,13 @@ _PLACES = (Path(), Path("/etc/adaptdrive"))
 _LARGEST_MOVE = 30.0
 
 
-def _check_move(_: object, move: float) -> None:
-    if not 0.0 < move <= _LARGEST_MOVE:
-        raise ValueError(f"A movement is above 0 and at most {_LARGEST_MOVE:g} percent.")
-
-
-def _check_patience(_: object, patience: float | None) -> None:
-    if patience is not None and not 1.0 <= patience <= 86_400.0:
-        raise ValueError("A wait is 1 to 86400 seconds.")
+_check_move = options.refusing(
+    lambda move: 0.0 < move <= _LARGEST_MOVE,
+    f"A movement is above 0 and at most {_LARGEST_MOVE:g} percent.",
+)
+_check_patience = options.refusing(
+    lambda patience: 1.0 <= patience <= 86_400.0, "A wait is 1 to 86400 seconds."
+)
 
 
 def commission(  # noqa: PLR0913 - the words of the command line
@@ -270,7 +269,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
             digest = digest or _write(path, commissioned)
             _put_to_use(drive, commissioned, digest, contact)
         else:
-            _say_next(drive, run.reached(commissioned), path if write else None)
+            _print_next(drive, run.reached(commissioned), path if write else None)
     return 0
 
 
@@ -297,7 +296,7 @@ def _put_to_use(
     )
 
 
-def _say_next(drive: str, setpoint: float, written: Path | None) -> None:
+def _print_next(drive: str, setpoint: float, written: Path | None) -> None:
     if written is None:
         print(f"\nnext: adaptdrive commission {drive} --apply, or copy the values by hand")
         return

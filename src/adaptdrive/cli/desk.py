@@ -29,7 +29,7 @@ from cyclopts import Parameter, validators
 from adaptdrive import processes
 from adaptdrive.cli.options import Contact, Flag, Integer
 from adaptdrive.config import Configuration
-from adaptdrive.tui.terminal import ended_once, tell_last
+from adaptdrive.tui.terminal import ended_once, print_last
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
 
@@ -98,7 +98,7 @@ def _closed(runner: asyncio.Runner, desk: _Desk) -> Iterator[None]:
     except* EOFError:
         print()
     finally:
-        tell_last(f"ending: {', '.join(desk.names)}")
+        print_last(f"ending: {', '.join(desk.names)}")
         runner.run(desk.stop())
 
 
@@ -125,7 +125,7 @@ class _Desk:
         self._path, self._contact = path, contact
         self._broker, self._drive = configuration.mqtt, configuration.drive.name
         self._processes, self._ports = processes.ProcessGroup(os.environ), processes.Ports()
-        self._said: list[str] = []
+        self._printed: list[str] = []
 
     @property
     def names(self) -> list[str]:
@@ -173,7 +173,7 @@ class _Desk:
             await asked.wait()
 
         keys = (*KEYS[:-1], f"{COMMISSION_KEY} commission", KEYS[-1])
-        around = ViewExtras(keys, faint(self._said), takes=takes)
+        around = ViewExtras(keys, faint(self._printed), takes=takes)
         services = [self._processes.watch(), until_asked()]
         settings, timeout_s = self._contact.settings, self._contact.timeout
         await watch(settings, self._drive, timeout_s, around, services)
@@ -191,9 +191,9 @@ class _Desk:
         folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{self._drive}.{name}.log"
 
-    def _say(self, line: str) -> None:
+    def _print(self, line: str) -> None:
         print(line, flush=True)
-        self._said.append(line)
+        self._printed.append(line)
 
     async def _start_broker(self) -> int:
         """Start the embedded broker; return the port of its WebSocket listener."""
@@ -205,7 +205,7 @@ class _Desk:
             remedy = "apt-get install mosquitto, or pip install 'adaptdrive[desk]' for the embedded"
             raise AdaptdriveError(f"no broker answers at {place}: {remedy}")
         websocket = self._ports.take(usual=_WEBSOCKET)
-        self._say(f"broker: none answered at {place}; an embedded one serves this machine only")
+        self._print(f"broker: none answered at {place}; an embedded one serves this machine only")
         listeners = [f"{processes.HOST}:{broker.port}", f"{processes.HOST}:{websocket}"]
         child = await self._processes.start(
             "broker", processes.BROKER, listeners, self._log("broker")
@@ -217,13 +217,15 @@ class _Desk:
 
         host = self._broker.host
         if not processes.is_listening(host, websocket):
-            self._say(f"panel: none, as the broker has no WebSocket listener at {host}:{websocket}")
+            self._print(
+                f"panel: none, as the broker has no WebSocket listener at {host}:{websocket}"
+            )
             return
         page, address = self._ports.take(usual=_PAGE), f"ws://{host}:{websocket}/mqtt"
         words = ["panel", "--no-open", f"--port={page}", f"--broker={address}"]
         panel = await self._processes.start("panel", _CLI, words, self._log("panel"))
         await panel.until_listening(page)
-        self._say(f"panel: {panel_address(page, address)}")
+        self._print(f"panel: {panel_address(page, address)}")
 
 
 # `adaptdrive panel`: the panel's folder and reports of sessions on loopback, for a desk.

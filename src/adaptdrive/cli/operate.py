@@ -12,16 +12,15 @@ from typing import Literal
 
 from msgspec.structs import asdict as asdict_of
 
-from adaptdrive.cli import UNUSABLE, discard_output, display, options
+from adaptdrive.cli import UNUSABLE, discard_output, display
+from adaptdrive.cli.options import Contact, DriveName, Number
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 
 ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
-_HERE = options.Contact()
+_HERE = Contact()
 
 
-def setpoint(
-    drive: options.DriveName, value: options.Number, /, *, contact: options.Contact = _HERE
-) -> int:
+def setpoint(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
     """Hold a constant set-point.
 
     Args:
@@ -33,15 +32,15 @@ def setpoint(
 
 
 def waveform(  # noqa: PLR0913 - the words of the command line
-    drive: options.DriveName,
+    drive: DriveName,
     shape: Literal["square", "sine", "triangle", "off"],
-    low: options.Number | None = None,
-    high: options.Number | None = None,
-    period: options.Number | None = None,
+    low: Number | None = None,
+    high: Number | None = None,
+    period: Number | None = None,
     /,
     *,
     preview: bool = False,
-    contact: options.Contact = _HERE,
+    contact: Contact = _HERE,
 ) -> int:
     """Follow a periodic set-point, or stop following it.
 
@@ -67,9 +66,7 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     return _ask(drive, "waveform", value, contact, preview=preview)
 
 
-def pole(
-    drive: options.DriveName, value: options.Number, /, *, contact: options.Contact = _HERE
-) -> int:
+def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
     """Choose the closed-loop pole of the load loop.
 
     Args:
@@ -81,11 +78,11 @@ def pole(
 
 
 def mode(
-    drive: options.DriveName,
+    drive: DriveName,
     value: Literal["fixed", "adaptive", "manual"],
     /,
     *,
-    contact: options.Contact = _HERE,
+    contact: Contact = _HERE,
 ) -> int:
     """Choose the fixed or the adaptive controller, or manual.
 
@@ -97,7 +94,7 @@ def mode(
     return _ask(drive, "mode", value, contact)
 
 
-def manual(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
+def manual(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     """Hold the present V_c until the command voltage.
 
     Args:
@@ -108,12 +105,12 @@ def manual(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> 
 
 
 def voltage(
-    drive: options.DriveName,
-    value: options.Number,
+    drive: DriveName,
+    value: Number,
     /,
     *,
-    hold: options.Number | None = None,
-    contact: options.Contact = _HERE,
+    hold: Number | None = None,
+    contact: Contact = _HERE,
 ) -> int:
     """Set V_c in mode manual.
 
@@ -126,7 +123,7 @@ def voltage(
     return _ask(drive, "voltage", value, contact, hold_s=hold)
 
 
-def enable(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
+def enable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     """Energise the drive and hold the present output.
 
     Args:
@@ -136,7 +133,7 @@ def enable(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> 
     return _ask(drive, "enable", None, contact)
 
 
-def disable(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
+def disable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     """Bring the drive into its safe state.
 
     Args:
@@ -146,7 +143,7 @@ def disable(drive: options.DriveName, /, *, contact: options.Contact = _HERE) ->
     return _ask(drive, "disable", None, contact)
 
 
-def reset(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
+def reset(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     """Leave a trip whose cause is gone.
 
     Args:
@@ -157,11 +154,11 @@ def reset(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> i
 
 
 def reload(
-    drive: options.DriveName,
+    drive: DriveName,
     /,
     *,
     measured: Path | None = None,
-    contact: options.Contact = _HERE,
+    contact: Contact = _HERE,
 ) -> int:
     """Take the load and the limits of the file, between two runs.
 
@@ -177,7 +174,7 @@ def reload(
     return _ask(drive, "reload", None, contact, measured=digest)
 
 
-def status(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
+def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     """Show the state and the telemetry of a drive.
 
     Args:
@@ -197,17 +194,17 @@ def status(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> 
     return ACCEPTED if found.online and found.live else NO_ANSWER
 
 
-def _ask(drive: str, verb: str, value: object, contact: options.Contact, **fields: object) -> int:
+def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: object) -> int:
     try:
         sending = send_command(contact.settings, drive, verb, value, contact.timeout, **fields)
         reply = asyncio.run(sending)
     except NoAnswerError as problem:
         return no_answer(problem)
     if contact.as_json:
-        _tell(json.dumps(asdict_of(reply)))
+        _print_answer(json.dumps(asdict_of(reply)))
         return ACCEPTED if reply.accepted else REFUSED
     if reply.accepted:
-        _tell(f"{drive}: {verb} accepted, {reply.state}")
+        _print_answer(f"{drive}: {verb} accepted, {reply.state}")
         return ACCEPTED
     print(f"adaptdrive: {drive} refused {verb}: {reply.reason}", file=sys.stderr)
     if advice := display.refusal_advice(reply.reason):
@@ -215,7 +212,7 @@ def _ask(drive: str, verb: str, value: object, contact: options.Contact, **field
     return REFUSED
 
 
-def _tell(answer: str) -> None:
+def _print_answer(answer: str) -> None:
     """Print what a drive has answered, on standard error where standard output takes nothing."""
     try:
         print(answer, flush=True)
@@ -231,7 +228,7 @@ def no_answer(problem: NoAnswerError) -> int:
     return NO_ANSWER
 
 
-def list_drives(*, contact: options.Contact = _HERE) -> int:
+def list_drives(*, contact: Contact = _HERE) -> int:
     """List the drives that have published to the broker, with state, output and trip.
 
     Args:
@@ -254,7 +251,7 @@ def list_drives(*, contact: options.Contact = _HERE) -> int:
     return ACCEPTED if found else NO_ANSWER
 
 
-def watch(drive: options.DriveName, /, *, contact: options.Contact = _HERE) -> int:
+def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     """Show a drive live in the terminal, with keys for the commands.
 
     Args:

@@ -1,30 +1,151 @@
-"""Options that several commands have: broker, login, form of the output; what they refuse."""
+"""The words of a command line: the commands that they name, and options that several have."""
 
 from __future__ import annotations
 
 import math
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-from cyclopts import Parameter, Token, convert
+from cyclopts import (
+    App,
+    CycloptsError,
+    Parameter,
+    Token,
+    UnknownCommandError,
+    UnusedCliTokensError,
+    convert,
+)
 
-from adaptdrive.config.services import Mqtt, check_host
+from adaptdrive import __version__
+from adaptdrive.cli import UNUSABLE, print_error
+from adaptdrive.runtime.requests import REQUESTS
 from adaptdrive.util.errors import ConfigurationError, Flaw
-from adaptdrive.util.files import directory_flaw
+
+if TYPE_CHECKING:  # no command needs it for its help
+    from adaptdrive.config.services import Mqtt
+
+# The commands.
+
+_COMMANDS = {
+    "init": ("configuration", "Write a first configuration for a load and a bus."),
+    "start": ("desk", "Run a drive on a desk: its daemon, a broker, the panel, and the view."),
+    "run": ("run", "Run the daemon for one drive until a signal stops it."),
+    "check": ("configuration", "Validate a configuration; list every error with its place."),
+    "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),
+    "probe": ("probe", "Show decoded measurements from the bus; command nothing."),
+    "replay": ("sessions", "Run the controller again on a recorded session."),
+    "events": ("sessions", "Show the events of a recorded session."),
+    "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
+    "identify": ("analysis", "Identify the load from a session or a CSV file, with error bars."),
+    "whatif": ("analysis", "Run a session again in closed loop with other settings."),
+    "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
+    "commission": ("analysis", "Measure an unknown load on its drive, and propose the settings."),
+    "panel": ("desk", "Serve the panel, a web page for a broker's drives, on this machine."),
+    "watch": ("operate", "Show a drive live in the terminal, with keys for the commands."),
+    "status": ("operate", "Show the state and the telemetry of a drive."),
+    "manual": ("operate", "Hold the present V_c until the command voltage."),
+}
+
+# Where an argument may be left out: cyclopts calls it [ARGS] in the first line of --help.
+_ARGUMENTS = {"start": "[CONFIG]", "waveform": "DRIVE SHAPE [LOW HIGH PERIOD]"} | dict.fromkeys(
+    ("replay", "events", "plot", "identify", "whatif"), "[SESSION]"
+)
+
+_LIST = "List the drives of a broker."
+_SESSIONS = "List, show, verify and prune recorded sessions."
+
+
+def parsed_command(app: App, words: Sequence[str] | None = None) -> Callable[[], object]:
+    """Return what carries out the command that words name, or tells what is wrong with them.
+
+    Args:
+        app: The commands of a program.
+        words: Words after its name; those of this process when None.
+    """
+
+    def carry_out() -> object:
+        try:
+            return app(words)
+        except CycloptsError as problem:
+            program = app.name[0]
+            return print_error(program, _usage_error(program, problem), UNUSABLE)
+
+    return carry_out
+
+
+def _usage_error(program: str, problem: CycloptsError) -> str:
+    """Return what is wrong with the words of a command."""
+    words = " ".join(problem.unused_tokens or ())
+    if isinstance(problem, UnknownCommandError):
+        from adaptdrive.util.errors import nearest  # noqa: PLC0415 - no command needs it
+
+        hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
+        return f"unknown command {words!r}{hint}; see {program} --help"
+    if isinstance(problem, UnusedCliTokensError):
+        return f"the command takes no {words!r}; see its --help"
+    return " ".join(str(problem).split())
+
+
+def _version() -> str:
+    from adaptdrive.pure import build_name  # noqa: PLC0415 - it imports the controller
+
+    return f"{__version__} ({build_name()})"
+
+
+def build_app() -> App:
+    """Return the commands of `adaptdrive`."""
+    app = App(
+        name="adaptdrive",
+        help="Adaptive control of speed, temperature and charge behind a power-electronic drive.",
+        version=_version,
+        print_error=False,
+        exit_on_error=False,
+        suppress_keyboard_interrupt=False,
+        result_action="return_value",
+    )
+    for name, (module, purpose) in _COMMANDS.items():
+        # By name, so that a command imports what it needs and no other command does.
+        path = f"adaptdrive.cli.{module}:{name}"
+        app.command(path, name=name, help=purpose, usage=_usage(name))
+    for verb, request in REQUESTS.items():
+        path = f"adaptdrive.cli.operate:{verb}"
+        purpose = (request.__doc__ or "").partition("\n")[0]
+        app.command(path, name=verb, help=purpose, usage=_usage(verb))
+    app.command("adaptdrive.cli.operate:list_drives", name="list", help=_LIST)
+    app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
+    app.register_install_completion_command(
+        add_to_startup=False, help="Install completion for the present shell."
+    )
+    return app
+
+
+def _usage(command: str) -> str | None:
+    arguments = _ARGUMENTS.get(command)
+    return arguments and f"Usage: adaptdrive {command} [OPTIONS] {arguments}"
+
 
 # Options that several commands have, what they refuse, and the form of what they print.
 
 
-def _check_finite(_: object, number: float | None) -> None:
-    """Refuse infinity and what is no number."""
-    if number is not None and not math.isfinite(number):
-        raise ValueError("A finite number is needed.")
+def refusing(is_valid: Callable[[Any], bool], rule: str) -> Callable[[object, Any], None]:
+    """Return the check of an option that may be left out.
+
+    Args:
+        is_valid: Whether a value may be used.
+        rule: What is printed where it may not.
+    """
+
+    def check(_: object, value: object) -> None:
+        if value is not None and not is_valid(value):
+            raise ValueError(rule)
+
+    return check
 
 
 def _read_integer(_: object, tokens: Sequence[Token]) -> int:
@@ -39,8 +160,9 @@ def _read_integer(_: object, tokens: Sequence[Token]) -> int:
 Flag = Annotated[bool, Parameter(negative=())]
 Json = Annotated[bool, Parameter(name="--json", negative=())]
 Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
-Number = Annotated[float, Parameter(validator=_check_finite)]
-Second = Annotated[float | None, Parameter(validator=_check_finite)]
+_FINITE = refusing(math.isfinite, "A finite number is needed.")
+Number = Annotated[float, Parameter(validator=_FINITE)]
+Second = Annotated[float | None, Parameter(validator=_FINITE)]
 Integer = Annotated[int, Parameter(converter=_read_integer)]
 
 
@@ -72,6 +194,8 @@ def refuse_unwritable(folder: Path) -> None:
     Raises:
         ConfigurationError: It cannot be made or written.
     """
+    from adaptdrive.util.files import directory_flaw  # noqa: PLC0415 - few commands need it
+
     if (flaw := directory_flaw(folder)) is not None:
         raise ConfigurationError("--into", [Flaw(str(folder), f"cannot be written: {flaw}")])
 
@@ -95,6 +219,8 @@ def read_address(text: str, port: int = _PORT) -> tuple[str, int]:
     Raises:
         ValueError: It is no such thing.
     """
+    from adaptdrive.config.services import check_host  # noqa: PLC0415 - few commands need it
+
     match = _ADDRESS.fullmatch(text)
     number = int(match["port"] or port) if match is not None else 0
     if match is None or not 1 <= number <= _HIGHEST_PORT:
@@ -107,21 +233,18 @@ def _check_address(_: object, text: str | None) -> None:
         read_address(text)
 
 
-def _check_drive(_: object, name: str) -> None:
-    if _DRIVE.fullmatch(name) is None:
-        raise ValueError(
-            "The name of a drive has 1 to 64 letters, digits, '-' and '_', no '-' first."
-        )
-
-
-def _check_timeout(_: object, timeout: float) -> None:
-    if not 0.0 < timeout <= _LONGEST_WAIT_S:
-        raise ValueError(f"A timeout is above 0 and at most {_LONGEST_WAIT_S:g} seconds.")
-
-
-def _check_user(_: object, name: str | None) -> None:
-    if name is not None and (len(name) > _LONGEST_USER or not name.isprintable()):
-        raise ValueError(f"A user name has at most {_LONGEST_USER} letters, all printable.")
+_check_drive = refusing(
+    lambda name: _DRIVE.fullmatch(name) is not None,
+    "The name of a drive has 1 to 64 letters, digits, '-' and '_', no '-' first.",
+)
+_check_timeout = refusing(
+    lambda timeout: 0.0 < timeout <= _LONGEST_WAIT_S,
+    f"A timeout is above 0 and at most {_LONGEST_WAIT_S:g} seconds.",
+)
+_check_user = refusing(
+    lambda name: len(name) <= _LONGEST_USER and name.isprintable(),
+    f"A user name has at most {_LONGEST_USER} letters, all printable.",
+)
 
 
 def _check_authority(_: object, contact: Contact | None) -> None:
@@ -180,6 +303,8 @@ class Contact:
         Raises:
             ConfigurationError: The configuration cannot be used.
         """
+        from adaptdrive.config.services import Mqtt  # noqa: PLC0415 - `--help` needs none
+
         known = Mqtt() if self.config is None else _configured(self.config)
         tls = self.tls or (known.tls and self.broker is None)
         host, port = known.host, known.port

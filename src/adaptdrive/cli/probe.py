@@ -79,7 +79,7 @@ def probe(config: Path, /, *, safe_command: bool = False, as_json: Json = False)
     configuration = examine.load_examined(config)
     locks = process.lock_names(configuration) if safe_command else ()
     show = _show_json if as_json else _show_text
-    remark = _say_aside if as_json else _say
+    remark = _print_aside if as_json else _print
     try:
         with process.locked(locks, os.environ):
             asyncio.run(_listen(configuration, config, (show, remark), safe_command=safe_command))
@@ -89,9 +89,9 @@ def probe(config: Path, /, *, safe_command: bool = False, as_json: Json = False)
 
 
 async def _listen(
-    configuration: Configuration, path: Path, voices: tuple[Show, Remark], *, safe_command: bool
+    configuration: Configuration, path: Path, outputs: tuple[Show, Remark], *, safe_command: bool
 ) -> None:
-    show, remark = voices
+    show, remark = outputs
     port = ports.build_whole_port(configuration, now_s, path, passive=not safe_command)
     listener = _Probe()
     async with asyncio.TaskGroup() as tasks:
@@ -106,11 +106,11 @@ async def _listen(
 def _show_text(
     configuration: Configuration, port: Port, reading: Reading | None, number: int
 ) -> None:
-    _say(_line(configuration, port, reading))
+    _print(_line(configuration, port, reading))
     for report in ports.sensor_reports(port, now_s)():
-        _say(_sensor_line(report))
+        _print(_sensor_line(report))
     if number % _DETAILS_EVERY == 1:
-        _say("".join(f"  {line}\n" for line in port.details()), end="")
+        _print("".join(f"  {line}\n" for line in port.details()), end="")
 
 
 def _show_json(
@@ -128,7 +128,7 @@ def _show_json(
         "sensors": ports.sensor_reports(port, now_s)(),
         "refused": list(port.details()),
     }
-    _say(msgspec.json.encode(shown).decode())
+    _print(msgspec.json.encode(shown).decode())
 
 
 async def _command(port: Port, listener: _Probe, remark: Remark) -> None:
@@ -140,7 +140,7 @@ async def _command(port: Port, listener: _Probe, remark: Remark) -> None:
     await asyncio.sleep(_LISTEN_S)
     if port.statistics.foreign_commands:
         raise AdaptdriveError(f"no command sent: {port.complaint}")
-    before = _said(listener.reading)
+    before = _shown_state(listener.reading)
     for number in count(1):
         port.send(SAFE_COMMAND)
         await asyncio.sleep(_COMMAND_S)
@@ -148,11 +148,11 @@ async def _command(port: Port, listener: _Probe, remark: Remark) -> None:
             counts = port.statistics
             remark(
                 f"safe command: sent {counts.sent}, dropped {counts.send_drops}; the drive says "
-                f"{_said(listener.reading)} (before: {before})"
+                f"{_shown_state(listener.reading)} (before: {before})"
             )
 
 
-def _said(reading: Reading | None) -> str:
+def _shown_state(reading: Reading | None) -> str:
     if reading is None:
         return "nothing"
     return f"bridge {'on' if reading.bridge else 'off'}, {_watched(reading)}"
@@ -164,12 +164,12 @@ def _watched(reading: Reading) -> str:
     return f"fault {reading.fault:#x}{name}{warning}"
 
 
-def _say(text: str, end: str = "\n") -> None:
+def _print(text: str, end: str = "\n") -> None:
     sys.stdout.write(text + end)
     sys.stdout.flush()
 
 
-def _say_aside(text: str) -> None:
+def _print_aside(text: str) -> None:
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
 

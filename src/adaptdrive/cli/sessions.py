@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from adaptdrive.cli.options import Json, Settings, print_json
+from adaptdrive.cli.options import Json, Settings, print_json, refusing
 from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped
 
 if TYPE_CHECKING:  # `--help` reads no recordings
@@ -26,9 +26,10 @@ app = App(name="sessions")
 _LARGEST_LIMIT = 1e12
 
 
-def _check_limit(_type: object, limit: float | None) -> None:
-    if limit is not None and not 0.0 < limit <= _LARGEST_LIMIT:
-        raise ValueError(f"A limit is a number above 0 and at most {_LARGEST_LIMIT:g}.")
+_check_limit = refusing(
+    lambda limit: 0.0 < limit <= _LARGEST_LIMIT,
+    f"A limit is a number above 0 and at most {_LARGEST_LIMIT:g}.",
+)
 
 
 def _refuse_unknown(kinds: tuple[str, ...]) -> None:

@@ -276,12 +276,7 @@ class Bounds:
     """The credible loads of an experiment since its rest."""
 
     def __init__(self, course: ExperimentCourse, base_V: float) -> None:
-        """Begin at rest.
-
-        Args:
-            course: The experiment, which has come to rest.
-            base_V: V_c at rest.
-        """
+        """Begin where the load of the experiment has come to rest, at a V_c."""
         target = course.target
         self._course = course
         self._base_V = base_V

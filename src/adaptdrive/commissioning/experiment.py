@@ -48,13 +48,6 @@ class Switching:
     """V_c between rest and a level, in pseudo-random sequences."""
 
     def __init__(self, course: ExperimentCourse, outcome: Outcome, bounds: Bounds) -> None:
-        """Take what the climb has found.
-
-        Args:
-            course: The experiment.
-            outcome: The two levels.
-            bounds: The credible loads.
-        """
         self._course = course
         self._outcome = outcome
         self._bounds = bounds
@@ -177,12 +170,7 @@ class Climb:
     """Steps of V_c from rest, each no larger than the credible loads allow."""
 
     def __init__(self, course: ExperimentCourse, base_V: float) -> None:
-        """Begin at rest.
-
-        Args:
-            course: The experiment, which has come to rest.
-            base_V: V_c at rest.
-        """
+        """Begin where the load of the experiment has come to rest, at a V_c."""
         self.bounds = Bounds(course, base_V)
         self._course = course
         self._base_V = base_V

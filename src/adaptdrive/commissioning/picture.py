@@ -176,7 +176,7 @@ def _explain(drawing: asyncio.Task[NoReturn]) -> None:
     """Tell why there is no picture any more."""
     if not drawing.cancelled():
         why = " ".join(str(drawing.exception()).split())
-        terminal.tell(f"adaptdrive: no picture, each phase is a line: {why}")
+        terminal.print_line(f"adaptdrive: no picture, each phase is a line: {why}")
 
 
 def phase_lines(experiment: LoadExperiment) -> Callable[[client.FastReading, float], None]:
@@ -194,6 +194,6 @@ def phase_lines(experiment: LoadExperiment) -> Callable[[client.FastReading, flo
         known, given = now.phase, now.target.given
         left = "" if math.isnan(now.remaining_s) else f" for {now.remaining_s:.0f} s"
         output = f"output {reading.output:.4g}"
-        terminal.tell(f"{given.symbol} {given.text(voltage_V)}  {output}  {known}{left}")
+        terminal.print_line(f"{given.symbol} {given.text(voltage_V)}  {output}  {known}{left}")
 
     return show

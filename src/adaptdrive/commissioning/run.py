@@ -19,7 +19,7 @@ from adaptdrive.config import root, services
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.mqtt.client import LIVE_S, DriveStatus, NoAnswerError, read_status, send_command
 from adaptdrive.mqtt.contract import Reply
-from adaptdrive.tui.terminal import ended_once, tell, whole
+from adaptdrive.tui.terminal import ended_once, print_line, whole
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
 # A measured load put to use: the running daemon takes the file, and adaptive control begins.
@@ -74,7 +74,7 @@ async def _stop(drive: str, send: Send) -> None:
     try:
         await send("disable", None)
     except NoAnswerError as silence:
-        tell(
+        print_line(
             f"the stop is unanswered ({silence.problem}): {drive} may run in mode adaptive; look "
             "at it, and disable it"
         )

@@ -239,12 +239,12 @@ def link_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     yield from _repeated(lines, ".device", f"the line of {{}} already; {remedy}")
 
 
-def _repeated(given: Iterable[tuple[object, str]], key: str, told: str) -> Iterator[Flaw]:
+def _repeated(given: Iterable[tuple[object, str]], key: str, text: str) -> Iterator[Flaw]:
     """Yield what another place has already; `{}` in the text stands for that place."""
     seen: dict[object, str] = {}
     for one, place in given:
         if seen.setdefault(one, place) != place:
-            yield Flaw(f"{place}{key}", f"'{one}' is {told.format(seen[one])}")
+            yield Flaw(f"{place}{key}", f"'{one}' is {text.format(seen[one])}")
 
 
 def _rate_flaws(whole: root.Configuration) -> Iterator[Flaw]:

@@ -13,7 +13,7 @@ from adaptdrive.util.errors import Flaw, nearest
 
 DAY_S = 86400.0
 
-_HEARD = "bus.heartbeat.drive"
+_DRIVE_BEAT = "bus.heartbeat.drive"
 _CODING = operator.attrgetter("address", "type", "word_order", "byte_order", "scale")
 
 
@@ -73,7 +73,7 @@ def _modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     """Yield the errors in a register map, and in references to it."""
     registers, beats = bus.registers, bus.heartbeat
     yield from map_flaws("bus.registers", registers, zero_based=bus.zero_based)
-    seen = [] if beats.drive is None else [(_HEARD, beats.drive)]
+    seen = [] if beats.drive is None else [(_DRIVE_BEAT, beats.drive)]
     beaten = [] if beats.daemon is None else [("bus.heartbeat.daemon", beats.daemon)]
     setup = [(f"bus.setup.{name}", name) for name in bus.setup]
     written = [*commanded_names(signals), *beaten, *setup]
@@ -102,7 +102,7 @@ def _overlap_flaws(
         apart = alike and one.bits and other.bits and not one.bits & other.bits
         if apart or not _meet(one, other):
             continue
-        if place == _HEARD:
+        if place == _DRIVE_BEAT:
             problem = "which the daemon writes: it does not show that the drive is alive"
             yield Flaw(place, f"{name!r} lies in the register of {first!r}, {problem}")
         else:

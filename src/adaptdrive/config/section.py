@@ -90,7 +90,7 @@ _RELATIONS: dict[str, Callable[[float, float], bool]] = {
 }
 
 
-def misfit(place: str, given: float, relation: str, limit: float, told: str) -> Iterator[Flaw]:
+def misfit(place: str, given: float, relation: str, limit: float, described: str) -> Iterator[Flaw]:
     """Yield that a value is on the wrong side of its limit, by more than rounding.
 
     Args:
@@ -98,11 +98,11 @@ def misfit(place: str, given: float, relation: str, limit: float, told: str) -> 
         given: The value.
         relation: What it must be: above, below, at least or at most.
         limit: The limit.
-        told: What the limit is.
+        described: What the limit is.
     """
     equal = relation.startswith("at") and math.isclose(given, limit)
     if not equal and not _RELATIONS[relation](given, limit):
-        yield Flaw(place, f"{given} must be {relation} {told}")
+        yield Flaw(place, f"{given} must be {relation} {described}")
 
 
 class Section(BaseModel):

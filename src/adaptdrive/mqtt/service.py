@@ -191,7 +191,7 @@ async def _wait_for_nothing(_patience_s: float) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class ServiceSurroundings:
+class OperatorLog:
     """The log as the service sees it, by default one that keeps nothing, and clocks and chance.
 
     Attributes:
@@ -228,7 +228,7 @@ class MqttService:
         settings: Mqtt,
         host: requests.Host,
         hub: reports.Hub,
-        surroundings: ServiceSurroundings,
+        surroundings: OperatorLog,
     ) -> None:
         """Subscribe to the hub: nothing is missed between now and `run`.
 

@@ -17,7 +17,7 @@ from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.devices.port import Port, Reading, assuming
 from adaptdrive.runtime import interlocks, reports, state_machine, stopping, timebase
 from adaptdrive.runtime.capacitor import CapacitorBalance
-from adaptdrive.runtime.settings import FastLoopSettings, LoopSurroundings
+from adaptdrive.runtime.settings import FastLoopSettings, LoopServices
 
 _OFF: Final[signals.Stage] = signals.Stage.OFF  # found at once by compiled code
 _PRECHARGE: Final[signals.Stage] = signals.Stage.PRECHARGE
@@ -86,7 +86,7 @@ class FastLoop:
         controller: TwoRate,
         machine: state_machine.Machine,
         settings: FastLoopSettings,
-        surroundings: LoopSurroundings,
+        surroundings: LoopServices,
     ) -> None:
         """Join the pieces.
 

@@ -290,7 +290,7 @@ class DaemonSettings:
     refused_share: float = 0.0
 
 
-class LoopSurroundings(Protocol):
+class LoopServices(Protocol):
     """Interfaces of the fast loop to the rest of the runtime; every call returns at once."""
 
     def now_s(self) -> float:

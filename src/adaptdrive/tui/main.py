@@ -92,7 +92,7 @@ async def run_view(
             task.cancel()
         await asyncio.wait(tasks)
         if unanswered:
-            terminal.tell_last(
+            terminal.print_last(
                 "\n".join(f"adaptdrive: {commands.printable(one)}" for one in unanswered)
             )
 
@@ -143,12 +143,6 @@ class CommandsUnderWay:
     """Sends each command in a separate task, and shows what came of it."""
 
     def __init__(self, ask: Ask, record: WatchRecord) -> None:
-        """Prepare to send.
-
-        Args:
-            ask: Sends a command.
-            record: Takes the answers.
-        """
         self._ask = ask
         self._record = record
         self._tasks: dict[asyncio.Task[str], terminal.KeyCommand] = {}

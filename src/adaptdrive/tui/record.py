@@ -264,7 +264,7 @@ class WatchRecord:
     marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=EVENTS))
     answer: str = ""
     problem: str = ""
-    _heard_s: float = -math.inf
+    _received_s: float = -math.inf
     _plotted_s: float = -math.inf
 
     @property
@@ -280,7 +280,7 @@ class WatchRecord:
     @property
     def age_s(self) -> float:
         """Age of the drive's last measurement; before the first, of the daemon's last message."""
-        since_s, held_s = self.monotonic() - self._heard_s, number(self.fast.get("age_s"))
+        since_s, held_s = self.monotonic() - self._received_s, number(self.fast.get("age_s"))
         return since_s if math.isnan(held_s) else since_s + held_s
 
     @property
@@ -310,7 +310,7 @@ class WatchRecord:
             case "telemetry/load":
                 self.load = content
             case "telemetry/drive":
-                self.fast, self._heard_s = content, self.monotonic()
+                self.fast, self._received_s = content, self.monotonic()
                 self._add(content)
             case "event":
                 self._note(content)

@@ -1,6 +1,6 @@
 """Drawing of a view on a terminal that may be stopped or gone, its keys, and its orderly end.
 
-Whoever looks is told by lines on standard error; a terminal that is stopped takes none.
+Messages are lines on standard error; a terminal that is stopped takes none.
 """
 
 import asyncio
@@ -92,15 +92,15 @@ async def whole(work: Coroutine[Any, Any, None], *, complete: bool) -> None:
     task.result()
 
 
-def tell(text: str) -> Future[None]:
+def print_line(text: str) -> Future[None]:
     """Write a line, in a thread that may hang."""
     return in_thread(functools.partial(_ending_write, f"{text}\n"), "adaptdrive-line")
 
 
-def tell_last(text: str) -> None:
+def print_last(text: str) -> None:
     """Write lines before the process ends, unless the terminal is gone or takes none."""
     with suppress(OSError, TimeoutError):
-        tell(text).result(LONGEST_S)
+        print_line(text).result(LONGEST_S)
 
 
 def _ending_write(text: str) -> None:

@@ -119,9 +119,9 @@ class ViewExtras:
 WATCH = ViewExtras()
 
 
-def faint(said: Iterable[str]) -> list[Text]:
+def faint(texts: Iterable[str]) -> list[Text]:
     """Return lines for below that of the drive."""
-    return [Text(f" {line}", DIM) for line in said]
+    return [Text(f" {line}", DIM) for line in texts]
 
 
 def screen(record: WatchRecord, size: tuple[int, int], around: ViewExtras = WATCH) -> Layout:

@@ -19,7 +19,7 @@ import pytest
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import NoAnswerError, send_command
 from adaptdrive.mqtt.contract import Profile
-from adaptdrive.mqtt.service import MqttService, ServiceSurroundings
+from adaptdrive.mqtt.service import MqttService, OperatorLog
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import Disable, SetSetpoint
 from tests.mqtt.peers import (
@@ -176,7 +176,7 @@ async def test_a_daemon_whose_commands_are_not_delivered_raises_an_alarm(
 @asynccontextmanager
 async def served(settings: Mqtt, host: RememberingHost) -> AsyncIterator[None]:
     """Serve the drive `refused`."""
-    surroundings = ServiceSurroundings(uniform=lambda low, _: 0.1 * low)
+    surroundings = OperatorLog(uniform=lambda low, _: 0.1 * low)
     service = MqttService(Profile("refused"), settings, host, host.hub, surroundings)
     running = asyncio.create_task(service.run())
     try:
