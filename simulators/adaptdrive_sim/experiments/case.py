@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 from adaptdrive.analysis.excerpts import judge_step
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.control import controller, signals, vectors
+from adaptdrive.control import controller, signals
 from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.vectors import Vector
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim import parameters, wire, world
 from adaptdrive_sim.course import Array, Course, Run
@@ -254,7 +255,7 @@ def ideal_output(experiment: Experiment, design: Design) -> Array:
     return low + found
 
 
-def _weights(load: Load, design: Design, experiment: Experiment) -> vectors.Vector:
+def _weights(load: Load, design: Design, experiment: Experiment) -> Vector:
     """A_m(1)/B(1) · B."""
     desired = desired_polynomial(experiment.pole, 2 * load.order)
     b = _numerator(load, design, experiment.period_s)
@@ -262,7 +263,7 @@ def _weights(load: Load, design: Design, experiment: Experiment) -> vectors.Vect
 
 
 @cache
-def _numerator(load: Load, design: Design, period_s: float) -> vectors.Vector:
+def _numerator(load: Load, design: Design, period_s: float) -> Vector:
     numerator, denominator = list(load.numerator), list(load.denominator)
     if design == "paper":
         return load.paper_model(numerator, denominator, period_s)[1]

@@ -12,6 +12,7 @@ from adaptdrive.control import signals, thresholds, vectors, voltage_loop
 from adaptdrive.control.estimation import filters
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings, PowerStage
+from adaptdrive.control.vectors import Vector
 
 _CEILING_RISE = 1.002
 """Rise of the ceiling of V_c for each reading: slow, so that the power limit does not oscillate."""
@@ -47,17 +48,17 @@ class FilterBank:
         quantiser: What is known of the resolution of the output.
     """
 
-    decay: vectors.Vector
-    held: vectors.Vector
-    ramp: vectors.Vector
-    outputs: vectors.Vector
-    inputs: vectors.Vector
+    decay: Vector
+    held: Vector
+    ramp: Vector
+    outputs: Vector
+    inputs: Vector
     output: float
     load_input: float
     fed: float
-    late: vectors.Vector
+    late: Vector
     oldest: int
-    sums: vectors.Vector
+    sums: Vector
     count: int
     outlier_filter: filters.OutlierFilter
     quantiser: filters.Quantiser
@@ -206,7 +207,7 @@ def accumulate(bank: FilterBank) -> None:
     bank.count += 1
 
 
-def take_means(bank: FilterBank) -> vectors.Vector:
+def take_means(bank: FilterBank) -> Vector:
     """The means over the window, which starts again empty; the last sample if it was empty."""
     if bank.count == 0:
         accumulate(bank)

@@ -37,13 +37,12 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.control.supervision import monitor, redesign, setpoints, supervisor
 from adaptdrive.control.supervision.state import SlowState
+from adaptdrive.control.vectors import Vector
 
 # The load loop's control law, on a history that every law shares.
 
 
-def control_law(
-    gains: vectors.Vector, inputs: vectors.Vector, outputs: vectors.Vector, reference: float
-) -> float:
+def control_law(gains: Vector, inputs: Vector, outputs: Vector, reference: float) -> float:
     """u[k] before limits.
 
     Args:

@@ -37,13 +37,14 @@ from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.loads.discretise import held_model, input_taps
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Rates
+from adaptdrive.control.vectors import Vector
 
 # Pole placement for a controller with an integrator: from a load model to gains.
 
 # Pole placement for a controller with an integrator, any order.
 
 
-def desired_polynomial(pole: float, count: int) -> vectors.Vector:
+def desired_polynomial(pole: float, count: int) -> Vector:
     """(1 - pole q^-1)^count."""
     polynomial = [0.0] * (count + 1)
     polynomial[0] = 1.0
@@ -53,9 +54,7 @@ def desired_polynomial(pole: float, count: int) -> vectors.Vector:
     return polynomial
 
 
-def place_poles(
-    a: vectors.Vector, b: vectors.Vector, desired: vectors.Vector
-) -> tuple[vectors.Vector, vectors.Vector]:
+def place_poles(a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
     """Controller polynomials R and S for a closed loop with given poles.
 
     Args:
@@ -69,7 +68,7 @@ def place_poles(
     return place(equation(a, b), a, b, desired)
 
 
-def equation(a: vectors.Vector, b: vectors.Vector) -> vectors.Vector:
+def equation(a: Vector, b: Vector) -> Vector:
     """Return the equation of A and B, which is the same for every loop, eliminated.
 
     Returns:
@@ -89,9 +88,7 @@ def equation(a: vectors.Vector, b: vectors.Vector) -> vectors.Vector:
     return [*matrix, *pivots]
 
 
-def place(
-    solved: vectors.Vector, a: vectors.Vector, b: vectors.Vector, desired: vectors.Vector
-) -> tuple[vectors.Vector, vectors.Vector]:
+def place(solved: Vector, a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
     """Return what `place_poles` does, from the `equation` of A and B."""
     integrating = vectors.multiply(a, [1.0, -1.0])
     free = len(b) - 2
@@ -101,15 +98,13 @@ def place(
     return vectors.multiply([1.0, *solution[:free]], [1.0, -1.0]), solution[free:]
 
 
-def closed_loop_polynomial(
-    a: vectors.Vector, b: vectors.Vector, r: vectors.Vector, s: vectors.Vector
-) -> vectors.Vector:
+def closed_loop_polynomial(a: Vector, b: Vector, r: Vector, s: Vector) -> Vector:
     """A R + B S: its roots are the poles of the loop that R, S close around any A, B."""
     forward, back = vectors.multiply(a, r), vectors.multiply(b, s)
     return [_entry(forward, i) + _entry(back, i) for i in range(max(len(forward), len(back)))]
 
 
-def _entry(polynomial: vectors.Vector, power: int) -> float:
+def _entry(polynomial: Vector, power: int) -> float:
     return polynomial[power] if 0 <= power < len(polynomial) else 0.0
 
 
@@ -159,10 +154,10 @@ def past_inputs(settings: ControllerSettings, load: Load) -> int:
 def discrete_model(
     settings: ControllerSettings,
     load: Load,
-    numerator: vectors.Vector,
-    denominator: vectors.Vector,
+    numerator: Vector,
+    denominator: Vector,
     period_s: float,
-) -> tuple[vectors.Vector, vectors.Vector]:
+) -> tuple[Vector, Vector]:
     """The model A, B in q^-1 that the chosen design works with."""
     if not settings.exact:
         return load.paper_model(numerator, denominator, period_s)
@@ -172,9 +167,7 @@ def discrete_model(
     return held_model(numerator, denominator, period_s, delay_s, window_ticks(rates) * tick_s)
 
 
-def compensator_gains(
-    a: vectors.Vector, b: vectors.Vector, order: int, pole: float
-) -> vectors.Vector:
+def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
     """The gains of the compensator for 2m equal poles.
 
     Args:
@@ -190,9 +183,7 @@ def compensator_gains(
     return [*r[1:], *s]
 
 
-def loop_gains(
-    solved: vectors.Vector, a: vectors.Vector, b: vectors.Vector, desired: vectors.Vector
-) -> vectors.Vector:
+def loop_gains(solved: Vector, a: Vector, b: Vector, desired: Vector) -> Vector:
     """Return the gains of the loop `desired`, ordered as those of `compensator_gains`.
 
     Args:
@@ -205,13 +196,13 @@ def loop_gains(
     return [*r[1:], *s]
 
 
-def asked_loop(b: vectors.Vector, order: int, pole: float) -> vectors.Vector:
+def asked_loop(b: Vector, order: int, pole: float) -> Vector:
     """A_m: 2m equal poles, one of which gives way to a zero of the load that is cancelled."""
     kept = kept_factor(b, pole)
     return vectors.multiply(kept, desired_polynomial(pole, 2 * order + 1 - len(kept)))
 
 
-def kept_factor(b: vectors.Vector, pole: float) -> vectors.Vector:
+def kept_factor(b: Vector, pole: float) -> Vector:
     """The factor of A_m that cancels a zero of the load, [1.0] where none is cancelled.
 
     A zero that is slower than the pole takes the place of one pole. A battery has one close to its
@@ -222,7 +213,7 @@ def kept_factor(b: vectors.Vector, pole: float) -> vectors.Vector:
     return [1.0]
 
 
-def _value(b: vectors.Vector, z: float) -> float:
+def _value(b: Vector, z: float) -> float:
     """z^n B(z)."""
     value = 0.0
     for coefficient in b:
@@ -230,7 +221,7 @@ def _value(b: vectors.Vector, z: float) -> float:
     return value
 
 
-def _zero(b: vectors.Vector, low: float) -> float:
+def _zero(b: Vector, low: float) -> float:
     """The zero of B between `low` and 1, where its sign changes."""
     high, below = 1.0, _value(b, low)
     for _ in range(_HALVINGS):
@@ -261,10 +252,10 @@ MARGIN_RADIUS = 1.0 - 1.0 / _LONGEST
 def possible_models(
     settings: ControllerSettings,
     load: Load,
-    values: vectors.Vector,
-    root: vectors.Vector,
+    values: Vector,
+    root: Vector,
     period_s: float,
-) -> vectors.Vector:
+) -> Vector:
     """Return A and B of the estimate, and of p + c l_j and p - c l_j for each j, in one vector.
 
     Args:
@@ -288,9 +279,7 @@ def possible_models(
     return models
 
 
-def _model(
-    settings: ControllerSettings, load: Load, values: vectors.Vector, period_s: float
-) -> vectors.Vector:
+def _model(settings: ControllerSettings, load: Load, values: Vector, period_s: float) -> Vector:
     numerator, denominator = load.realise(values)
     a, b = discrete_model(settings, load, numerator, denominator, period_s)
     return [*a, *b]
@@ -298,10 +287,10 @@ def _model(
 
 def response_spread(
     order: int,
-    models: vectors.Vector,
-    gains: vectors.Vector,
-    loop: vectors.Vector,
-    model_b: vectors.Vector,
+    models: Vector,
+    gains: Vector,
+    loop: Vector,
+    model_b: Vector,
     pole: float,
 ) -> float:
     """Return how far the response to a step may be off, as a share of the step.
@@ -335,9 +324,7 @@ def response_spread(
     return math.sqrt(max(squares))
 
 
-def closes_stably(
-    gains: vectors.Vector, a: vectors.Vector, b: vectors.Vector, order: int, radius: float
-) -> bool:
+def closes_stably(gains: Vector, a: Vector, b: Vector, order: int, radius: float) -> bool:
     """Return whether gains and a model A, B make a loop whose poles lie within a circle.
 
     Args:
@@ -351,17 +338,13 @@ def closes_stably(
     return vectors.all_finite(polynomial) and vectors.is_stable(polynomial, radius)
 
 
-def closed_loop(
-    gains: vectors.Vector, a: vectors.Vector, b: vectors.Vector, order: int
-) -> vectors.Vector:
+def closed_loop(gains: Vector, a: Vector, b: Vector, order: int) -> Vector:
     """Return A_c of the loop that gains and a model A, B make."""
     taps = len(gains) - order - 1
     return closed_loop_polynomial(a, b, [1.0, *gains[:taps]], gains[taps:])
 
 
-def _moved(
-    values: vectors.Vector, root: vectors.Vector, column: int, factor: float
-) -> vectors.Vector:
+def _moved(values: Vector, root: Vector, column: int, factor: float) -> Vector:
     """p + factor · l_j, where every parameter stays positive."""
     count, vertex = len(values), list(values)
     for i in range(count):
@@ -370,9 +353,7 @@ def _moved(
     return vertex
 
 
-def _driven(
-    order: int, gains: vectors.Vector, loop: vectors.Vector, b: vectors.Vector, pole: float
-) -> vectors.Vector:
+def _driven(order: int, gains: Vector, loop: Vector, b: Vector, pole: float) -> Vector:
     """t0 r" of a unit step behind the reference filter, until the response has settled."""
     asked = asked_loop(b, order, pole)
     count = min(_LONGEST, round(4.0 * order * pole / (1.0 - pole)) + len(b))
@@ -381,9 +362,7 @@ def _driven(
     return _filtered([share * one for one in loop], [1.0], course)
 
 
-def _response(
-    order: int, model: vectors.Vector, gains: vectors.Vector, driven: vectors.Vector
-) -> vectors.Vector:
+def _response(order: int, model: Vector, gains: Vector, driven: Vector) -> Vector:
     """y[k] of a load in the loop of some gains; infinite where that is not stable."""
     a, b = model[: order + 1], model[order + 1 :]
     closed = closed_loop(gains, a, b, order)
@@ -392,9 +371,7 @@ def _response(
     return _filtered(b, closed, driven)
 
 
-def _filtered(
-    numerator: vectors.Vector, denominator: vectors.Vector, signal: vectors.Vector
-) -> vectors.Vector:
+def _filtered(numerator: Vector, denominator: Vector, signal: Vector) -> Vector:
     """A signal behind a filter in q^-1 that begins at rest."""
     result = [0.0] * len(signal)
     for k in range(len(signal)):

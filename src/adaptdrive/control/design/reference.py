@@ -40,6 +40,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import vectors
+from adaptdrive.control.vectors import Vector
 
 # Reference filter: the response that is asked for, from a loop that may have other poles.
 
@@ -54,9 +55,9 @@ class ReferenceFilter:
         course: m[k] ... m[k-n].
     """
 
-    asked: vectors.Vector
-    loop: vectors.Vector
-    course: vectors.Vector
+    asked: Vector
+    loop: Vector
+    course: Vector
 
 
 def new_reference_filter(order: int, taps: int) -> ReferenceFilter:
@@ -83,7 +84,7 @@ def filter_reference(state: ReferenceFilter, reference: float, planned: float = 
     return reference_of(state.loop, state.course)
 
 
-def reference_of(loop: vectors.Vector, course: vectors.Vector) -> float:
+def reference_of(loop: Vector, course: Vector) -> float:
     """Return r"[k] for a loop A_c."""
     return vectors.dot(loop, course) / vectors.total(loop)
 
@@ -108,9 +109,7 @@ _STEPS = 4
 """Steps for each number; about one and a half are needed."""
 
 
-def minimise(
-    matrix: vectors.Vector, right: vectors.Vector, low: float, high: float
-) -> vectors.Vector:
+def minimise(matrix: Vector, right: Vector, low: float, high: float) -> Vector:
     """Return the x of the least function.
 
     Args:
@@ -138,9 +137,7 @@ def minimise(
     return x
 
 
-def _way(
-    matrix: vectors.Vector, right: vectors.Vector, x: vectors.Vector, held: vectors.Vector
-) -> vectors.Vector:
+def _way(matrix: Vector, right: Vector, x: Vector, held: Vector) -> Vector:
     """Return the way to the minimum over the numbers that are not held."""
     count = len(right)
     part, pull = [0.0] * (count * count), [0.0] * count
@@ -154,7 +151,7 @@ def _way(
     return vectors.solve_linear(part, pull)
 
 
-def _pull(matrix: vectors.Vector, right: vectors.Vector, x: vectors.Vector, i: int) -> float:
+def _pull(matrix: Vector, right: Vector, x: Vector, i: int) -> float:
     """Return how much the function falls with one number."""
     result = right[i]
     for j in range(len(x)):
@@ -162,9 +159,7 @@ def _pull(matrix: vectors.Vector, right: vectors.Vector, x: vectors.Vector, i: i
     return result
 
 
-def _let_go(
-    matrix: vectors.Vector, right: vectors.Vector, x: vectors.Vector, held: vectors.Vector
-) -> bool:
+def _let_go(matrix: Vector, right: Vector, x: Vector, held: Vector) -> bool:
     """Let go of the number that pulls most from its limit; False where none does."""
     worst, most = -1, 0.0
     for i in range(len(x)):
@@ -198,14 +193,12 @@ class PreviewState:
         moved: m[k] - m*[k].
     """
 
-    course: vectors.Vector
+    course: Vector
     offset: float = math.nan
     moved: float = 0.0
 
 
-def led_references(
-    reference: float, last: float, upcoming: vectors.Vector, lead: float
-) -> vectors.Vector:
+def led_references(reference: float, last: float, upcoming: Vector, lead: float) -> Vector:
     """Return r'[k] and those to come.
 
     Args:
@@ -222,7 +215,7 @@ def led_references(
     return led
 
 
-def rest(state: PreviewState, course: vectors.Vector) -> None:
+def rest(state: PreviewState, course: Vector) -> None:
     """Plan nothing: the course asked for is the one in force.
 
     Args:
@@ -235,11 +228,11 @@ def rest(state: PreviewState, course: vectors.Vector) -> None:
 
 def plan(
     state: PreviewState,
-    course: vectors.Vector,
-    asked: vectors.Vector,
-    a: vectors.Vector,
-    b: vectors.Vector,
-    references: vectors.Vector,
+    course: Vector,
+    asked: Vector,
+    a: Vector,
+    b: Vector,
+    references: Vector,
     last_input: float,
     free: bool,
     pole: float,
@@ -282,9 +275,7 @@ def plan(
     return found
 
 
-def follow(
-    polynomial: vectors.Vector, course: vectors.Vector, gain: float, inputs: vectors.Vector
-) -> vectors.Vector:
+def follow(polynomial: Vector, course: Vector, gain: float, inputs: Vector) -> Vector:
     """Return a course, oldest first, and its continuation by gain/polynomial of the inputs."""
     past = len(course)
     values = [0.0] * (past + AHEAD)
@@ -297,7 +288,7 @@ def follow(
     return values
 
 
-def _needed(a: vectors.Vector, b: vectors.Vector, values: vectors.Vector, at: int) -> float:
+def _needed(a: Vector, b: Vector, values: Vector, at: int) -> float:
     """Return the input that a course needs, less f."""
     result = 0.0
     for j in range(len(a)):
@@ -306,9 +297,9 @@ def _needed(a: vectors.Vector, b: vectors.Vector, values: vectors.Vector, at: in
 
 
 def _keeps(
-    a: vectors.Vector,
-    b: vectors.Vector,
-    values: vectors.Vector,
+    a: Vector,
+    b: Vector,
+    values: Vector,
     past: int,
     bottom: float,
     top: float,
@@ -321,10 +312,10 @@ def _keeps(
 
 
 def _planned(
-    a: vectors.Vector,
-    b: vectors.Vector,
-    free: vectors.Vector,
-    ideal: vectors.Vector,
+    a: Vector,
+    b: Vector,
+    free: Vector,
+    ideal: Vector,
     past: int,
     bottom: float,
     top: float,
@@ -360,7 +351,7 @@ def _planned(
     return free[past] + step[past] * minimise(matrix, right, bottom, top)[0]
 
 
-def _answer(step: vectors.Vector, past: int, i: int, j: int) -> float:
+def _answer(step: Vector, past: int, i: int, j: int) -> float:
     """Return what the input between two changes does to the course, i periods ahead."""
     begun, ended = i - MOVES[j], i - MOVES[j + 1]
     result = step[past + begun] if begun >= 0 else 0.0

@@ -23,6 +23,7 @@ from adaptdrive.control import settings, thresholds, vectors
 from adaptdrive.control.estimation import rls
 from adaptdrive.control.estimation.regression import fill_initial_state
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.vectors import Vector
 
 # A branch: an estimate with its covariance, and how well it has predicted.
 
@@ -39,7 +40,7 @@ class Observation:
         rounding: Standard deviation of the rounding error of the output, scaled.
     """
 
-    regressor: vectors.Vector
+    regressor: Vector
     target: float = 0.0
     time_s: float = 0.0
     rounding: float = 0.0
@@ -61,9 +62,9 @@ class Branch:
         excitation: rᵀPr of the last sample.
     """
 
-    theta: vectors.Vector
-    upper: vectors.Vector
-    diagonal: vectors.Vector
+    theta: Vector
+    upper: Vector
+    diagonal: Vector
     origin_s: float = 0.0
     squares: float = 0.0
     logs: float = 0.0

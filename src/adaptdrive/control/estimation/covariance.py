@@ -20,6 +20,7 @@ from adaptdrive.control import settings, thresholds, vectors
 from adaptdrive.control.estimation import regression, rls
 from adaptdrive.control.estimation.branch import Branch
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.vectors import Vector
 
 # Standard deviations of the physical parameters of a load, from an estimate and its P.
 
@@ -49,8 +50,8 @@ def deviations_of(
     noise: float,
     learning: settings.EstimatorSettings,
     load: Load,
-    values: vectors.Vector,
-) -> vectors.Vector:
+    values: Vector,
+) -> Vector:
     """Standard deviations of the physical parameters at any θ and P, to first order.
 
     Args:
@@ -75,8 +76,8 @@ def root_of(
     noise: float,
     learning: settings.EstimatorSettings,
     load: Load,
-    values: vectors.Vector,
-) -> vectors.Vector:
+    values: Vector,
+) -> Vector:
     """L, lower triangular, flat, of the covariance L Lᵀ of the physical parameters.
 
     Args:
@@ -108,8 +109,8 @@ def root_of(
 
 
 def _jacobian(
-    theta: vectors.Vector, learning: settings.EstimatorSettings, load: Load, values: vectors.Vector
-) -> vectors.Vector:
+    theta: Vector, learning: settings.EstimatorSettings, load: Load, values: Vector
+) -> Vector:
     """Derivatives of the physical parameters by θ, a row for each; NaN without a dc gain."""
     count = len(theta)
     rows = [0.0] * (len(values) * count)
@@ -153,8 +154,8 @@ class Anchor:
         gap_s: From there to the first sample after the change.
     """
 
-    regressor: vectors.Vector
-    lowered: vectors.Vector
+    regressor: Vector
+    lowered: Vector
     time_s: float = 0.0
     power: float = 0.0
     gap_s: float = 0.0
@@ -186,7 +187,7 @@ def restart_past(
     branch.origin_s = time_s
 
 
-def _shifted_functions(count: int, shift: float) -> vectors.Vector:
+def _shifted_functions(count: int, shift: float) -> Vector:
     """Weights of h^i e^-h that make of Σ γ_j (h + s)^j e^-(h + s) the same course."""
     weights = [0.0] * (count * count)
     decay = math.exp(-shift)
@@ -244,8 +245,8 @@ def _widen_load(
 
 
 def load_direction(
-    theta: vectors.Vector, index: int, learning: settings.EstimatorSettings, load: Load
-) -> vectors.Vector:
+    theta: Vector, index: int, learning: settings.EstimatorSettings, load: Load
+) -> Vector:
     """Return a direction of θ that leaves the dc gain and the offset of the input as they are.
 
     Args:
@@ -270,8 +271,8 @@ def load_direction(
 
 
 def _carry_offset(
-    direction: vectors.Vector,
-    theta: vectors.Vector,
+    direction: Vector,
+    theta: Vector,
     divisor: float,
     learning: settings.EstimatorSettings,
 ) -> None:
@@ -286,7 +287,7 @@ def _carry_offset(
 
 def _open(
     branch: Branch,
-    direction: vectors.Vector,
+    direction: Vector,
     spread: float,
     learning: settings.EstimatorSettings,
     load: Load,

@@ -27,6 +27,7 @@ from adaptdrive.control.estimation.branch import (
 )
 from adaptdrive.control.estimation.hypothesis_test import ChangeDetector, track_noise
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.vectors import Vector
 
 _LARGEST = 1.0e20
 """Largest scaled entry of a sample, for which 1 is usual: the squares of larger ones overflow P."""
@@ -62,9 +63,9 @@ class Method(Protocol):
         self,
         learning: settings.EstimatorSettings,
         load: Load,
-        numerator: vectors.Vector,
-        denominator: vectors.Vector,
-    ) -> vectors.Vector:
+        numerator: Vector,
+        denominator: Vector,
+    ) -> Vector:
         """Return the first entries of θ for a model in s, scaled; empty if not `physical`."""
 
     def begin(
@@ -78,7 +79,7 @@ class Method(Protocol):
         learning: settings.EstimatorSettings,
         load: Load,
         sample: regression.SlowSample,
-        past: tuple[vectors.Vector, vectors.Vector],
+        past: tuple[Vector, Vector],
     ) -> None:
         """Overwrite r by that of a slow sample; `past` are y and u of the periods before it."""
 
@@ -92,7 +93,7 @@ class Method(Protocol):
 
     def model(
         self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> tuple[vectors.Vector, vectors.Vector]:
+    ) -> tuple[Vector, Vector]:
         """Return numerator and denominator of the estimate: in s if `physical`, else in q^-1."""
 
     def root(
@@ -100,8 +101,8 @@ class Method(Protocol):
         state: EstimatorState,
         learning: settings.EstimatorSettings,
         load: Load,
-        values: vectors.Vector,
-    ) -> vectors.Vector:
+        values: Vector,
+    ) -> Vector:
         """Return L, flat, of the covariance L Lᵀ of the physical parameters; NaN where unknown."""
 
     def shown_deviations(
@@ -109,8 +110,8 @@ class Method(Protocol):
         state: EstimatorState,
         learning: settings.EstimatorSettings,
         load: Load,
-        values: vectors.Vector,
-    ) -> vectors.Vector:
+        values: Vector,
+    ) -> Vector:
         """Return their standard deviations for operators: the load may have changed since."""
 
     def input_offset(
@@ -192,7 +193,7 @@ def new_estimator(
 
 def nominal_theta(
     method: Method, learning: settings.EstimatorSettings, load: Load, taps: int
-) -> vectors.Vector:
+) -> Vector:
     """Return θ of the nominal model, scaled; zeros where the method cannot express it."""
     theta = [0.0] * method.parameter_count(learning, load, taps)
     numerator, denominator = list(load.numerator), list(load.denominator)
@@ -235,7 +236,7 @@ def begin_anew(state: EstimatorState, learning: settings.EstimatorSettings, load
 
 
 def start_from(
-    state: EstimatorState, learning: settings.EstimatorSettings, load: Load, values: vectors.Vector
+    state: EstimatorState, learning: settings.EstimatorSettings, load: Load, values: Vector
 ) -> None:
     """Start from a load that an earlier run has learnt, moderately sure of it.
 

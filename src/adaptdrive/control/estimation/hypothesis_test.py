@@ -40,6 +40,7 @@ from adaptdrive.control.estimation.branch import (
     squared_error,
 )
 from adaptdrive.control.loads.load import Load, is_damped
+from adaptdrive.control.vectors import Vector
 
 # Detection of an abrupt change of the load from the innovations of the estimator.
 
@@ -156,7 +157,7 @@ class Hypotheses:
     calm: Branch
     branches: list[Branch]
     anchor: covariance.Anchor
-    lowered: vectors.Vector
+    lowered: Vector
     kept: list[Observation]
     waiting: int = 0
     samples: int = 0
@@ -355,7 +356,7 @@ def explained_power(hypotheses: Hypotheses) -> float:
     return max(thresholds.NOISE_FLOOR, power)
 
 
-def is_possible(theta: vectors.Vector, learning: settings.EstimatorSettings, load: Load) -> bool:
+def is_possible(theta: Vector, learning: settings.EstimatorSettings, load: Load) -> bool:
     """Return whether such a load can exist: it stores and loses, so it neither grows nor swings."""
     _, denominator = regression.filtered_model(theta, learning, load)
     losing = all(coefficient > 0.0 for coefficient in denominator)

@@ -33,6 +33,7 @@ from adaptdrive.control.estimation.branch import Branch, copy_estimate, posterio
 from adaptdrive.control.estimation.hypothesis_test import is_change
 from adaptdrive.control.estimation.rls import normalised, predict, widen
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.vectors import Vector
 
 # EstimatorSettings with explanations: what the λ-method does when a sample surprises it.
 
@@ -264,8 +265,8 @@ def parameter_root(
     state: estimator.EstimatorState,
     learning: settings.EstimatorSettings,
     load: Load,
-    values: vectors.Vector,
-) -> vectors.Vector:
+    values: Vector,
+) -> Vector:
     """L of the covariance L Lᵀ of the physical parameters, to first order.
 
     Args:
@@ -323,8 +324,8 @@ def inflated_deviations(
     state: estimator.EstimatorState,
     learning: settings.EstimatorSettings,
     load: Load,
-    values: vectors.Vector,
-) -> vectors.Vector:
+    values: Vector,
+) -> Vector:
     """Return the standard deviations to be shown: wider while the load may be another.
 
     Args:

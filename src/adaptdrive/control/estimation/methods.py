@@ -23,6 +23,7 @@ from adaptdrive.control.estimation.estimator import (
 )
 from adaptdrive.control.estimation.second_filters import follow_incremental as follow
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.vectors import Vector
 
 # The λ-method (LM-RLS): recursive least squares on signals behind λ filters.
 
@@ -44,9 +45,9 @@ class LambdaMethod:
         self,
         learning: settings.EstimatorSettings,
         load: Load,
-        numerator: vectors.Vector,
-        denominator: vectors.Vector,
-    ) -> vectors.Vector:
+        numerator: Vector,
+        denominator: Vector,
+    ) -> Vector:
         """Return α and β of a model in s, scaled."""
         return regression.theta_of(learning, load, numerator, denominator)
 
@@ -68,7 +69,7 @@ class LambdaMethod:
         learning: settings.EstimatorSettings,
         load: Load,
         sample: regression.SlowSample,
-        past: tuple[vectors.Vector, vectors.Vector],
+        past: tuple[Vector, Vector],
     ) -> None:
         """Overwrite r, and r with every power of λ lowered by one for the explanations."""
         y, u = sample.output_filtered, sample.input_filtered
@@ -104,7 +105,7 @@ class LambdaMethod:
 
     def model(
         self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> tuple[vectors.Vector, vectors.Vector]:
+    ) -> tuple[Vector, Vector]:
         """Return numerator and denominator of the estimated model in s."""
         return regression.filtered_model(learn.in_force(state).theta, learning, load)
 
@@ -113,8 +114,8 @@ class LambdaMethod:
         state: EstimatorState,
         learning: settings.EstimatorSettings,
         load: Load,
-        values: vectors.Vector,
-    ) -> vectors.Vector:
+        values: Vector,
+    ) -> Vector:
         """Return L of the covariance of the physical parameters, to first order."""
         return learn.parameter_root(state, learning, load, values)
 
@@ -123,8 +124,8 @@ class LambdaMethod:
         state: EstimatorState,
         learning: settings.EstimatorSettings,
         load: Load,
-        values: vectors.Vector,
-    ) -> vectors.Vector:
+        values: Vector,
+    ) -> Vector:
         """Return their deviations, with what the load may be since the samples showed it."""
         return learn.inflated_deviations(state, learning, load, values)
 
@@ -138,9 +139,7 @@ class LambdaMethod:
 # From a discrete model back to the continuous-time load, for orders 1 and 2.
 
 
-def continuous_model(
-    a: vectors.Vector, b: vectors.Vector, period_s: float
-) -> tuple[vectors.Vector, vectors.Vector]:
+def continuous_model(a: Vector, b: Vector, period_s: float) -> tuple[Vector, Vector]:
     """The load without zeros that has the poles and the gain of a discrete model.
 
     Args:
@@ -160,7 +159,7 @@ def continuous_model(
     return numerator, denominator
 
 
-def _denominator(a: vectors.Vector, period_s: float) -> vectors.Vector:
+def _denominator(a: Vector, period_s: float) -> Vector:
     unknown = [1.0] + [math.nan] * (len(a) - 1)
     if len(a) == 2:
         return [1.0, -math.log(-a[1]) / period_s] if a[1] < 0.0 else unknown
@@ -198,9 +197,9 @@ class DirectMethod:
         self,
         learning: settings.EstimatorSettings,
         load: Load,
-        numerator: vectors.Vector,
-        denominator: vectors.Vector,
-    ) -> vectors.Vector:
+        numerator: Vector,
+        denominator: Vector,
+    ) -> Vector:
         """Return nothing: the discrete model of a nominal one depends on the period."""
         return [0.0] * 0
 
@@ -215,7 +214,7 @@ class DirectMethod:
         learning: settings.EstimatorSettings,
         load: Load,
         sample: regression.SlowSample,
-        past: tuple[vectors.Vector, vectors.Vector],
+        past: tuple[Vector, Vector],
     ) -> None:
         """Overwrite r by the past outputs and inputs."""
         outputs, inputs = past
@@ -235,7 +234,7 @@ class DirectMethod:
 
     def model(
         self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> tuple[vectors.Vector, vectors.Vector]:
+    ) -> tuple[Vector, Vector]:
         """Return B and A as estimated; the gains need no more."""
         a, b = direct_model(state.estimate.theta, learning, load)
         return b, a
@@ -245,8 +244,8 @@ class DirectMethod:
         state: EstimatorState,
         learning: settings.EstimatorSettings,
         load: Load,
-        values: vectors.Vector,
-    ) -> vectors.Vector:
+        values: Vector,
+    ) -> Vector:
         """Return NaN: nothing is known of the physical parameters."""
         return [math.nan] * (len(values) * len(values))
 
@@ -255,8 +254,8 @@ class DirectMethod:
         state: EstimatorState,
         learning: settings.EstimatorSettings,
         load: Load,
-        values: vectors.Vector,
-    ) -> vectors.Vector:
+        values: Vector,
+    ) -> Vector:
         """Return NaN for each physical parameter."""
         return [math.nan] * len(values)
 
@@ -273,11 +272,11 @@ class DirectMethod:
 
 
 def fill_direct_regressor(
-    regressor: vectors.Vector,
+    regressor: Vector,
     learning: settings.EstimatorSettings,
     load: Load,
-    outputs: vectors.Vector,
-    inputs: vectors.Vector,
+    outputs: Vector,
+    inputs: Vector,
 ) -> None:
     """r of direct least squares (17).
 
@@ -297,8 +296,8 @@ def fill_direct_regressor(
 
 
 def direct_model(
-    theta: vectors.Vector, learning: settings.EstimatorSettings, load: Load
-) -> tuple[vectors.Vector, vectors.Vector]:
+    theta: Vector, learning: settings.EstimatorSettings, load: Load
+) -> tuple[Vector, Vector]:
     """Return A, B in q^-1 of a direct estimate."""
     order = load.order
     b = [0.0] * (_input_count(theta, learning, load) + 1)
@@ -307,9 +306,7 @@ def direct_model(
     return [1.0, *theta[:order]], b
 
 
-def _input_count(
-    parameters: vectors.Vector, learning: settings.EstimatorSettings, load: Load
-) -> int:
+def _input_count(parameters: Vector, learning: settings.EstimatorSettings, load: Load) -> int:
     return len(parameters) - load.order - (1 if learning.bias else 0)
 
 

@@ -14,6 +14,7 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.control.supervision import supervisor
 from adaptdrive.control.supervision.state import SlowState
+from adaptdrive.control.vectors import Vector
 
 
 def adapt(
@@ -71,7 +72,7 @@ def _look_for_a_way_back(
         begin_anew(estimator, settings.learning, load)
 
 
-def _take_gains(supervision: SupervisionLimits, state: SlowState, gains: vectors.Vector) -> None:
+def _take_gains(supervision: SupervisionLimits, state: SlowState, gains: Vector) -> None:
     """New gains: those in force move towards them, those that only wait are replaced."""
     share = supervision.gain_slew
     if share >= 1.0 or not state.adaptive:
@@ -128,7 +129,7 @@ def _output_noise(
 
 
 def _input_noise(
-    settings: ControllerSettings, state: SlowState, loop: vectors.Vector, least: float
+    settings: ControllerSettings, state: SlowState, loop: Vector, least: float
 ) -> float:
     """σ_u of a loop, at most its limit; 0 where there is no limit."""
     limit = settings.supervision.noise_max
@@ -143,7 +144,7 @@ def _redesign(
     load: Load,
     state: SlowState,
     sample: regression.SlowSample,
-    gains: vectors.Vector,
+    gains: Vector,
 ) -> int:
     a, b, verdict = judged_model(settings, load, state, sample.period_s)
     if verdict != supervisor.Verdict.TRUSTED:
@@ -165,7 +166,7 @@ def _judge_response(
     settings: ControllerSettings,
     load: Load,
     state: SlowState,
-    gains: vectors.Vector,
+    gains: Vector,
     sample: regression.SlowSample,
 ) -> int:
     """Check how far the response may be off within the covariance of the estimate."""
@@ -182,8 +183,8 @@ def _judge_response(
 def _spread(
     load: Load,
     state: SlowState,
-    gains: vectors.Vector,
-    loop: vectors.Vector,
+    gains: Vector,
+    loop: Vector,
     pole: float,
 ) -> float:
     """Return how far the response may be off within the covariance of the estimate; 0 for none."""
@@ -198,10 +199,10 @@ def judge_physical(
     settings: ControllerSettings,
     load: Load,
     state: SlowState,
-    numerator: vectors.Vector,
-    denominator: vectors.Vector,
+    numerator: Vector,
+    denominator: Vector,
     period_s: float,
-) -> tuple[vectors.Vector, vectors.Vector, int]:
+) -> tuple[Vector, Vector, int]:
     """Check the physical parameters of an estimated model in s.
 
     Args:
@@ -234,7 +235,7 @@ def judge_physical(
 
 def judged_model(
     settings: ControllerSettings, load: Load, state: SlowState, period_s: float
-) -> tuple[vectors.Vector, vectors.Vector, int]:
+) -> tuple[Vector, Vector, int]:
     """Return A and B of the estimate, and the verdict on its parameters."""
     estimator = state.estimator
     numerator, denominator = estimator.method.model(estimator, settings.learning, load)
@@ -245,9 +246,7 @@ def judged_model(
     return a, b, supervisor.judge_load(a)
 
 
-def _show(
-    load: Load, state: SlowState, a: vectors.Vector, b: vectors.Vector, period_s: float
-) -> None:
+def _show(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
     """Make the physical parameters that are published; NaN where the model has none."""
     numerator, denominator = methods.continuous_model(a, b, period_s)
     if supervisor.judge_model(numerator, denominator) == supervisor.Verdict.TRUSTED:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control import signals, thresholds, vectors
+from adaptdrive.control import signals, thresholds
 from adaptdrive.control.design import noise, pole_placement
 from adaptdrive.control.design.reference import PreviewState, ReferenceFilter, new_reference_filter
 from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, nominal_theta
@@ -18,6 +18,7 @@ from adaptdrive.control.supervision.monitor import (
     MonitorState,
 )
 from adaptdrive.control.supervision.supervisor import SupervisorState, Verdict, better_than_nominal
+from adaptdrive.control.vectors import Vector
 
 # State of the slow half between periods.
 
@@ -89,14 +90,14 @@ class SlowState:
         cycling: Whether the fixed law is in a limit cycle.
     """
 
-    inputs: vectors.Vector
-    outputs: vectors.Vector
-    nominal: vectors.Vector
-    fixed_gains: vectors.Vector
-    adaptive_gains: vectors.Vector
-    fast_gains: vectors.Vector
-    fast_loop: vectors.Vector
-    values: vectors.Vector
+    inputs: Vector
+    outputs: Vector
+    nominal: Vector
+    fixed_gains: Vector
+    adaptive_gains: Vector
+    fast_gains: Vector
+    fast_loop: Vector
+    values: Vector
     pole: float
     period_s: float
     handover_step: float
@@ -106,22 +107,22 @@ class SlowState:
     supervisor: SupervisorState
     charge: ChargeState
     reference: float
-    nominal_theta: vectors.Vector
-    possible: vectors.Vector
+    nominal_theta: Vector
+    possible: Vector
     spread: float
     watch: MonitorState
     cycles: LimitCycleState
     probe: ProbeState
     preview: PreviewState
-    model_a: vectors.Vector
-    model_b: vectors.Vector
-    equation: vectors.Vector
-    trusted_a: vectors.Vector
-    trusted_b: vectors.Vector
+    model_a: Vector
+    model_b: Vector
+    equation: Vector
+    trusted_a: Vector
+    trusted_b: Vector
     reference_filter: ReferenceFilter
-    new_loop: vectors.Vector
-    circle: vectors.Vector
-    expected: vectors.Vector
+    new_loop: Vector
+    circle: Vector
+    expected: Vector
     recalled: bool = False
     saturated: bool = False
     blend: float = 0.0

@@ -17,6 +17,7 @@ from enum import IntEnum
 from adaptdrive.control import settings, thresholds, vectors
 from adaptdrive.control.design.pole_placement import MARGIN_RADIUS, STABLE_RADIUS
 from adaptdrive.control.loads.load import is_damped
+from adaptdrive.control.vectors import Vector
 
 _TINY = 1e-12
 """Below this a coefficient counts as zero: the model has no dc gain."""
@@ -68,7 +69,7 @@ class SupervisorState:
     fixed_mean: float = 0.0
 
 
-def judge_model(numerator: vectors.Vector, denominator: vectors.Vector) -> int:
+def judge_model(numerator: Vector, denominator: Vector) -> int:
     """Check whether a continuous model can be used at all: finite, and with a dc gain."""
     finite = vectors.all_finite(numerator) and vectors.all_finite(denominator)
     if not finite or abs(denominator[len(denominator) - 1]) < _TINY:
@@ -77,8 +78,8 @@ def judge_model(numerator: vectors.Vector, denominator: vectors.Vector) -> int:
 
 
 def judge_bounds(
-    values: vectors.Vector,
-    nominal: vectors.Vector,
+    values: Vector,
+    nominal: Vector,
     supervision: settings.SupervisionLimits,
     state: SupervisorState,
 ) -> int:
@@ -91,7 +92,7 @@ def judge_bounds(
     return Verdict.TRUSTED
 
 
-def judge_damping(denominator: vectors.Vector, supervision: settings.SupervisionLimits) -> int:
+def judge_damping(denominator: Vector, supervision: settings.SupervisionLimits) -> int:
     """Check that a model of second order is damped like a passive load with losses."""
     least = supervision.damping_min
     damped = not least > 0.0 or is_damped(denominator, least)
@@ -140,14 +141,14 @@ def _over_own_errors(state: SupervisorState, power: float) -> float:
     return math.sqrt(power / max(state.own_power, _RESIDUAL_FLOOR))
 
 
-def judge_load(a: vectors.Vector) -> int:
+def judge_load(a: Vector) -> int:
     """Check whether the discrete model is finite and stable."""
     if not vectors.all_finite(a):
         return Verdict.NOT_FINITE
     return Verdict.TRUSTED if vectors.is_stable(a, STABLE_RADIUS) else Verdict.UNSTABLE_LOAD
 
 
-def judge_loop(closed_loop: vectors.Vector) -> int:
+def judge_loop(closed_loop: Vector) -> int:
     """Check whether the designed loop is finite and stable with a margin."""
     if not vectors.all_finite(closed_loop):
         return Verdict.NOT_FINITE

@@ -71,7 +71,8 @@ class Port:
             config, self, self._arrivals, self._counts
         )
         asked = requests(config, [one.codec for one in mapping.statuses])
-        self._connection.asked = asked, mapping.timing.reading_s
+        self._reading_s = mapping.timing.reading_s
+        self._connection.asked = asked, self._reading_s
         self._connection.caught_up = self.hand_out
         self._assembly = assembly.StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
@@ -319,7 +320,7 @@ class Port:
         """Return the frames that go with a command now; all of them where the bridge changes."""
         if bridge is not self._bridge_sent:
             self._sent_s.clear()
-        by_s, sent_s = self._clock() + 0.5 * self._mapping.timing.reading_s, self._sent_s
+        by_s, sent_s = self._clock() + 0.5 * self._reading_s, self._sent_s
         return [one for one in orders if by_s >= sent_s.get(one.codec.key, -math.inf) + one.every_s]
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
