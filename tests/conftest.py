@@ -2,7 +2,7 @@
 
 A test is `integration` when a fixture that it asks for reaches outside this process, else `unit`: a
 unit test that opens a socket, starts a process or sleeps fails. Time is virtual in all tests but
-those in `tests/scenes`, where processes, brokers and drives run in real time.
+those in `tests/system`, where processes, brokers and drives run in real time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ import pytest
 from hypothesis import settings
 
 from adaptdrive.app.process import NAMESPACE
-from tests.devices.memory import in_memory
 from tests.support import (
     Broker,
     MosquittoLauncher,
@@ -33,6 +32,7 @@ from tests.support import (
     start_process,
     stop_process,
 )
+from tests.unit.devices.memory import in_memory
 from tests.virtual_time import VirtualLoop, links_held
 
 # A busy machine is no failure. Each run draws the same examples; the proof, which asks for a number
@@ -49,7 +49,7 @@ settings.load_profile("adaptdrive")
 # Drives of the same name on several workers, or beside the suite, are not the same drive.
 os.environ[NAMESPACE] = f"tests-{os.getpid()}"
 
-SCENES = Path(__file__).parent / "scenes"
+REAL_TIME = tuple(Path(__file__).parent / name for name in ("system", "peers"))
 """Folder of the tests that run in real time."""
 
 OUTSIDE = "outside"
@@ -68,25 +68,30 @@ FORBIDDEN = {
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark every test by what its fixtures do, and begin with the scenes.
+    """Mark every test by what its fixtures do, and begin with those of the system.
 
     Scenes wait while they run. One worker runs them all, one after the other, and the other worker
     calculates meanwhile.
     """
     for item in items:
         item.add_marker(pytest.mark.integration if _is_outside(item) else pytest.mark.unit)
-    items.sort(key=lambda item: not item.path.is_relative_to(SCENES))
+    items.sort(key=lambda item: not in_real_time(item.path))
+
+
+def in_real_time(path: Path) -> bool:
+    """Return whether a test runs in real time, with processes."""
+    return any(path.is_relative_to(folder) for folder in REAL_TIME)
 
 
 def _is_outside(item: pytest.Item) -> bool:
-    return item.path.is_relative_to(SCENES) or OUTSIDE in getattr(item, "fixturenames", ())
+    return in_real_time(item.path) or OUTSIDE in getattr(item, "fixturenames", ())
 
 
 def pytest_asyncio_loop_factories(
     item: pytest.Item,
 ) -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
-    """Run scenes in real time, every other test in virtual time."""
-    if item.path.is_relative_to(SCENES):
+    """Run system tests in real time, every other test in virtual time."""
+    if in_real_time(item.path):
         return {"real": asyncio.SelectorEventLoop}
     return {"virtual": VirtualLoop}
 
@@ -120,9 +125,8 @@ sys.addaudithook(_guard.see)
 
 @pytest.fixture(autouse=True)
 def _guarded(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Let no unit test open a socket, start a process or sleep, and no other but scenes sleep."""
-    is_scene = request.path.is_relative_to(SCENES)
-    with contextlib.nullcontext() if is_scene else _in_virtual_time():
+    """Let no unit test open a socket, start a process or sleep, and none but system tests sleep."""
+    with contextlib.nullcontext() if in_real_time(request.path) else _in_virtual_time():
         _guard.found, _guard.is_armed = "", not _is_outside(request.node)
         yield
         _guard.is_armed = False
@@ -138,7 +142,7 @@ def _in_virtual_time() -> Iterator[None]:
     after those of `memory`, and leave the links of the next tests in memory.
     """
     with links_held(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(time, "sleep", lambda _: _guard.refuse("a test outside scenes sleeps"))
+        patch.setattr(time, "sleep", lambda _: _guard.refuse("a test outside tests/system sleeps"))
         yield
 
 

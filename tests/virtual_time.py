@@ -1,6 +1,6 @@
 """An event loop whose time passes as fast as everything is done.
 
-Tests outside `tests/scenes` run in it: their clock moves only when there is nothing left to do,
+Tests outside `tests/system` run in it: their clock moves only when there is nothing left to do,
 that is, no callback is ready, no byte has come, and no thread or reply is under way. Frames and
 registers still go through the kernel; a wait of an hour takes no time.
 """
@@ -23,7 +23,7 @@ from adaptdrive.devices.canopen import port as canopen_port
 from adaptdrive.devices.modbus.link import SerialPort
 from adaptdrive.devices.polled.link import PolledLink
 from adaptdrive.util import clock
-from tests.devices.can_memory import open_memory
+from tests.unit.devices.can_memory import open_memory
 
 PATIENCE_s = 5.0
 """Longest real wait for one byte, thread or reply; a test that needs it would hang otherwise."""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from tests.commissioning.trials import Trial, trial
+from tests.unit.commissioning.trials import Trial, trial
 
 
 class DrawLine(msgspec.Struct):

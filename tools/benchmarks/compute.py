@@ -31,8 +31,8 @@ from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.state_machine import Machine
-from tests.devices.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
 from tests.loopback_port import LoopbackPort, Quiet
+from tests.unit.devices.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
 from tools.benchmarks.rows import Extent, Row, alternating, quantile
 
 Array = np.ndarray[tuple[int, int], np.dtype[np.float64]]

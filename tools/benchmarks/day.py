@@ -20,7 +20,7 @@ import msgspec
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session, session_directories
-from tests.recording.material import INFO, Batch, write_log
+from tests.unit.recording.material import INFO, Batch, write_log
 from tools.benchmarks.day_material import CONFIG, STRETCH_s, repeated, stretch
 from tools.benchmarks.rows import Extent, Row
 from tools.benchmarks.tools import BUSY

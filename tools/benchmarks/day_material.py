@@ -24,7 +24,7 @@ from adaptdrive_sim.plants.load import load_of
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
-from tests.recording.material import Batch, make_batch
+from tests.unit.recording.material import Batch, make_batch
 
 CONFIG = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
 TICKS_per_s = 120

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from adaptdrive.control.signals import Mode
-from tests.closed_loop.life import (
+from tests.integration.closed_loop.life import (
     STEP,
     Event,
     Motion,

@@ -3,7 +3,7 @@
     python -m tools.benchmarks.foreign_motor SEED [--runs N]
 
 prints how many runs hold each claim, and a line for each run that does not hold all of them. The
-motor of `tests/scenes/peers`, in virtual time: Coulomb, viscous and quadratic friction, by the
+motor of `tests/peers`, in virtual time: Coulomb, viscous and quadratic friction, by the
 midpoint rule. Its line, its capacitor and its time constants are not what the configuration says.
 The inertia grows to twice and to three times its value at random times under a square wave.
 """
@@ -23,7 +23,17 @@ from adaptdrive_sim.plants.boost import BoostParameters, LineParameters
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
-from tests.closed_loop.life import CYCLE_S, HIGH, LOW, STEP, Rows, Sensed, periods, started, wait
+from tests.integration.closed_loop.life import (
+    CYCLE_S,
+    HIGH,
+    LOW,
+    STEP,
+    Rows,
+    Sensed,
+    periods,
+    started,
+    wait,
+)
 from tools.benchmarks.seeds import over_seeds
 
 QUANTUM_V = 5.0 / 4096.0

@@ -30,8 +30,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import Ending, session_directories
-from tests.scenes.system.site import BusEar, motor_configuration, until
 from tests.support import Process, children, stop_process
+from tests.system.daemon.site import BusEar, motor_configuration, until
 from tools.benchmarks.rows import Extent, Row, quantile
 from tools.benchmarks.site import broker
 from tools.benchmarks.tools import BUSY, bus_ports, process

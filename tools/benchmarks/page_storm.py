@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.scenes.panel.browser import Panel, browser_of, open_panel, web_listener
 from tests.support import MosquittoLauncher, free_port, stop_process
+from tests.system.panel.browser import Panel, browser_of, open_panel, web_listener
 from tools.benchmarks.rows import Extent, Row
 from tools.benchmarks.storm import (
     EVIL,

@@ -26,7 +26,7 @@ from adaptdrive_sim.experiments.case import (
 )
 from adaptdrive_sim.experiments.experiment import DROPPED
 from adaptdrive_sim.wire import NoiseParameters
-from tests.experiments.cases import make_case
+from tests.unit.simulators.experiments.cases import make_case
 
 ROOT = Path(__file__).parents[2]
 SEEDS = 20

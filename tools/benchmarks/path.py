@@ -28,7 +28,7 @@ from adaptdrive.runtime.fast_loop import TimeWindow
 from adaptdrive.runtime.reports import Hub, TickReport
 from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector
 from adaptdrive.util.clock import arm_timer, create_timer
-from tests.devices.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING
+from tests.unit.devices.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING
 from tools.benchmarks import compute
 from tools.benchmarks.rows import Extent, Row
 from tools.benchmarks.tools import GROUP, bus_ports

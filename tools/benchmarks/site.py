@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.scenes.system.site import Site, motor_configuration
 from tests.support import MosquittoLauncher, Process, free_port, stop_process
+from tests.system.daemon.site import Site, motor_configuration
 from tools.benchmarks.tools import PRIORITY, bus_ports, process
 
 REALTIME = {

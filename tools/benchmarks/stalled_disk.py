@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 import polars as pl
 
 from adaptdrive.lab import load_session
-from tests.scenes.system.own_disk import mounted, stalled
-from tests.scenes.system.site import until
+from tests.system.daemon.own_disk import mounted, stalled
+from tests.system.daemon.site import until
 from tools.benchmarks.rows import Extent, Row
 from tools.benchmarks.site import prompt_site
 from tools.benchmarks.stop import FLOOD

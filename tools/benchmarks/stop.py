@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tests.scenes.system.site import BusEar, Commanded, until
 from tests.support import slow_disk
+from tests.system.daemon.site import BusEar, Commanded, until
 from tools.benchmarks.rows import Extent, Row, quantile
 from tools.benchmarks.site import prompt_site
 from tools.benchmarks.tools import PRIORITY, process, try_fifo

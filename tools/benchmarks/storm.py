@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tests.scenes.panel.browser import Panel
+from tests.system.panel.browser import Panel
 from tools.benchmarks.hostile import READ, Hostile
 
 EVIL = "evil"

@@ -19,8 +19,8 @@ from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.realtime import real_time
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.clock import TickTimer
-from tests.devices.bench import MOTOR
 from tests.loopback_port import LoopbackPort
+from tests.unit.devices.bench import MOTOR
 from tools.benchmarks.compute import Kept
 
 

@@ -18,9 +18,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from adaptdrive.mqtt.commands import FORMS, PING, STOP
-from tests.mqtt.contract import validators
-from tests.scenes.system.site import Site
 from tests.support import MosquittoLauncher, free_port, resident_MiB
+from tests.system.daemon.site import Site
+from tests.unit.mqtt.contract import validators
 from tools.benchmarks.fence import Fence
 from tools.benchmarks.hostile import Hostile
 from tools.benchmarks.rows import Extent, Row

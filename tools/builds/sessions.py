@@ -23,7 +23,7 @@ from adaptdrive_sim.plants.load import load_of
 from adaptdrive_sim.site import OperatedDrive
 from adaptdrive_sim.wire import NoiseParameters
 from adaptdrive_sim.world import World, WorldParameters
-from tests.recording.material import INFO, make_batch, record_messages
+from tests.unit.recording.material import INFO, make_batch, record_messages
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 NOISE = 1e-3

@@ -24,7 +24,7 @@ from adaptdrive.recording.segments import logged_batches
 from adaptdrive.recording.session import CONFIG_FILE, INFO_FILE, NOTES, TABLES, TableName
 from adaptdrive.recording.tables import table_schema, write_parquet
 from adaptdrive.util.errors import RecordingError
-from tests.recording.material import INFO, make_batch, make_tick, write_log
+from tests.unit.recording.material import INFO, make_batch, make_tick, write_log
 from tools.fuzz.target import EXAMPLES, Target, scratch
 
 _EVENTS_FILE = "events-0001.parquet"

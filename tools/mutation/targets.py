@@ -2,135 +2,145 @@
 
 from __future__ import annotations
 
-_LOOP = ("tests/runtime/test_fast_loop.py", "tests/runtime/test_fast_loop_decisions.py")
-_LOOP_MORE = ("tests/runtime/test_deadlines.py", "tests/runtime/test_polled_drive.py")
+_LOOP = ("tests/unit/runtime/test_fast_loop.py", "tests/unit/runtime/test_fast_loop_decisions.py")
+_LOOP_MORE = ("tests/unit/runtime/test_deadlines.py", "tests/unit/runtime/test_polled_drive.py")
 _MACHINE = (
-    "tests/runtime/test_machine.py",
-    "tests/runtime/test_machine_manual.py",
-    "tests/runtime/test_machine_properties.py",
+    "tests/unit/runtime/test_machine.py",
+    "tests/unit/runtime/test_machine_manual.py",
+    "tests/unit/runtime/test_machine_properties.py",
 )
-_STOP = ("tests/runtime/test_stop_watch.py",)
+_STOP = ("tests/unit/runtime/test_stop_watch.py",)
 _RATE = (
-    "tests/runtime/test_half_cycles.py",
-    "tests/runtime/test_frame_rate.py",
-    "tests/runtime/test_polled_drive.py",
+    "tests/unit/runtime/test_half_cycles.py",
+    "tests/unit/runtime/test_frame_rate.py",
+    "tests/unit/runtime/test_polled_drive.py",
 )
 
 RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.interlocks": (
-        "tests/runtime/test_interlocks.py",
-        "tests/runtime/test_interlock_board.py",
+        "tests/unit/runtime/test_interlocks.py",
+        "tests/unit/runtime/test_interlock_board.py",
         *_LOOP,
-        "tests/runtime/test_bridge_watch.py",
-        "tests/runtime/test_guard.py",
+        "tests/unit/runtime/test_bridge_watch.py",
+        "tests/unit/runtime/test_guard.py",
     ),
-    "adaptdrive.runtime.state_machine": (*_MACHINE, "tests/runtime/test_fast_loop_decisions.py"),
+    "adaptdrive.runtime.state_machine": (
+        *_MACHINE,
+        "tests/unit/runtime/test_fast_loop_decisions.py",
+    ),
     "adaptdrive.runtime.settings": (
-        "tests/runtime/test_machine_manual.py",
+        "tests/unit/runtime/test_machine_manual.py",
         *_MACHINE,
     ),
     "adaptdrive.runtime.fast_loop": (
         *_LOOP,
         *_LOOP_MORE,
         *_STOP,
-        "tests/runtime/test_statistics.py",
+        "tests/unit/runtime/test_statistics.py",
     ),
     "adaptdrive.runtime.timebase": (
-        "tests/runtime/test_counter_watch.py",
+        "tests/unit/runtime/test_counter_watch.py",
         *_RATE,
-        "tests/runtime/test_fast_loop.py",
+        "tests/unit/runtime/test_fast_loop.py",
     ),
-    "adaptdrive.runtime.frame_rate": (*_RATE, "tests/runtime/test_counter_watch.py"),
+    "adaptdrive.runtime.frame_rate": (*_RATE, "tests/unit/runtime/test_counter_watch.py"),
     "adaptdrive.runtime.stopping": (
         *_STOP,
-        "tests/runtime/test_bridge_watch.py",
+        "tests/unit/runtime/test_bridge_watch.py",
         *_LOOP,
-        "tests/runtime/test_frame_rate.py",
+        "tests/unit/runtime/test_frame_rate.py",
     ),
-    "adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP),  # the loop's order
+    "adaptdrive.control.schedule": (
+        "tests/unit/control/test_schedule.py",
+        *_LOOP,
+    ),  # the loop's order
 }
 
-_CAN_PORT = ("tests/contracts/port/test_port.py", "tests/devices/test_can_port.py")
-_CANOPEN_PORT = ("tests/contracts/port/test_port.py", "tests/devices/canopen/test_port.py")
+_CAN_PORT = ("tests/contracts/port/test_port.py", "tests/unit/devices/test_can_port.py")
+_CANOPEN_PORT = ("tests/contracts/port/test_port.py", "tests/unit/devices/canopen/test_port.py")
 _MODBUS = (
     "tests/contracts/port/test_port.py",
-    "tests/devices/modbus/test_port.py",
-    "tests/devices/modbus/test_faults.py",
-    "tests/devices/modbus/test_writing.py",
+    "tests/unit/devices/modbus/test_port.py",
+    "tests/unit/devices/modbus/test_faults.py",
+    "tests/unit/devices/modbus/test_writing.py",
 )
-_LOST = ("tests/devices/modbus/test_losses.py",)
-_FRAMES = ("tests/devices/test_can_codec.py", "tests/devices/test_can_crc.py")
+_LOST = ("tests/unit/devices/modbus/test_losses.py",)
+_FRAMES = ("tests/unit/devices/test_can_codec.py", "tests/unit/devices/test_can_crc.py")
 
 DEVICES: dict[str, tuple[str, ...]] = {
     "adaptdrive.devices.can.port": _CAN_PORT,
     "adaptdrive.devices.can.mapping": (
-        "tests/devices/test_can_mapping.py",
-        "tests/devices/test_can_description.py",
-        "tests/devices/test_can_pages.py",
+        "tests/unit/devices/test_can_mapping.py",
+        "tests/unit/devices/test_can_description.py",
+        "tests/unit/devices/test_can_pages.py",
         *_CAN_PORT,
     ),
     "adaptdrive.devices.can.codec": _FRAMES,
     "adaptdrive.devices.can.integrity": (
-        "tests/devices/test_can_integrity.py",
+        "tests/unit/devices/test_can_integrity.py",
         *_FRAMES,
-        "tests/devices/test_arrival.py",
+        "tests/unit/devices/test_arrival.py",
     ),
     "adaptdrive.devices.canopen.port": (
         *_CANOPEN_PORT,
-        "tests/devices/canopen/test_frames.py",
-        "tests/devices/canopen/test_unseen.py",
+        "tests/unit/devices/canopen/test_frames.py",
+        "tests/unit/devices/canopen/test_unseen.py",
     ),
-    "adaptdrive.devices.modbus.port": (*_MODBUS, "tests/devices/modbus/test_sensors.py"),
-    "adaptdrive.devices.modbus.frames": (*_MODBUS, "tests/devices/modbus/test_functions.py"),
-    "adaptdrive.devices.polled.commander": ("tests/devices/test_commander.py", *_MODBUS, *_LOST),
+    "adaptdrive.devices.modbus.port": (*_MODBUS, "tests/unit/devices/modbus/test_sensors.py"),
+    "adaptdrive.devices.modbus.frames": (*_MODBUS, "tests/unit/devices/modbus/test_functions.py"),
+    "adaptdrive.devices.polled.commander": (
+        "tests/unit/devices/test_commander.py",
+        *_MODBUS,
+        *_LOST,
+    ),
     "adaptdrive.devices.polled.reports": (*_MODBUS, *_LOST),
-    "adaptdrive.devices.polled.link": (*_MODBUS, "tests/devices/modbus/test_names.py"),
+    "adaptdrive.devices.polled.link": (*_MODBUS, "tests/unit/devices/modbus/test_names.py"),
     "adaptdrive.devices.scpi": (
-        "tests/devices/scpi/test_port.py",
+        "tests/unit/devices/scpi/test_port.py",
         "tests/contracts/port/test_port.py",
     ),
     "adaptdrive.devices.faults": (
-        "tests/devices/test_fault_words.py",
+        "tests/unit/devices/test_fault_words.py",
         *_CAN_PORT,
-        "tests/devices/canopen/test_port.py",
+        "tests/unit/devices/canopen/test_port.py",
     ),
 }
 
 MQTT: dict[str, tuple[str, ...]] = {
-    "adaptdrive.mqtt.desk": ("tests/mqtt/test_desk.py",),
+    "adaptdrive.mqtt.desk": ("tests/unit/mqtt/test_desk.py",),
     "adaptdrive.mqtt.publisher": (
-        "tests/mqtt/test_intake.py",
-        "tests/mqtt/test_history.py",
-        "tests/mqtt/test_service.py",
-        "tests/mqtt/test_link.py",
+        "tests/unit/mqtt/test_intake.py",
+        "tests/unit/mqtt/test_history.py",
+        "tests/unit/mqtt/test_service.py",
+        "tests/unit/mqtt/test_link.py",
     ),
     "adaptdrive.mqtt.commands": (
-        "tests/mqtt/test_commands.py",
-        "tests/mqtt/test_desk.py",
-        "tests/mqtt/test_service.py",
+        "tests/unit/mqtt/test_commands.py",
+        "tests/unit/mqtt/test_desk.py",
+        "tests/unit/mqtt/test_service.py",
     ),
     "adaptdrive.mqtt.client": (
-        "tests/mqtt/test_sender.py",
-        "tests/mqtt/test_lab_drive.py",
+        "tests/unit/mqtt/test_sender.py",
+        "tests/unit/mqtt/test_lab_drive.py",
     ),
 }
 
 RECORDING: dict[str, tuple[str, ...]] = {
     "adaptdrive.recording.writer": (
-        "tests/recording/test_log.py",
-        "tests/recording/test_recorder.py",
-        "tests/mqtt/test_stores.py",
+        "tests/unit/recording/test_log.py",
+        "tests/unit/recording/test_recorder.py",
+        "tests/unit/mqtt/test_stores.py",
     ),
-    "adaptdrive.recording.recorder": ("tests/recording/test_recorder.py",),
+    "adaptdrive.recording.recorder": ("tests/unit/recording/test_recorder.py",),
     "adaptdrive.recording.archive": (
-        "tests/recording/test_archive.py",
-        "tests/recording/test_recorder.py",
+        "tests/unit/recording/test_archive.py",
+        "tests/unit/recording/test_recorder.py",
     ),
     "adaptdrive.recording.session": (
-        "tests/recording/test_session.py",
-        "tests/recording/test_round_trip.py",
-        "tests/recording/test_retention.py",
-        "tests/recording/test_archive.py",
+        "tests/unit/recording/test_session.py",
+        "tests/unit/recording/test_round_trip.py",
+        "tests/unit/recording/test_retention.py",
+        "tests/unit/recording/test_archive.py",
     ),
 }
 
@@ -138,63 +148,57 @@ RECORDING: dict[str, tuple[str, ...]] = {
 def _control(tests: dict[str, str]) -> dict[str, tuple[str, ...]]:
     """Return modules of the controller with the files of their tests."""
     return {
-        f"adaptdrive.control.{module}": tuple(f"tests/control/{name}.py" for name in names.split())
+        f"adaptdrive.control.{module}": tuple(
+            f"tests/unit/control/{name}.py" for name in names.split()
+        )
         for module, names in tests.items()
     }
 
 
 SUPERVISION = _control({
     "supervision.monitor": "test_watch",
-    "estimation.change_detector": "test_explanation test_challenger",
+    "estimation.hypothesis_test": "test_explanation test_challenger",
     "estimation.filters": "test_screen test_lambda_filter test_rounding",
-    "supervision.probing": "test_probing",
-    "loads.charging": "test_charging test_slow_half",
+    "supervision.setpoints": "test_probing test_rest",
+    "loads.battery": "test_charging test_slow_half test_loads test_certainty",
     "supervision.supervisor": "test_supervisor",
-    "design.robustness": "test_certainty",
+    "design.pole_placement": "test_certainty test_pole_placement test_design",
     "design.noise": "test_fast_feedback",
-    "design.reference_model": "test_fast_feedback",
-    "supervision.attainable": "test_rest",
-    "supervision.reasons": "test_reasons",
-    "design.redesign": "test_redesign",
-    "estimation.in_force": "test_drift test_explanation test_certainty",
-    "estimation.covariance": "test_certainty",
+    "design.reference": "test_fast_feedback",
+    "supervision.state": "test_reasons test_slow_half test_probing",
+    "supervision.redesign": "test_redesign",
+    "estimation.learn": "test_drift test_explanation test_certainty test_challenger",
+    "estimation.covariance": "test_certainty test_explanation",
 })  # fmt: skip
 
 LEARNING = _control({
     "estimation.regression": "test_lambda_filter test_estimator test_explanation test_methods",
     "estimation.rls": "test_rls test_beside",
-    "estimation.ud_factors": "test_rls test_beside",
     "estimation.branch": "test_explanation test_challenger test_drift test_methods test_estimator",
-    "estimation.hypotheses": "test_explanation",
-    "estimation.hypothesis_test": "test_explanation",
     "estimation.second_filters": "test_challenger test_drift",
-    "estimation.explanation": "test_explanation test_challenger",
     "estimation.estimator": (
-        "test_estimator test_runs test_redesign test_explanation "
-        "test_methods test_certainty"
+        "test_estimator test_runs test_redesign "
+        "test_explanation test_methods test_certainty"
     ),
     "estimation.methods": "test_methods test_explanation test_estimator test_discretise",
 })  # fmt: skip
 
 DESIGN = _control({
     "vectors": "test_vectors",
-    "discretise": "test_discretise test_impulse_hold",
-    "design.pole_placement": "test_pole_placement test_design",
+    "loads.discretise": "test_discretise test_impulse_hold",
     "voltage_loop": "test_voltage_loop",
     "signals": "test_waveform",
     "loads.load": "test_loads",
     "loads.motor": "test_loads test_certainty",
     "loads.bath": "test_loads test_certainty",
-    "loads.battery": "test_loads test_certainty",
 })  # fmt: skip
 
 HALVES = _control({
     "fast": "test_fast_half test_rounding",
     "slow": (
-        "test_slow_half test_charging test_certainty test_probing test_runs "
-        "test_pole_placement"
+        "test_slow_half test_charging test_certainty "
+        "test_probing test_runs test_pole_placement"
     ),
-    "slow_state": "test_slow_half test_probing",
     "controller": "test_controller test_schedule test_runs",
 })  # fmt: skip
 

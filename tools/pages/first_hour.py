@@ -20,8 +20,8 @@ from typing import Any
 import tomlkit
 
 from tests.pseudo_terminal import Screen
-from tests.scenes.system.site import until
 from tests.support import free_port
+from tests.system.daemon.site import until
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "own-drive.md"

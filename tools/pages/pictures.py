@@ -14,7 +14,7 @@ from typing import Literal
 from PIL import Image
 from playwright.sync_api import Browser, ViewportSize
 
-from tests.scenes.panel.browser import Panel, PanelSite, browser_of, open_panel, panel_site_in
+from tests.system.panel.browser import Panel, PanelSite, browser_of, open_panel, panel_site_in
 
 Scheme = Literal["light", "dark"]
 

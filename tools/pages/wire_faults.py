@@ -1,7 +1,7 @@
 """Write the table of the faults of the wire into the documentation.
 
 `python -m tools.pages.wire_faults MEASURED PAGE` takes the times that a run of
-`tests/wire/test_matrix.py` with `WIRE_REPORT=MEASURED` has measured.
+`tests/integration/wire/test_matrix.py` with `WIRE_REPORT=MEASURED` has measured.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from tests.wire.matrix import LINKS, ROWS, Cell, Row
+from tests.integration.wire.matrix import LINKS, ROWS, Cell, Row
 
 BEGIN, END = "<!-- wire faults -->\n", "<!-- end of wire faults -->\n"
 

@@ -15,8 +15,8 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from tests.faults.judge import Verdict, judge
-from tests.faults.rows import GROUPS, ROWS, Row
+from tests.integration.faults.judge import Verdict, judge
+from tests.integration.faults.rows import GROUPS, ROWS, Row
 
 FIRST_SEED = 100
 HEAD = (

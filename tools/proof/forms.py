@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 
-from tests.faults.rows import GROUPS
+from tests.integration.faults.rows import GROUPS
 from tools.mutation.targets import MQTT, PARTS, RUNTIME
 
 
@@ -51,11 +51,12 @@ def forms() -> tuple[Form, ...]:
     days, minutes = os.environ.get("DAYS", "7"), os.environ.get("MINUTES", "120")
     kills = os.environ.get("KILLS", "200")
     at_most = ("--at-most", os.environ["AT_MOST"]) if "AT_MOST" in os.environ else ()
-    drawn = ("-m", "pytest", "-q", "tests/faults/test_configurations.py", "--timeout", "86400")
-    energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
+    whole, faults = ("-m", "pytest", "-q"), "tests/integration/faults"
+    drawn = (*whole, f"{faults}/test_configurations.py", "--timeout", "86400")
+    energised = (*whole, f"{faults}/test_energised.py", "--timeout", "86400")
     examples = os.environ.get("EXAMPLES", "1000")
-    long = ("-m", "pytest", "-q", "-m", "proof", "--timeout", "86400")
-    properties = ("-m", "pytest", "-q", "-m", "hypothesis", "--timeout", "86400")
+    long = (*whole, "-m", "proof", "--timeout", "86400")
+    properties = (*whole, "-m", "hypothesis", "--timeout", "86400")
     return (
         *(Form(group, f"Faults: {group}", ("-m", "tools.proof.faults", seeds, group),
                as_table=True, is_shown=False) for group in GROUPS),
@@ -67,7 +68,7 @@ def forms() -> tuple[Form, ...]:
         Form("properties", "Properties of drawn values", properties, {"EXAMPLES": examples},
              is_shown=False),
         Form("inputs", "Damaged inputs of each decoder", ("-m", "tools.fuzz", inputs)),
-        Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/scenes/peers"),
+        Form("foreign", "A drive of foreign code", (*whole, "tests/peers"),
              is_shown=False),
         Form("deceived", "Sensors that lie", ("-m", "tools.proof.deceived", seeds),
              as_table=True),

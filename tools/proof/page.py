@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tests.faults.rows import GROUPS
+from tests.integration.faults.rows import GROUPS
 from tools.proof.forms import Form, forms
 from tools.proof.results import RESULTS, Result, load
 from tools.proof.summaries import counted, fault_matrix, table

@@ -23,10 +23,10 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 from adaptdrive_sim.plants.motor import Motor
-from tests.faults.by_hand import DaemonByHand
-from tests.faults.course import Course, honest
-from tests.faults.off import MustBeOff
-from tests.faults.rows import ROWS, Row
+from tests.integration.faults.by_hand import DaemonByHand
+from tests.integration.faults.course import Course, honest
+from tests.integration.faults.off import MustBeOff
+from tests.integration.faults.rows import ROWS, Row
 from tools.soak.tape import Tape
 from tools.soak.verdict import Judged
 

@@ -17,9 +17,9 @@ from urllib.parse import urlsplit
 
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import Dropped, Ending
-from tests.scenes.panel.browser import panel_site_in
-from tests.scenes.system.site import Site
 from tests.support import Process
+from tests.system.daemon.site import Site
+from tests.system.panel.browser import panel_site_in
 from tools.soak.meters import HEAD, Meter, of_process
 from tools.soak.watcher import Watcher
 

@@ -13,8 +13,8 @@ import msgspec
 from adaptdrive.config.root import Configuration
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.runtime.reports import Event, LoadReport, TickReport
-from tests.faults.by_hand import DaemonByHand
-from tests.recording.material import INFO, make_batch, record_messages
+from tests.integration.faults.by_hand import DaemonByHand
+from tests.unit.recording.material import INFO, make_batch, record_messages
 from tools.soak.verdict import Judged, Published, judge_elsewhere
 
 HELD = 20_000

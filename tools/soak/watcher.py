@@ -15,7 +15,7 @@ from typing import Any, Self
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tests.scenes.access.broker import password
+from tests.system.access.broker import password
 
 USER = "operator"
 PATIENCE_s = 60.0

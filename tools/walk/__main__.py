@@ -35,13 +35,13 @@ from adaptdrive.mqtt.service import MqttService, OperatorLog
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header
 from adaptdrive.runtime.requests import SetMode, SetSetpoint
-from tests.closed_loop.test_same_on_every_bus import COURSES, configured
-from tests.closed_loop.wire import Wire, wired
-from tests.mqtt.memory_broker import MemoryBroker
-from tests.mqtt.peers import listening
-from tests.recording import disk
-from tests.recording.material import INFO
+from tests.integration.closed_loop.test_same_on_every_bus import COURSES, configured
+from tests.integration.closed_loop.wire import Wire, wired
 from tests.support import captured_lines
+from tests.unit.mqtt.memory_broker import MemoryBroker
+from tests.unit.mqtt.peers import listening
+from tests.unit.recording import disk
+from tests.unit.recording.material import INFO
 from tests.virtual_time import virtual_time
 
 SOURCE = str(Path(__file__).parents[2] / "src" / "adaptdrive") + "/"

@@ -14,9 +14,17 @@ from adaptdrive.config.bus import CanLink
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.util.errors import BusError
 from tests.contracts.port.rig import Rig
-from tests.devices.bench import MOTOR, STATUS, Drive, Ear, memory_bus, reference_database, with_crc
-from tests.devices.canopen.documents import MEMORY, other_eds, parse
-from tests.devices.canopen.peer import ENABLED, FAULT, MEASURED, REST, Peer
+from tests.unit.devices.bench import (
+    MOTOR,
+    STATUS,
+    Drive,
+    Ear,
+    memory_bus,
+    reference_database,
+    with_crc,
+)
+from tests.unit.devices.canopen.documents import MEMORY, other_eds, parse
+from tests.unit.devices.canopen.peer import ENABLED, FAULT, MEASURED, REST, Peer
 
 _LIMITED = "ParameterName=DC link circuit voltage\n"
 _NO_VALUE = b"\xff\xff"

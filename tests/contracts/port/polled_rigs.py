@@ -9,10 +9,10 @@ from pathlib import Path
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.file import validate_configuration
 from tests.contracts.port.rig import Rig
-from tests.devices import memory
-from tests.devices.bench import Ear
-from tests.devices.modbus.bench import Peer, POLL_s, build
-from tests.devices.scpi.test_port import EXAMPLE, Supply
+from tests.unit.devices import memory
+from tests.unit.devices.bench import Ear
+from tests.unit.devices.modbus.bench import Peer, POLL_s, build
+from tests.unit.devices.scpi.test_port import EXAMPLE, Supply
 
 _ON, _FAULT, _NO_VALUE = 1, 2, 0xFFFF
 _BITS: dict[str, str | None] = {

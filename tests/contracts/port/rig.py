@@ -15,7 +15,7 @@ from typing import Self
 
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.port import Port, Reading
-from tests.devices.bench import Ear, until
+from tests.unit.devices.bench import Ear, until
 
 CHARGE = Command(current_scale_S=0.0, boost_reference_V=250.0, bridge=False)
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)

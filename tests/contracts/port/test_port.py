@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from tests.contracts.port.rig import CHARGE, RUN, Build, Rig
-from tests.devices.bench import until
+from tests.unit.devices.bench import until
 
 
 async def test_a_reading_holds_what_the_drive_measured_and_when(rig: Rig) -> None:

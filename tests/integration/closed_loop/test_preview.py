@@ -1,0 +1,90 @@
+"""Preview in closed loop: a waveform whose steps need more than V_c has."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.config.root import Configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import Shape, Waveform
+from adaptdrive.recording.replay import replay
+from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
+from adaptdrive_sim.parameters import EXAMPLES, example_tables
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import World, WorldParameters
+from tests.integration.closed_loop.life import wait
+from tests.integration.closed_loop.test_probing import RecordedDrive
+
+LOW, HIGH, CYCLE_S = 2.6, 4.3, 120.0
+
+
+def configuration() -> Configuration:
+    return validate_configuration(example_tables("motor.toml"), EXAMPLES / "motor.toml")
+
+
+@cache
+def run(shape: Shape, preview: bool) -> RecordedDrive:
+    """Three cycles under adaptive control."""
+    noise = NoiseParameters(sigma=2e-3 * (HIGH - LOW))
+    world = World(Motor(MotorParameters()), WorldParameters(noise=noise, seed=3))
+    world.settle(world.boost_voltage_for(LOW))
+    drive = RecordedDrive(configuration(), world)
+    drive.carry_out(SetWaveform(Waveform(shape, LOW, HIGH, CYCLE_S), preview))
+    wait(drive, 3.0 * CYCLE_S)
+    return drive
+
+
+def deviation(drive: RecordedDrive) -> float:
+    """Deviation from the response asked for in the last two cycles, rms, over the step."""
+    slow = drive.kept.slow
+    references = np.array([one.snapshot.order.reference for one in slow])
+    outputs = np.array([one.snapshot.output for one in slow])
+    asked = LOW + lfilter([0.3**4], np.poly([0.7] * 4), references - LOW)
+    return float(np.std((outputs - asked)[-240:])) / (HIGH - LOW)
+
+
+@pytest.mark.proof
+def test_a_waveform_at_the_edge_of_the_voltage_is_followed_better_by_half() -> None:
+    with_it, without = deviation(run(Shape.SQUARE, True)), deviation(run(Shape.SQUARE, False))
+    assert with_it < 0.6 * without
+
+
+def test_what_the_controller_knows_to_come_does_come() -> None:
+    drive = run(Shape.SQUARE, True)
+    last = [one for one in drive.kept.ticks if one.order.waveform][-1]
+    tick_s = 1.0 / 120.0
+    for earlier in (0, 1, 119, 120, 7000):
+        told = drive.kept.ticks[-1 - earlier]
+        known = last.order.waveform
+        assert known is not None
+        elapsed_s = (told.measurement.tick - known.begin_tick) * tick_s
+        assert known.waveform.value(elapsed_s) == told.order.reference
+
+
+def test_a_set_point_ends_what_the_controller_knows_to_come() -> None:
+    drive = run(Shape.SQUARE, True)
+    count = len(drive.kept.ticks)
+    drive.carry_out(SetSetpoint(3.0))
+    wait(drive, 2.0)
+    assert {one.order.waveform for one in drive.kept.ticks[count + 1 :]} == {None}
+
+
+def test_it_is_replayed_bit_for_bit(tmp_path: Path) -> None:
+    drive = run(Shape.SQUARE, True)
+    own = configuration()
+    controller = Controller(controller_settings(own), build_load(own))
+    report = replay(drive.session(tmp_path), controller)
+    assert report.exact
+    assert report.differing_decisions == 0
+    assert report.slow_steps == len(drive.kept.slow) > 2.5 * CYCLE_S
+    assert math.isfinite(drive.kept.slow[-1].decision.boost_reference_V)

@@ -1,0 +1,48 @@
+"""The options that all operator commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.cli.options import Contact
+from adaptdrive.util.errors import ConfigurationError
+from tests.system.daemon.site import motor_configuration
+
+
+def test_options_go_before_the_configuration(tmp_path: Path) -> None:
+    path = tmp_path / "motor.toml"
+    changes = {
+        "mqtt.host": '"site"',
+        "mqtt.tls": "true",
+        "mqtt.ca_file": '"ca.crt"',
+        "mqtt.username": '"motor"',
+    }
+    path.write_text(motor_configuration(8884, 1, changes), encoding="utf-8")
+    plain = Contact(config=path).settings
+    assert (plain.host, plain.port, plain.tls) == ("site", 8884, True)
+    assert plain.ca_file == tmp_path / "ca.crt"
+    assert plain.username is None
+    own = Contact(config=path, broker="desk", username="operator").settings
+    assert (own.host, own.port, own.tls, own.ca_file) == ("desk", 1883, False, None)
+    assert own.username == "operator"
+
+
+@pytest.mark.parametrize(
+    ("contact", "place"),
+    [
+        (Contact(), ("127.0.0.1", 1883, False)),
+        (Contact(tls=True), ("127.0.0.1", 8883, True)),
+        (Contact(broker="[::1]:99"), ("::1", 99, False)),
+        (Contact(broker="desk", tls=True), ("desk", 8883, True)),
+    ],
+)
+def test_the_usual_broker(contact: Contact, place: tuple[str, int, bool]) -> None:
+    settings = contact.settings
+    assert (settings.host, settings.port, settings.tls) == place
+
+
+def test_an_unusable_configuration_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="motor"):
+        _ = Contact(config=tmp_path / "motor.toml").settings

@@ -1,0 +1,109 @@
+"""Estimators that learn a course of samples tick by tick, as the controller has them learn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from adaptdrive.control import fast
+from adaptdrive.control.estimation import estimator as est
+from adaptdrive.control.estimation import regression
+from adaptdrive.control.estimation.methods import METHODS, direct_model, fill_direct_regressor
+from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import EstimatorSettings
+from tests.integration.closed_loop.bench import SCALED_LEARNING
+from tests.unit.control.systems import Array
+
+
+def learn_course(
+    state: est.EstimatorState,
+    learning: EstimatorSettings,
+    load: Load,
+    course: tuple[Array, Array],
+    *,
+    tick_s: float,
+    ticks: int,
+    samples: int = 1,
+) -> Iterator[int]:
+    """Learn a course; yield the number of the tick after each slow period.
+
+    Args:
+        state: The estimator.
+        learning: Its settings.
+        load: Its load.
+        course: Voltage at the boost capacitor and output, at the ticks; at rest at first.
+        tick_s: Duration of a tick.
+        ticks: Ticks in a slow period.
+        samples: The last ticks of a period, whose mean is learnt.
+    """
+    voltages, outputs = course
+    order, first = load.order, (float(outputs[0]), float(voltages[0]))
+    bank = fast.new_filter_bank(load, tick_s, learning.tau_lambda_s, *first)
+    for n in range(1, len(outputs)):
+        fast.filter_sample(bank, float(outputs[n]), float(voltages[n]), 1)
+        if (n - 1) % ticks >= ticks - samples:
+            fast.accumulate(bank)
+        if n % ticks == 0:
+            y, *rest = fast.take_means(bank)
+            state.sample.time_s += ticks * tick_s
+            fill_sample(state, learning, load, y, outputs=rest[:order], inputs=rest[order:])
+            est.update_estimate(state, learning, load, y, usable=True)
+            yield n
+
+
+def fill_sample(
+    state: est.EstimatorState, learning: EstimatorSettings, load: Load, y: float, *,
+    outputs: list[float], inputs: list[float],
+) -> None:  # fmt: skip
+    """Fill the regressor of the λ-method, and that with powers of λ one lower."""
+    regressor, elapsed_s = state.sample.regressor, state.sample.time_s - state.estimate.origin_s
+    regression.fill_filtered_regressor(regressor, learning, load, outputs, inputs)
+    regression.fill_initial_state(regressor, learning, load, elapsed_s)
+    regression.fill_lowered_regressor(state.hypotheses.lowered, learning, load, y, outputs, inputs)
+
+
+R, TAU_s = 0.021, 500.0
+BATH = bath_load(R, TAU_s, 0.25, 1.0, 7.87)
+BATH_TICK_s, BATH_TICKS = 0.5, 40
+BATH_LEARNING = replace(
+    SCALED_LEARNING,
+    tau_lambda_s=100.0,
+    output_scale=12.0,
+    input_scale=570.0,
+    initial_covariance=1e8,
+    gate=1.2,
+    bias=True,
+    initial_state=True,
+    alert=True,
+)
+
+
+def bath_temperatures(power_W: Array, inflow_K: Array, noise_K: Array) -> Array:
+    """Temperature of a first-order bath at the ticks: the held heater and the inflow."""
+    held = math.exp(-BATH_TICK_s / TAU_s)
+    heated_K = lfilter([0.0, R * (1.0 - held)], [1.0, -held], power_W - 520.0) + R * 520.0
+    cooled_K = lfilter([1.0 - held], [1.0, -held], inflow_K - inflow_K[0]) + inflow_K[0]
+    return np.asarray(heated_K + cooled_K + noise_K)
+
+
+def bath_values(theta: list[float], learning: EstimatorSettings = BATH_LEARNING) -> list[float]:
+    """R and τ of an estimate."""
+    return BATH.physical(*regression.filtered_model(theta, learning, BATH))
+
+
+def learn_sampled(
+    learning: EstimatorSettings, load: Load, inputs: Array, outputs: Array
+) -> tuple[list[float], list[float]]:
+    """Learn A and B directly from inputs that were held and the outputs at their ends."""
+    order = load.order
+    state = est.new_estimator(METHODS[learning.method], learning, load, order)
+    for k in range(order, len(inputs)):
+        past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
+        fill_direct_regressor(state.sample.regressor, learning, load, *past)
+        est.update_estimate(state, learning, load, float(outputs[k]), usable=True)
+    return direct_model(state.estimate.theta, learning, load)

@@ -1,0 +1,182 @@
+"""What a covariance leaves open of parameters and of the loop, against numpy and scipy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from adaptdrive.control.design.pole_placement import (
+    asked_loop,
+    compensator_gains,
+    discrete_model,
+    possible_models,
+    response_spread,
+)
+from adaptdrive.control.estimation.branch import Branch
+from adaptdrive.control.estimation.covariance import deviations_of, is_sure
+from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, remember_residual
+from adaptdrive.control.estimation.learn import correlation_factor, inflated_deviations
+from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.regression import filtered_model, theta_of
+from adaptdrive.control.settings import EstimatorSettings
+from tests.integration.closed_loop.bench import EXACT, MOTOR, SCALED_LEARNING
+from tests.unit.control.systems import Array
+
+VALUES = [0.011, 33.4, 234.0]
+UPPER = [1.0, 0.3, -0.2, 0.0, 1.0, 0.4, 0.0, 0.0, 1.0]
+DIAGONAL = [2e-4, 5e-5, 1e-5]
+NOISE = 0.05
+UNBIASED = replace(SCALED_LEARNING, tau_lambda_s=8.0)
+KINDS = [UNBIASED, replace(UNBIASED, bias=True), replace(UNBIASED, short_lag_s=10.0)]
+
+
+def estimate(learning: EstimatorSettings) -> Branch:
+    """θ of a motor with two disks, U and D, the last for a bias or cut to two parameters."""
+    theta = theta_of(learning, MOTOR, *MOTOR.realise(VALUES))
+    theta += [0.0] if learning.bias else []
+    size = len(theta)
+    upper = np.eye(size)
+    part = min(size, 3)
+    upper[:part, :part] = np.reshape(UPPER, (3, 3))[:part, :part]
+    return Branch(theta, list(upper.ravel()), [*DIAGONAL, 3e-5][:size])
+
+
+def physical(theta: Array, learning: EstimatorSettings) -> Array:
+    return np.array(MOTOR.physical(*filtered_model(list(theta), learning, MOTOR)))
+
+
+def propagated(learning: EstimatorSettings) -> Array:
+    """Deviations by central differences and the full covariance."""
+    one = estimate(learning)
+    theta = np.array(one.theta)
+    u = np.reshape(one.upper, (len(theta), len(theta)))
+    root = NOISE * u @ np.diag(np.sqrt(one.diagonal))
+    columns = []
+    for direction in root.T:
+        step = 1e-3 * direction
+        ahead, behind = physical(theta + step, learning), physical(theta - step, learning)
+        columns.append((ahead - behind) / 2e-3)
+    return np.asarray(np.sqrt(np.sum(np.square(columns), axis=0)))
+
+
+@pytest.mark.parametrize("learning", KINDS)
+def test_deviations_are_those_of_the_propagated_covariance(learning: EstimatorSettings) -> None:
+    found = deviations_of(estimate(learning), NOISE, learning, MOTOR, VALUES)
+    assert found == pytest.approx(propagated(learning), rel=1e-4)
+
+
+@pytest.mark.parametrize("learning", KINDS)
+@pytest.mark.parametrize(("share", "sure"), [(0.499, True), (0.501, False)])
+def test_it_is_sure_of_parameters_that_are_all_known_within_half(
+    learning: EstimatorSettings, share: float, *, sure: bool
+) -> None:
+    worst = float(np.max(propagated(learning) / np.abs(VALUES)))
+    power = (NOISE * share / worst) ** 2
+    assert is_sure(estimate(learning), power, learning, MOTOR) is sure
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-13, -1e-6])
+def test_nobody_is_sure_of_a_load_without_a_gain_at_rest(level: float) -> None:
+    """1 + α_1 + α_2 = 0 is a pole at s = 0."""
+    theta = [level - 1.0, 0.0, 1.0]
+    upper = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    assert is_sure(Branch(theta, upper, [0.0] * 3), 0.0, UNBIASED, MOTOR) is False
+
+
+LONG = replace(SCALED_LEARNING, forgetting=0.9995)
+
+
+def neighbours(correlation: float, shape: tuple[int, int], seed: int) -> Array:
+    """Draw rows whose samples have this correlation with the one before, and variance 1."""
+    noise = np.random.default_rng(seed).standard_normal(shape)
+    rows = np.empty(shape)
+    rows[:, 0] = noise[:, 0]
+    for i in range(1, shape[1]):
+        rows[:, i] = correlation * rows[:, i - 1] + math.sqrt(1.0 - correlation**2) * noise[:, i]
+    return rows
+
+
+def fed(innovations: Array) -> EstimatorState:
+    """Return an estimator that has seen these innovations, each of them certain."""
+    state = new_estimator(METHODS[LONG.method], LONG, MOTOR, 2)
+    for one in innovations:
+        state.estimate.innovation = float(one)
+        remember_residual(state, state.estimate, LONG.forgetting)
+    return state
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.3, 0.6, 0.8])
+def test_a_mean_is_as_uncertain_as_the_factor_says(correlation: float) -> None:
+    """The spread of the means of 2000 rows, over that of independent samples."""
+    spread = neighbours(correlation, (2000, 200), 91).mean(axis=1).std() * math.sqrt(200)
+    found = correlation_factor(fed(neighbours(correlation, (1, 6000), 92)[0]))
+    assert found == pytest.approx(spread, rel=0.08)
+
+
+def test_the_deviations_shown_are_wider_by_the_factor() -> None:
+    state, values = fed(np.full(500, 0.1)), [0.011, 33.4, 234.0]
+    wide = inflated_deviations(state, LONG, MOTOR, values)
+    factor = correlation_factor(state)
+    state.residual_lag = 0.0
+    known = inflated_deviations(state, LONG, MOTOR, values)
+    assert np.array(wide) == pytest.approx(factor * np.array(known), rel=1e-6)
+    assert factor > 10.0
+
+
+BOLD = replace(EXACT, supervision=replace(EXACT.supervision, confidence=2.0))
+
+
+HEAVY = [0.011, 33.4, 234.0]
+ENCODER = [0.011, 23.5, 2.35]
+
+
+def spread(values: list[float], root: Array, pole: float = 0.7) -> float:
+    """How far the response may be off with the gains for a motor."""
+    a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0)
+    gains, loop = compensator_gains(a, b, 2, pole), asked_loop(b, 2, pole)
+    models = possible_models(BOLD, MOTOR, values, list(root.ravel()), 1.0)
+    return response_spread(2, models, gains, loop, b, pole)
+
+
+def responses(values: list[float], loads: Array, pole: float = 0.7) -> Array:
+    """Responses of loads to a step, with the gains for a motor, by scipy."""
+    a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0)
+    gains = compensator_gains(a, b, 2, pole)
+    r, s = [1.0, *gains[: len(b) - 1]], gains[len(b) - 1 :]
+    found = []
+    for load in loads:
+        a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(load.tolist()), 1.0)
+        forward, back = np.convolve(a, r), np.convolve(b, s)
+        closed = forward + np.pad(back, (0, len(forward) - len(back)))
+        found.append(lfilter(sum(s) * np.array(b), closed, np.ones(60)))
+    return np.array(found)
+
+
+def test_it_is_the_deviation_that_drawn_loads_show() -> None:
+    """Two standard deviations, at the sample where they are largest."""
+    random = np.random.default_rng(2)
+    root = np.tril([[2e-4, 0, 0], [0.5, 0.3, 0], [3.0, 2.0, 6.0]])
+    loads = HEAVY + random.normal(size=(2000, 3)) @ root.T
+    shown = 2.0 * np.std(responses(HEAVY, loads), axis=0).max()
+    assert spread(HEAVY, root) == pytest.approx(shown, rel=0.05)
+
+
+def test_what_grows_together_without_the_loop_seeing_it_counts_for_little() -> None:
+    """A gain and time constants that are all 8 % larger, beside a time constant alone."""
+    together, alone = np.zeros((3, 3)), np.zeros((3, 3))
+    together[:, 0] = 0.08 * np.array(HEAVY)
+    alone[1, 1] = 0.08 * HEAVY[1]
+    assert spread(HEAVY, together) < 0.4 * spread(HEAVY, alone)
+
+
+def test_a_second_lag_near_0_may_be_as_uncertain_as_it_likes() -> None:
+    root = np.diag([0.0, 0.0, 0.8 * ENCODER[2]])
+    assert spread(ENCODER, root) < 0.02
+
+
+def test_a_load_within_the_covariance_that_the_loop_does_not_hold_leaves_all_open() -> None:
+    assert spread(HEAVY, np.diag([0.0, 0.0, 80.0]), 0.4) == math.inf

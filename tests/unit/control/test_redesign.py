@@ -1,0 +1,220 @@
+"""From an estimate to gains: what is checked, what takes effect, and the way back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptdrive.control.design.noise import noise_gain
+from adaptdrive.control.design.pole_placement import (
+    asked_loop,
+    compensator_gains,
+    discrete_model,
+    equation,
+)
+from adaptdrive.control.estimation.regression import theta_of
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.supervision import redesign
+from adaptdrive.control.supervision.state import SlowState, new_slow_state
+from adaptdrive.control.supervision.supervisor import Verdict
+from tests.integration.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
+from tests.unit.control.systems import distance
+
+POLE = 0.7
+JACKET = replace(
+    EXACT.supervision, warm_up_periods=0, spread_max=0.05, confidence=2.0, residual_margin=1.5
+)
+LEARNING = replace(EXACT.learning, bias=True, alert=True)
+CAREFUL = replace(EXACT, supervision=JACKET, learning=LEARNING)
+
+
+def parameters(disks: float) -> list[float]:
+    return [0.011, 11.7 * disks + 10.0, 117.0 * disks]
+
+
+def model(disks: float, settings: ControllerSettings = CAREFUL) -> tuple[list[float], list[float]]:
+    return discrete_model(settings, MOTOR, *MOTOR.realise(parameters(disks)), 1.0)
+
+
+def known(disks: float = 2.0, settings: ControllerSettings = CAREFUL) -> SlowState:
+    """A slow half that is sure of a motor."""
+    state = new_slow_state(settings, MOTOR, 3.0, REST_V)
+    estimator = state.estimator
+    first = theta_of(settings.learning, MOTOR, *MOTOR.realise(parameters(disks)))
+    estimator.estimate.theta[: len(first)] = first
+    estimator.estimate.diagonal[:] = [1e-6] * len(estimator.estimate.theta)
+    estimator.residual_power, estimator.residual_weight = 30e-6, 36.0
+    estimator.periods = 100
+    return state
+
+
+def adapted(state: SlowState, settings: ControllerSettings = CAREFUL) -> int:
+    redesign.adapt(settings, MOTOR, state, AT_REST)
+    return state.supervisor.verdict
+
+
+def test_an_estimate_that_is_trusted_becomes_gains_and_the_trusted_model() -> None:
+    state = known()
+    assert adapted(state) == Verdict.TRUSTED
+    assert state.accepted
+    a, b = model(2.0)
+    assert state.adaptive_gains == pytest.approx(compensator_gains(a, b, 2, POLE), rel=1e-6)
+    assert state.trusted_a == pytest.approx(a)
+    assert state.trusted_b == pytest.approx(b)
+    assert state.values == pytest.approx(parameters(2.0))
+    assert 0.0 < state.spread < 0.05
+    asked = asked_loop(b, 2, POLE)
+    assert state.reference_filter.asked == pytest.approx(asked)
+    padded = [*asked, *[0.0] * (len(state.reference_filter.loop) - len(asked))]
+    assert state.reference_filter.loop == pytest.approx(padded)
+
+
+@pytest.mark.parametrize(
+    ("adaptive", "slew", "share"), [(True, 0.25, 0.25), (False, 0.25, 1.0), (True, 1.0, 1.0)]
+)
+def test_gains_in_force_move_by_their_share_and_waiting_ones_at_once(
+    adaptive: bool, slew: float, share: float
+) -> None:
+    settings = replace(CAREFUL, supervision=replace(JACKET, gain_slew=slew))
+    state = known(1.0, settings)
+    adapted(state, settings)
+    state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
+    state.adaptive = adaptive
+    old = list(state.adaptive_gains), list(state.reference_filter.loop)
+    adapted(state, settings)
+    state_of_new = known(2.0)
+    adapted(state_of_new)
+    new = state_of_new.adaptive_gains, state_of_new.reference_filter.loop
+    found = state.adaptive_gains, state.reference_filter.loop
+    for before, after, now in zip(old, new, found, strict=True):
+        assert now == pytest.approx(np.array(before) + share * (np.array(after) - before))
+    assert state.reference_filter.asked == pytest.approx(state_of_new.reference_filter.asked)
+
+
+@pytest.mark.parametrize(
+    ("disks", "verdict"), [(1.0, Verdict.TRUSTED), (30.0, Verdict.OUT_OF_BOUNDS)]
+)
+def test_parameters_out_of_bounds_are_refused(disks: float, verdict: Verdict) -> None:
+    state = known(disks)
+    assert adapted(state) == verdict
+    assert state.accepted is (verdict == Verdict.TRUSTED)
+    assert any(state.adaptive_gains) is state.accepted
+    assert any(state.trusted_b) is state.accepted
+
+
+def test_a_model_without_a_gain_at_rest_is_not_finite() -> None:
+    state = known()
+    state.estimator.estimate.theta[0], state.estimator.estimate.theta[1] = math.nan, 0.0
+    assert adapted(state) == Verdict.NOT_FINITE
+
+
+def test_a_load_that_swings_is_refused_before_its_certainty() -> None:
+    damped = replace(CAREFUL, supervision=replace(JACKET, damping_min=0.8))
+    for product, verdict in ((234.0, Verdict.TRUSTED), (900.0, Verdict.UNDERDAMPED)):
+        state = known(2.0, damped)
+        values = [0.011, 33.4, product]
+        state.estimator.estimate.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
+        assert adapted(state, damped) == verdict
+        assert math.isnan(state.spread) is (verdict == Verdict.UNDERDAMPED)
+
+
+def test_an_estimate_whose_loop_is_not_sure_is_refused_after_its_residuals() -> None:
+    state = known()
+    state.estimator.estimate.diagonal[:] = [1e6] * len(state.estimator.estimate.theta)
+    assert adapted(state) == Verdict.UNCERTAIN
+    careless = replace(CAREFUL, supervision=replace(JACKET, spread_max=0.0))
+    assert adapted(state, careless) == Verdict.TRUSTED
+    state.supervisor.own_power, state.supervisor.fixed_power = 1.0, 0.1
+    assert adapted(state) == Verdict.WORSE_THAN_FIXED
+
+
+def test_a_load_that_grows_is_refused() -> None:
+    wide = replace(CAREFUL, supervision=replace(JACKET, ratio_min=-1e9, ratio_max=1e9))
+    wide = replace(wide, supervision=replace(wide.supervision, spread_max=0.0, residual_margin=0.0))
+    state = known()
+    values = [0.011, -30.0, 234.0]
+    state.estimator.estimate.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
+    assert adapted(state, wide) == Verdict.UNSTABLE_LOAD
+
+
+@pytest.mark.parametrize(("noise", "rounding"), [(4e-3, 0.0), (0.0, 4e-3), (2e-3, 4e-3)])
+def test_noise_of_the_output_makes_the_poles_slower(noise: float, rounding: float) -> None:
+    """σ_u is that of the larger of noise and rounding, in the unit of the output."""
+    a, b = model(2.0)
+    limit = (
+        0.5
+        * 4e-3
+        * LEARNING.output_scale
+        * noise_gain(equation(a, b), a, b, asked_loop(b, 2, POLE))
+    )
+    settings = replace(CAREFUL, supervision=replace(JACKET, noise_max=limit))
+    state = known(2.0, settings)
+    state.estimator.detector.noise, state.estimator.sample.rounding = noise * noise, rounding
+    assert adapted(state, settings) == Verdict.TRUSTED
+    noise_V = 4e-3 * LEARNING.output_scale * noise_gain(equation(a, b), a, b, state.new_loop)
+    assert 0.9 * limit < noise_V <= limit
+    r = [1.0, *state.adaptive_gains[: len(b) - 1]]
+    s = state.adaptive_gains[len(b) - 1 :]
+    closed = np.convolve(a, r) + np.pad(np.convolve(b, s), (0, len(a) - len(s)))
+    found, expected = np.roots(closed), np.roots(state.new_loop)
+    assert distance(found, expected.tolist()) < 0.02
+
+
+# the way back
+
+
+def lost(state: SlowState, settings: ControllerSettings, periods: int) -> list[int]:
+    """Count of the periods in which the estimate was none of a load."""
+    counts = []
+    for _ in range(periods):
+        adapted(state, settings)
+        counts.append(state.estimator.lost_periods)
+    return counts
+
+
+def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods() -> None:
+    state = known(30.0)
+    estimator = state.estimator
+    estimator.sample.time_s, estimator.estimate.theta[5] = 500.0, 0.7
+    estimator.detector.sum, estimator.hypotheses.samples, estimator.second_filter.samples = (
+        3.0,
+        4,
+        5,
+    )
+    before = list(estimator.estimate.theta)
+    assert lost(state, CAREFUL, 60) == list(range(1, 61))
+    assert estimator.estimate.theta == before
+    assert lost(state, CAREFUL, 1) == [0]
+    assert estimator.estimate.theta == pytest.approx([*state.nominal_theta])
+    assert estimator.estimate.diagonal == [LEARNING.initial_covariance] * 6
+    assert estimator.estimate.origin_s == 500.0
+    assert (
+        estimator.detector.sum
+        == estimator.hypotheses.samples
+        == estimator.second_filter.samples
+        == 0
+    )
+    assert adapted(state) == Verdict.UNCERTAIN
+
+
+def test_only_periods_in_a_row_that_teach_another_load_count() -> None:
+    state = known(30.0)
+    lost(state, CAREFUL, 30)
+    state.estimator.idle_periods = 1
+    assert lost(state, CAREFUL, 1) == [0]
+    state.estimator.idle_periods = 0
+    assert lost(state, CAREFUL, 2) == [1, 2]
+    state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
+    assert lost(state, CAREFUL, 1) == [0]
+    plain = replace(CAREFUL, learning=replace(LEARNING, alert=False, initial_state=True))
+    assert lost(known(30.0, plain), plain, 70) == [0] * 70
+
+
+def test_a_loop_that_is_asked_to_grow_is_refused() -> None:
+    state = known()
+    redesign.adapt(CAREFUL, MOTOR, state, replace(AT_REST, pole=1.02))
+    assert state.supervisor.verdict == Verdict.UNSTABLE_LOOP
+    assert not state.accepted

@@ -1,0 +1,136 @@
+"""Checksums by their parameters agree with crccheck, and with frames that others have made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from crccheck.crc import ALLCRCCLASSES
+from crccheck.crc import Crc as Reference
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.config.bus import Crc, FrameIntegrity
+from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.can.database import SignalCatalogue
+from adaptdrive.devices.can.integrity import CHECK_INPUT, FrameVerdict, crc_function
+from tests.unit.devices.bench import odd_database
+
+WHOLE_BYTES = [one for one in ALLCRCCLASSES if one.width() >= 8]
+CCITT_FALSE = {"width": 16, "poly": 0x1021, "init": 0xFFFF}
+PROFILE_2 = {"width": 8, "poly": 0x2F, "init": 0xFF, "xorout": 0xFF}
+ALIVE = ' SG_ Alive : 16|8@1+ (1,0) [0|255] "" X\n'
+CRC_16 = ' SG_ Sum : 0|16@1+ (1,0) [0|65535] "" X\n' + ALIVE
+CRC_8 = ' SG_ Alive : 8|4@1+ (1,0) [0|15] "" X\n SG_ Sum : 0|8@1+ (1,0) [0|255] "" X\n'
+
+
+def form_of(width: Any, *values: Any) -> Crc:
+    """A form of any width, of which a configuration may have three."""
+    names = ("poly", "init", "refin", "refout", "xorout")
+    given: dict[str, Any] = dict(zip(names, values, strict=True))
+    return Crc.model_construct(width=width, **given)
+
+
+def reference(form: Crc) -> Any:
+    return Reference(form.width, form.poly, form.init, form.refin, form.refout, form.xorout)
+
+
+@pytest.mark.parametrize("listed", WHOLE_BYTES, ids=lambda one: str(one.__name__))
+def test_every_form_of_the_catalogue_has_its_check_value(listed: Any) -> None:
+    form = form_of(
+        listed.width(),
+        listed.poly(),
+        listed.initvalue(),
+        listed.reflect_input(),
+        listed.reflect_output(),
+        listed.xor_output(),
+    )
+    assert crc_function(form)(CHECK_INPUT) == listed.check_result()
+    assert crc_function(form)(bytes(range(256))) == listed.calc(bytes(range(256)))
+
+
+@st.composite
+def forms(draw: st.DrawFn) -> Crc:
+    width = draw(st.sampled_from([8, 16, 32]))
+    words = st.integers(0, (1 << width) - 1)
+    mirrored = st.booleans()
+    return form_of(width, draw(words), draw(words), draw(mirrored), draw(mirrored), draw(words))
+
+
+@given(forms(), st.binary(max_size=20), st.binary(max_size=64))
+def test_any_form_agrees_with_crccheck(form: Crc, before: bytes, data: bytes) -> None:
+    assert crc_function(form, before)(data) == reference(form).process(before + data).final()
+
+
+def protected(signals: str, **crc: object) -> MessageCodec:
+    return MessageCodec(odd_database(signals).get_message_by_name("Odd"), integrity(**crc))
+
+
+def integrity(**crc: object) -> FrameIntegrity:
+    return FrameIntegrity.model_validate(
+        {"counter": "Alive", "checksum": "Sum", "algorithm": "crc", "crc": crc}
+    )
+
+
+def test_profile_5_of_autosar_is_described() -> None:
+    # printed in the standard, for the data id 0x1234
+    codec = protected(CRC_16, **CCITT_FALSE, after=[0x34, 0x12])
+    frame = bytes.fromhex("1cca000000000000")
+    assert codec.encode({}) == frame
+    assert codec.decode(frame)[0] is FrameVerdict.GOOD
+
+
+@pytest.mark.parametrize("frame", ["c401000000000000", "1902000000000000", "5203000000000000"])
+def test_profile_2_of_autosar_is_described(frame: str) -> None:
+    # made by the package autosar-e2e 1.0.0, with the data ids 0x10 to 0x1F
+    codec = protected(CRC_8, **PROFILE_2, by_counter=list(range(0x10, 0x20)))
+    assert codec.decode(bytes.fromhex(frame))[0] is FrameVerdict.GOOD
+
+
+@given(st.binary(min_size=8, max_size=8), st.permutations(range(8)), st.integers(1, 8))
+def test_only_the_named_bytes_are_covered(data: bytes, order: list[int], count: int) -> None:
+    covers = order[:count]
+    codec = protected(CRC_16, **CCITT_FALSE, covers=covers)
+    blank = bytes(2) + data[2:]
+    total = reference(form_of(16, 0x1021, 0xFFFF, 0, 0, 0))
+    held = total.process(bytes(blank[at] for at in covers)).final()
+    good = held.to_bytes(2, "little") + data[2:]
+    assert codec.decode(good)[0] is FrameVerdict.GOOD
+    assert codec.decode(bytes((good[0] ^ 1,)) + good[1:])[0] is FrameVerdict.WRONG_CHECKSUM
+
+
+def test_a_checksum_in_motorola_order_is_read() -> None:
+    signals = ' SG_ Sum : 55|16@0+ (1,0) [0|65535] "" X\n' + ALIVE
+    frame = protected(signals, **CCITT_FALSE).encode({"Alive": 0})
+    total = reference(form_of(16, 0x1021, 0xFFFF, 0, 0, 0))
+    assert frame[6:] == total.process(frame[:6]).final().to_bytes(2, "big")
+
+
+@pytest.mark.parametrize(
+    ("signals", "changes", "place", "words"),
+    [
+        (CRC_16, {"crc": {**CCITT_FALSE, "check": 0x29B2}}, "crc.check", "0x29b1"),
+        (CRC_8, {"crc": CCITT_FALSE}, "checksum", "two whole bytes"),
+        (CRC_16, {"crc": {**CCITT_FALSE, "covers": [8]}}, "crc.covers", "8 bytes"),
+        (CRC_16, {"crc": None}, "crc", "'crc' needs"),
+        (CRC_8, {"algorithm": "sae-j1850"}, "crc", "'crc' needs"),
+        (CRC_16, {"checksum": None}, "checksum", "is missing"),
+        (CRC_8, {"counter": None, "crc": {**PROFILE_2, "by_counter": [1]}}, "counter", "missing"),
+        (CRC_16, {"data_id": 5}, "algorithm", "has no data id"),
+    ],
+)
+def test_a_form_that_does_not_fit_is_a_flaw(
+    signals: str, changes: dict[str, object], place: str, words: str
+) -> None:
+    given: dict[str, object] = {"counter": "Alive", "checksum": "Sum", "algorithm": "crc"}
+    given["crc"] = PROFILE_2 if signals is CRC_8 else CCITT_FALSE
+    catalogue = SignalCatalogue(odd_database(signals), fd=False)
+    catalogue.check_integrity("Odd", FrameIntegrity.model_validate({**given, **changes}))
+    found = {flaw.place: flaw.message for flaw in catalogue.flaws}
+    assert words in found[f"bus.integrity.Odd.{place}"]
+
+
+@pytest.mark.parametrize("name", ["poly", "init", "xorout", "check"])
+def test_a_parameter_wider_than_the_checksum_is_a_flaw(name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} = 0x100 has more than width = 8 bits"):
+        Crc.model_validate({"width": 8, "poly": 1, name: 0x100})

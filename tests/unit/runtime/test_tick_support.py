@@ -1,0 +1,238 @@
+"""Around a tick: a busy wait and a rehearsal before its frame, and what made it late."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import math
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from itertools import count
+
+import pytest
+
+from adaptdrive.app.ports import build_port
+from adaptdrive.app.process import Rehearsal
+from adaptdrive.config import load_configuration
+from adaptdrive.config.services import Realtime
+from adaptdrive.devices.port import Reading
+from adaptdrive.runtime.realtime import real_time
+from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector, TickSupport
+from tests.loopback_port import LoopbackPort
+from tests.unit.devices.bench import EXAMPLES
+from tests.unit.runtime.bench import CALM, SETTINGS, TICK_S, FastBench, LoopTimer, fast_bench
+
+SPIN_S, LOOK_S = 0.01, 0.001
+
+
+@pytest.fixture(autouse=True)
+def _timer_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("adaptdrive.runtime.tick_support.TickTimer", LoopTimer)
+
+
+def nothing() -> None:
+    """Look at a bus that has no frame."""
+
+
+def support(
+    *,
+    spin_s: float = 0.0,
+    lead_s: float = 0.0,
+    look: Callable[[], None] = nothing,
+    rehearse: Callable[[], None] = nothing,
+    report_end: Callable[[str], None] = pytest.fail,
+    clock: Callable[[], float] | None = None,
+) -> TickSupport:
+    """A busy wait, or a rehearsal, in the running loop."""
+    changes = {"spin_us": spin_s * 1e6, "rehearse_us": lead_s * 1e6}
+    settings = replace(SETTINGS, realtime=SETTINGS.realtime.model_copy(update=changes))
+    clock = clock or asyncio.get_running_loop().time
+    return TickSupport(settings, look, rehearse, lambda _, text: report_end(text), clock)
+
+
+@pytest.mark.parametrize(("looks_to_frame", "looks"), [(1, 1), (7, 7), (1000, 20)])
+async def test_it_looks_from_shortly_before_a_frame_until_it_has_come_or_is_late(
+    looks_to_frame: int, looks: int
+) -> None:
+    """Each look takes a millisecond; the frame comes at the last of so many."""
+    loop, found_s = asyncio.get_running_loop(), list[float]()
+
+    def look() -> None:
+        found_s.append(loop.time())
+        if len(found_s) == looks_to_frame:
+            watch.expect(due_s + 3600.0)
+
+    def now_s() -> float:
+        return due_s - SPIN_S + (len(found_s) + 0.5) * LOOK_S
+
+    watch, due_s = support(spin_s=SPIN_S, look=look, clock=now_s), loop.time() + 1.0
+    watch.expect(due_s)
+    await asyncio.sleep(10.0)
+    watch.close()
+    assert found_s == [pytest.approx(due_s - SPIN_S, abs=1e-6)] * looks
+
+
+async def test_each_frame_is_rehearsed_once_before_it_is_due_and_an_early_one_not() -> None:
+    loop, times_s, due_s = asyncio.get_running_loop(), list[float](), list[float]()
+    rehearsal = support(rehearse=lambda: times_s.append(loop.time()), lead_s=0.02)
+    for early in (False, True, False):
+        due_s.append(loop.time() + 0.05)
+        rehearsal.expect(due_s[-1])
+        await asyncio.sleep(0.02 if early else 0.05)
+    rehearsal.expect(loop.time() + 3600.0)
+    await asyncio.sleep(0.03)
+    rehearsal.close()
+    assert times_s == pytest.approx([due_s[0] - 0.02, due_s[2] - 0.02], abs=1e-6)
+
+
+def test_the_rehearsal_leaves_the_bus_alone() -> None:
+    path = EXAMPLES / "motor.toml"
+    configuration = load_configuration(path)
+    port = build_port(configuration, lambda: 0.0, path)
+    ticks = Rehearsal(configuration, port).run()
+    assert ticks > 3 * configuration.ticks_per_period
+    assert port.statistics.sent == 0
+    assert port.statistics.send_drops >= ticks
+
+
+@pytest.mark.parametrize("name", ["motor", "bath", "battery", "motor-inverter"])
+def test_a_tick_is_rehearsed_from_frames_to_a_command_of_a_drive_that_runs(name: str) -> None:
+    path, now = EXAMPLES / f"{name}.toml", count(1000.0, 1e-5)
+    configuration = load_configuration(path)
+    port = build_port(configuration, lambda: next(now), path)
+    rehearsal = Rehearsal(configuration, port)
+    rehearsal.tick()
+    before, ticks = port.statistics, rehearsal._loop.ticks
+    for _ in range(100):
+        rehearsal.tick()
+    after, loop = port.statistics, rehearsal._loop
+    assert loop.ticks == ticks + 100
+    assert loop.command.bridge
+    assert rehearsal._machine.trip is None
+    assert after.send_drops > before.send_drops
+    assert after.received >= before.received + 100
+    refused = {name: count for name, count in asdict(after).items() if count and count > 0}
+    assert refused.keys() == {"received", "send_drops"}
+
+
+class LateReader(LoopbackPort):
+    """A port whose frames nobody looks at until it is asked to catch up."""
+
+    waiting: Reading | None = None
+
+    def catch_up(self) -> None:
+        if self.waiting is not None:
+            reading, self.waiting = self.waiting, None
+            self.deliver(reading)
+
+
+async def overslept(bench: FastBench, half_cycles: int) -> None:
+    """The timer wakes the loop after so many half cycles, whose frames all wait to be read."""
+    around, port = bench.around, LateReader(bench.sent.append)
+    bench.loop._port = port
+    serving = asyncio.create_task(port.run(bench, lambda: None))
+    await asyncio.sleep(0)
+    newest_s = around.now + half_cycles * TICK_S
+    around.now = newest_s + 0.3 * TICK_S
+    waiting = replace(CALM, arrival_s=newest_s, oldest_s=newest_s, bridge=True)
+    port.waiting = replace(waiting, counter=bench.counter + half_cycles)
+    bench.loop.on_deadline(around.deadline_s)
+    serving.cancel()
+    await asyncio.wait([serving])
+
+
+async def test_what_was_overslept_reaches_the_filters_as_a_drive_that_skipped_it() -> None:
+    """The same half cycles lost on the bus instead: controller and filters end up the same."""
+    async with fast_bench() as bench, fast_bench() as other:
+        bench.start()
+        other.start()
+        ticks, sent = bench.loop.ticks, len(bench.sent)
+        await overslept(bench, 5)
+        assert (bench.loop.ticks, len(bench.sent)) == (ticks + 1, sent + 1)
+        assert (bench.loop.missed, bench.loop.held) == (4, 0)
+        assert bench.around.deadline_s > bench.around.now
+        other.around.deadline_s = math.inf
+        other.measured = CALM
+        other.frame(after_s=5 * TICK_S, steps=5, bridge=True)
+        mine, others = bench.controller.inner, other.controller.inner
+        assert bench.loop.tick == other.loop.tick
+        assert mine._bank == others._bank
+        assert repr(mine._fast) == repr(others._fast)  # a NaN equals none
+
+
+class Detected:
+    """A detector whose clocks go as a test has them."""
+
+    def __init__(self, late_us: float = 5000.0) -> None:
+        self.told: list[str] = []
+        self.now_s = self.used_s = 1000.0
+        self.detector = LatencyDetector(
+            late_us, self.told.append, lambda: self.now_s, lambda: self.used_s
+        )
+
+
+@pytest.mark.parametrize(
+    ("used_s", "tick_us", "told"),
+    [
+        (0.03, 20.0, "the daemon itself used 29.98 ms of processor time since the tick before"),
+        (0.009, 8900.0, "nothing of the daemon ran"),  # it took long itself
+        (0.0, 0.0, "nothing of the daemon ran"),
+    ],
+)
+def test_a_callback_that_blocks_is_told_by_its_processor_time(
+    used_s: float, tick_us: float, told: str
+) -> None:
+    seen = Detected()
+    seen.detector.ticked(4999.0, 20.0)
+    seen.used_s += used_s
+    seen.detector.ticked(6000.0, tick_us)
+    (sentence,) = seen.told
+    assert sentence.startswith(f"tick 6.00 ms late: {told}")
+
+
+def test_many_late_ticks_are_told_once_and_counted() -> None:
+    seen = Detected(2000.0)
+    for _ in range(500):
+        seen.now_s += 0.008
+        seen.detector.ticked(3000.0, 20.0)
+    assert len(seen.told) == 1
+    seen.now_s += 60.0
+    seen.detector.ticked(2500.0, 20.0)
+    assert "499 more" in seen.told[1]
+    assert "the worst 3.00 ms late" in seen.told[1]
+
+
+def test_after_the_freeze_garbage_waits_for_the_collector() -> None:
+    class Knot:
+        def __init__(self) -> None:
+            self.itself = self
+
+    with real_time(Realtime(freeze_gc=False)) as grants:
+        assert grants == []
+    collected: list[int] = []
+    collector = IdleCollector(every_ticks=3)
+    with real_time(Realtime(freeze_gc=True)) as grants, ExitStack() as stack:
+        assert [grant.granted for grant in grants] == [True]
+        assert not gc.isenabled()
+        knot = Knot()
+        gc.callbacks.append(lambda _, info: collected.append(info.get("collected", 0)))
+        stack.callback(gc.callbacks.pop)
+        del knot
+        assert [collector.is_due() for _ in range(6)] == [False, False, True, False, False, True]
+        assert collector.collect(idle=False) == 0
+        assert collected[-1] > 0
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+    assert not any(IdleCollector(every_ticks=0).is_due() for _ in range(1000))
+
+
+def test_a_full_collection_waits_until_the_drive_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    collector, collected = IdleCollector(every_ticks=1), list[int]()
+    monkeypatch.setattr(gc, "collect", collected.append)
+    running = [collector.collect(idle=False) for _ in range(7000)]
+    assert running[:20].count(1) == 2
+    assert max(running) == 1
+    assert collector.collect(idle=True) == 2
+    assert collector.collect(idle=True) < 2
+    assert collected[:-1] == [*running, 2]
