@@ -17,7 +17,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.cli.options import Integer, read_address
 from adaptdrive.config import file, root, services
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
-from adaptdrive.util.log import log
+from adaptdrive.util.log import configured, log
 from adaptdrive_sim import wire
 from adaptdrive_sim.devices import can, canopen, disturbances, modbus, scpi
 from adaptdrive_sim.devices import drive as drives
@@ -133,6 +133,7 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
         address = parse_address(settings.broker)
         jobs.append(disturbances.Remote(address, configuration.drive.name, drive).run)
     try:
+        configured()  # what the first line imports takes longer than a half cycle
         asyncio.run(_until_signal(jobs))
     except ExceptionGroup as problems:
         ours, _ = problems.split(AdaptdriveError)

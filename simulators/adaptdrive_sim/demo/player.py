@@ -183,7 +183,9 @@ class Player:
         record = self._record
         held, disturbances = self._story.conditions(self.number)
         measured = "the daemon receives no measurement"
-        await self._until(lambda: record.live and "output" in record.fast, START_s, measured)
+        await self._until(
+            lambda: record.live and record.fast.get("output") is not None, START_s, measured
+        )
         if record.trip:
             await self._until_reset()
         if not record.running:
