@@ -16,7 +16,7 @@ def import_sources(folder: str) -> None:
     """
     hook = FileFinder.path_hook((SourceFileLoader, SOURCE_SUFFIXES))
 
-    def ours(path: str) -> PathEntryFinder:
+    def ours(path: str) -> "PathEntryFinder":
         if path != folder and not path.startswith(f"{folder}/"):
             raise ImportError(f"{path} is not in this package", path=path)
         return hook(path)
