@@ -174,7 +174,8 @@ def _plain() -> list[Constant]:
 
 @cache
 def _defined() -> list[tuple[Constant, ast.expr]]:
-    paths = [*sorted((SOURCE / "control").rglob("*.py")), SOURCE / "app" / "settings.py"]
+    app = SOURCE / "app"
+    paths = [*sorted((SOURCE / "control").rglob("*.py")), app / "loads.py", app / "settings.py"]
     return [found for path in paths for found in _of_module(path)]
 
 
