@@ -40,6 +40,8 @@ _UNITS = {
     "RARER": "log odds",
     "_NEAR_LIMIT": "1",
     "_POWER_FACTOR": "1",
+    "MODEL_ERROR": "1",
+    "_POLE_STEP": "1",
     "_BELOW_RANGE": "1",
     "_ABOVE": "1",
     "_STEP": "1",

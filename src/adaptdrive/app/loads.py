@@ -23,7 +23,7 @@ MODEL_ERROR = 0.1
 """Error of each parameter that the fixed gains must stand: copper has 10 % more resistance when it
 is 25 K warmer, and commissioning is seldom wrong by more."""
 
-_STEP = 0.01
+_POLE_STEP = 0.01
 """Distance of the poles that are tried."""
 
 Model = tuple[list[float], list[float]]
@@ -145,8 +145,8 @@ def _stands(load: Load, models: list[Model], pole: float) -> bool:
 
 def _poles(start: float, end: float) -> list[float]:
     """Return the poles after one to another, that one included."""
-    count = math.ceil(abs(end - start) / _STEP - 1e-9)
-    step = math.copysign(_STEP, end - start)
+    count = math.ceil(abs(end - start) / _POLE_STEP - 1e-9)
+    step = math.copysign(_POLE_STEP, end - start)
     return [*(round(start + step * i, 6) for i in range(1, count)), end] if count else []
 
 
