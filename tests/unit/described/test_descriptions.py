@@ -63,7 +63,7 @@ def test_an_unknown_device_is_refused() -> None:
 
 
 def test_the_tachometer_and_the_rates_of_the_page_fit_an_inverter_without_encoder() -> None:
-    page = (DEVICES.parents[2] / "docs" / "own-drive.md").read_text(encoding="utf-8")
+    page = (DEVICES.parents[1] / "docs" / "own-drive.md").read_text(encoding="utf-8")
     (tachometer,) = re.findall(r"```toml\n(\[\[sensor_bus\]\].*?)```", page, re.DOTALL)
     path = DEVICES / "siemens-v20.toml"
     tables = tomllib.loads(path.read_text(encoding="utf-8")) | tomllib.loads(tachometer)
