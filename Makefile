@@ -122,4 +122,4 @@ $(installed):
 	$(call install,$(EXTRAS),$(words $(shell grep == constraints.txt)) packages$(,) several minutes)
 
 $(venv)/.demo-$(inputs):
-	$(call install,$(DEMO_EXTRAS),60 packages$(,) about two minutes)
+	$(call install,$(DEMO_EXTRAS),59 packages$(,) about two minutes)
