@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adaptdrive.analysis.excerpts import judge_step
+from adaptdrive.analysis.curves import judge_step
 from adaptdrive.mqtt.commands import number
 from adaptdrive.tui.record import Mark, Payload, WatchRecord
 from adaptdrive_sim.demo.story import Story

@@ -22,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.analysis.excerpts import judge_step
+from adaptdrive.analysis.curves import judge_step
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control import controller, signals

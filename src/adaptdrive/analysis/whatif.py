@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis import closed_loop, excerpts, record_load, style
-from adaptdrive.analysis.curves import find_window, read_curves
+from adaptdrive.analysis import closed_loop, curves, excerpts, record_load, style
 from adaptdrive.analysis.figure import as_png
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
@@ -44,7 +43,7 @@ class LoopCourse:
     reference: Array
     output: Array
     boost_voltage_V: Array
-    quality: excerpts.Quality
+    quality: curves.Quality
     fault: str = ""
 
 
@@ -177,10 +176,11 @@ def _start(found: record_load.SessionLoad, stretch: excerpts.Stretch) -> closed_
     volts, prior = float(stretch.columns["boost_voltage_V"][0]), found.session.info.prior
     if stretch.begin_s <= found.configuration.load.period_s:
         return volts, prior
-    curves = read_curves(found.session, find_window(found.session, None, stretch.begin_s))
-    accepted = np.flatnonzero(curves.slow.get("accepted", ()))
+    window = curves.find_window(found.session, None, stretch.begin_s)
+    shown = curves.read_curves(found.session, window)
+    accepted = np.flatnonzero(shown.slow.get("accepted", ()))
     if len(accepted):
-        prior = tuple(float(curves.estimates[name][0][accepted[-1]]) for name in found.nominal)
+        prior = tuple(float(shown.estimates[name][0][accepted[-1]]) for name in found.nominal)
     return volts, prior
 
 
@@ -196,7 +196,7 @@ def _course(
     Those from `begin_s` on; all of them where a fault ended the run before.
     """
     samples, load = stretch.samples_per_period, found.configuration.load
-    output, volts = (excerpts.period_means(one, samples) for one in series[1:])
+    output, volts = (curves.period_means(one, samples) for one in series[1:])
     reference = series[0][samples - 1 :: samples][: len(output)]
     ends = np.arange(1.0, len(output) + 1.0)
     time_s = stretch.begin_s + samples * stretch.period_s * ends
@@ -210,7 +210,7 @@ def _course(
         reference=reference,
         output=output,
         boost_voltage_V=volts,
-        quality=excerpts.quality_of(reference, output, volts, load.period_s, span),
+        quality=curves.quality_of(reference, output, volts, load.period_s, span),
         fault=fault,
     )
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from adaptdrive.analysis import record_load, style
 from adaptdrive.analysis.closed_loop import run_loop
-from adaptdrive.analysis.excerpts import IdentifiedPlant, Quality, period_means, quality_of
+from adaptdrive.analysis.curves import Quality, period_means, quality_of
+from adaptdrive.analysis.excerpts import IdentifiedPlant
 from adaptdrive.analysis.figure import as_png
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.commissioning.course import Outcome, Samples

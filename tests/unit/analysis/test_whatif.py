@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptdrive.analysis.excerpts import quality_of
+from adaptdrive.analysis.curves import quality_of
 from adaptdrive.analysis.whatif import Comparison, as_text, what_if
 from adaptdrive.control.signals import Mode
 from adaptdrive.recording.records import Header
