@@ -62,7 +62,7 @@ _SESSIONS = "List, show, verify and prune recorded sessions."
 
 
 def parsed_command(app: App, words: Sequence[str] | None = None) -> Callable[[], object]:
-    """Return what carries out the command that words name, or tells what is wrong with them.
+    """Return what carries out the command that the words name, or prints why they name none.
 
     Args:
         app: The commands of a program.
@@ -80,7 +80,7 @@ def parsed_command(app: App, words: Sequence[str] | None = None) -> Callable[[],
 
 
 def _usage_error(program: str, problem: CycloptsError) -> str:
-    """Return what is wrong with the words of a command."""
+    """Return why the words name no command that can be carried out."""
     words = " ".join(problem.unused_tokens or ())
     if isinstance(problem, UnknownCommandError):
         from adaptdrive.util.errors import nearest  # noqa: PLC0415 - no command needs it

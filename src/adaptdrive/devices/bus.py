@@ -142,8 +142,6 @@ class BusKind:
     lock_names: Callable[[Configuration], Iterator[str]] = lambda _: iter(())
 
 
-# What most ports have in common: counts, answers, delays of a lost bus, the reset of a fault.
-
 # Counts of a port, answers that most ports have in common, and delays of a bus that is lost.
 
 _FIRST_S = 0.1

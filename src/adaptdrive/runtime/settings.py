@@ -14,8 +14,6 @@ from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import BOOST, Given
 
-# Limits of an operator's requests, refusals of values outside them, and V_c in mode `manual`.
-
 # V_c as the operator sets it in mode `manual`: a ramp to the value asked for, and its expiry.
 
 

@@ -12,8 +12,6 @@ from adaptdrive.runtime.reports import TickReport
 from adaptdrive.runtime.settings import DaemonSettings
 from adaptdrive.util.clock import TickTimer
 
-# Work between the ticks: preparation for the next frame, causes of late ticks, garbage.
-
 # Causes of a late tick: the processor time that the daemon itself used before it.
 
 _SHARE_WORTH_NAMING = 0.2

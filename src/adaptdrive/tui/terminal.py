@@ -28,8 +28,6 @@ from adaptdrive.tui.record import WatchRecord
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
-# Drawing of a view on a terminal that may be stopped or gone, and the orderly end of the view.
-
 # The end of a view that commands a drive: once it is asked for, nothing cuts it short.
 
 LONGEST_S = 1.0

@@ -22,8 +22,6 @@ from functools import partial
 from threading import Thread
 from typing import Any, Final, NoReturn, TypeVar
 
-# The clock of the daemon, and deadlines that the kernel keeps and the event loop delivers.
-
 # The clock of the daemon: nobody sets it, and it counts the time that the machine is suspended.
 
 CLOCK: Final = time.CLOCK_BOOTTIME
@@ -154,10 +152,6 @@ def pulsing(period_s: float, *due: Callable[[], object]) -> Iterator[None]:
     finally:
         timer.close()
 
-
-# Calls that may hang, look-ups of hosts among them, and tasks that are taken again and again.
-
-# Calls that may hang, each in a separate thread, and tasks that are taken again and again.
 
 # Calls that may hang, each in a separate thread.
 

@@ -31,7 +31,6 @@ def log(level: Level, event: str, **facts: object) -> None:
         event: What happened, in words.
         facts: What else is known, by name.
     """
-    configured()
     getattr(_logger(), level)(event, **facts)
 
 
@@ -87,6 +86,7 @@ def configured() -> logging.Formatter:
 def _logger() -> "structlog.stdlib.BoundLogger":
     import structlog  # noqa: PLC0415 - see above
 
+    configured()
     logger: structlog.stdlib.BoundLogger = structlog.get_logger(_NAME)
     return logger
 

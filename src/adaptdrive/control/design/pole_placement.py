@@ -39,8 +39,6 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.vectors import Vector
 
-# Pole placement for a controller with an integrator: from a load model to gains.
-
 # Pole placement for a controller with an integrator, any order.
 
 

@@ -101,8 +101,6 @@ def condition_reference(state: ReferenceFilter, shortage: float, gain: float) ->
         state.course[0] += shortage / gain * vectors.total(state.loop)
 
 
-# Preview: where the law would leave the limits of the input, the reference to come is planned.
-
 # A quadratic function of a few numbers, each between the same limits.
 
 _STEPS = 4

@@ -207,8 +207,6 @@ def _take_over(state: estimator.EstimatorState) -> None:
     hypothesis_test.drop_anchor(hypotheses, state.estimate, state.sample)
 
 
-# The estimate in force, and what the load may have become since the samples last showed it.
-
 # The estimate in force: the one whose bias rests, or the one whose bias walks (`second_filters`).
 
 
@@ -244,7 +242,7 @@ def residual_noise(state: estimator.EstimatorState) -> float:
 def correlation_factor(state: estimator.EstimatorState) -> float:
     """Return the factor by which innovations that resemble their neighbours widen a deviation.
 
-    n samples whose neighbours have the correlation φ tell as much as n (1 - φ)/(1 + φ) independent
+    n samples whose neighbours have the correlation φ carry the information of n (1 - φ)/(1 + φ) independent
     ones (G. V. Bayley and J. M. Hammersley, Suppl. J. Roy. Stat. Soc. 8, 1946,
     doi:10.2307/2983560), and no less than one. Noise has no correlation; the error that a moving
     disturbance leaves has one, and so has what came with an alarm, until it is forgotten: its

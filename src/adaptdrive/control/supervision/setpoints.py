@@ -38,8 +38,6 @@ from adaptdrive.control.supervision import monitor, supervisor
 from adaptdrive.control.supervision.state import ProbeState, SlowState
 from adaptdrive.control.vectors import total
 
-# Attainable outputs: the steady states at the lowest and at the highest V_c.
-
 # Steady state of the load at a constant input, by the nominal and by the trusted model.
 
 

@@ -29,8 +29,6 @@ import can
 
 from adaptdrive.config.bus import Crc, FrameIntegrity
 
-# Proofs that a frame is whole and alive: checksums and alive counters.
-
 # Cyclic redundancy checks by the parameters under which catalogues list them.
 
 CHECK_INPUT = b"123456789"
