@@ -242,8 +242,8 @@ def residual_noise(state: estimator.EstimatorState) -> float:
 def correlation_factor(state: estimator.EstimatorState) -> float:
     """Return the factor by which innovations that resemble their neighbours widen a deviation.
 
-    n samples whose neighbours have the correlation φ carry the information of n (1 - φ)/(1 + φ) independent
-    ones (G. V. Bayley and J. M. Hammersley, Suppl. J. Roy. Stat. Soc. 8, 1946,
+    n samples whose neighbours have the correlation φ carry the information of n (1 - φ)/(1 + φ)
+    independent ones (G. V. Bayley and J. M. Hammersley, Suppl. J. Roy. Stat. Soc. 8, 1946,
     doi:10.2307/2983560), and no less than one. Noise has no correlation; the error that a moving
     disturbance leaves has one, and so has what came with an alarm, until it is forgotten: its
     explanation is not confirmed yet. A bias that walks follows a disturbance.
