@@ -57,6 +57,7 @@ def judge(module: str, tests: Sequence[str], longest: int) -> Score:
     """Try the mutants of a module."""
     file = source_of(module)
     every = mutants(module, file.read_text(encoding="utf-8"))
+    _refuse_stale_reasons(module, every)
     chosen = every if len(every) <= longest else _sample(every, longest)
     score = Score(module, len(every), len(chosen))
 
@@ -70,6 +71,13 @@ def judge(module: str, tests: Sequence[str], longest: int) -> Score:
     if status not in (0, 5):
         raise RuntimeError(printed.getvalue()[-2000:])
     return score
+
+
+def _refuse_stale_reasons(module: str, every: Sequence[Mutant]) -> None:
+    """Refuse reasons of the module's changes that are none of its mutants: its source has changed."""
+    own = {name for name in REASONS if name.startswith(f"{module.removeprefix('adaptdrive.')}:")}
+    if stale := sorted(own - {one.name for one in every}):
+        raise RuntimeError(f"survivors.py has reasons of changes that are not tried: {stale}")
 
 
 def _sample(every: Sequence[Mutant], longest: int) -> list[Mutant]:

@@ -35,7 +35,8 @@ _TIME_BOUND = "a time that equals the bound to the last digit may be judged eith
 _FALSE = "None is as false as False, and nobody sees which"
 
 _VOLTAGE = (
-    "start_V=self.manual.value(tick), target_V=value, since_tick=tick, hold_s=hold_s, hold_ticks="
+    "start_V=self.manual.value(tick), target_V=value + 0.0, since_tick=tick, hold_s=hold_s, "
+    "hold_ticks="
 )
 _HOLD = " if hold_s is None else math.ceil(hold_s / self._limits.tick_s))"
 _MACHINE = "runtime.state_machine:Machine.__init__: "
@@ -50,8 +51,8 @@ RUNTIME: dict[str, str] = {
     "if abs(distance_V) < way_V:": "a way of just the distance ends at the target too",
     "runtime.settings:ManualVoltage.value: return self.start_V + (way_V if distance_V > 0.0 else "
     "-way_V) -> return self.start_V + (way_V if distance_V >= 0.0 else -way_V)": _RETURNED,
-    f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
-    "self.manual = self._limits.held(limits.floor_V, 1)": "a V_c that stays has no beginning",
+    f"{_MACHINE}self.manual = self._limits.held(limits.rest_V, 0) -> "
+    "self.manual = self._limits.held(limits.rest_V, 1)": "a V_c that stays has no beginning",
     f"{_MACHINE}self._coasts = False -> self._coasts = True": _SET_BEFORE_USE,
     f"{_MACHINE}self._since_tick = 0 -> pass": _SET_BEFORE_USE,
     f"{_MACHINE}self._since_tick = 0 -> self._since_tick = 1": _SET_BEFORE_USE,
@@ -61,10 +62,8 @@ RUNTIME: dict[str, str] = {
     f"{_MACHINE}self._waveform_tick = 0 -> self._waveform_tick = 1": _SET_BEFORE_USE,
     "runtime.state_machine:Machine._set_voltage: self.manual = replace(self.manual, "
     f"{_VOLTAGE}0{_HOLD} -> self.manual = replace(self.manual, {_VOLTAGE}1{_HOLD}": _UNLIMITED,
-    f"{_LOOP}__init__: self._wanted = SAFE_COMMAND -> pass": _SET_BEFORE_USE,
+    f"{_LOOP}__init__: self._wanted = signals.SAFE_COMMAND -> pass": _SET_BEFORE_USE,
     f"{_LOOP}__init__: self._deadline_s = math.inf -> pass": _SET_BEFORE_USE,
-    f"{_LOOP}_report: if self.measurement is None or self._order is None: -> "
-    "if self.measurement is None and self._order is None:": _TOGETHER,
     f"{_CYCLES}__init__: self._arrival_s = 0.0 -> pass": _SET_BEFORE_USE,
     f"{_CYCLES}__init__: self._arrival_s = 0.0 -> self._arrival_s = 1.0": _SET_BEFORE_USE,
     f"{_CYCLES}__init__: self._grid_s = 0.0 -> pass": _SET_BEFORE_USE,
@@ -83,7 +82,6 @@ RUNTIME: dict[str, str] = {
     "self._newest: _Count = (1, -math.inf)": _SET_BEFORE_USE,
     f"{_COUNTER}__init__: self._newest: _Count = (0, -math.inf) -> "
     "self._newest: _Count = (0, math.inf)": _SET_BEFORE_USE,
-    f"{_COUNTER}see: return False -> return None": _FALSE,
     f"{_COUNTER}_judge: if self._off(accepted, count) <= SLACK_TICKS: -> "
     "if self._off(accepted, count) < SLACK_TICKS:": _DOUBT_BOUND,
     f"{_COUNTER}_judge: if suspect is not None and self._off(suspect, count) <= _PACE_TICKS: -> "
@@ -113,24 +111,16 @@ RUNTIME: dict[str, str] = {
 }
 
 MQTT: dict[str, str] = {
-    "mqtt.desk:Desk.__init__: self._stops = 0 -> self._stops = 1": _COMPARED,
     "mqtt.desk:Desk.receive: self._stops += 1 -> self._stops += 2": _COMPARED,
 }
 
 CONTROL: dict[str, str] = {
     "control.estimation.covariance:: _TINY = 1e-12 -> _TINY = 2e-12": _SMALL,
-    "control.estimation.covariance:is_sure: if not abs(denominator[load.order]) > _TINY: -> "
-    "if not abs(denominator[load.order]) >= _TINY:": _SMALL,
     "control.estimation.covariance:is_sure: return all((deviations[i] <= "
-    "PRIOR_SHARE * abs(values[i]) for i in "
-    "range(len(values)))) -> return all((deviations[i] < PRIOR_SHARE * abs(values[i]) for i in "
+    "thresholds.PRIOR_SHARE * abs(values[i]) for i in "
+    "range(len(values)))) -> return all((deviations[i] < "
+    "thresholds.PRIOR_SHARE * abs(values[i]) for i in "
     "range(len(values))))": _DOUBT_BOUND,
-    "control.estimation.covariance:deviations_of: if not abs(denominator[load.order]) > _TINY: -> "
-    "if not abs(denominator[load.order]) >= _TINY:": _SMALL,
-    "control.estimation.covariance:deviations_of: jacobian = [0.0] * (len(values) * count) -> "
-    "jacobian = [1.0] * (len(values) * count)": _OVERWRITTEN,
-    "control.estimation.covariance:deviations_of: deviations = [0.0] * len(values) -> "
-    "deviations = [1.0] * len(values)": _OVERWRITTEN,
     "control.estimation.branch:likelihood: return -0.5 * (branch.logs + weight "
     "* math.log(mean / weight)) -> "
     "return -0.5 * (branch.logs + weight * math.log(mean * weight))": "each branch gets the same "
@@ -157,11 +147,10 @@ CONTROL: dict[str, str] = {
     "_SERIES_TERMS = 80": "the terms that are left out are below the rounding of a double",
     "control.design.noise:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
     "a, b = (list(denominator), [0.0] * (degree + 2))": _NOT_READ,
-    "control.estimation.hypothesis_test:_likeliest: if branch.score > rivals.branches[best].score: "
-    "-> if branch.score >= rivals.branches[best].score:": "of explanations that "
+    "control.estimation.hypothesis_test:_likeliest: if branch.score > "
+    "hypotheses.branches[best].score: "
+    "-> if branch.score >= hypotheses.branches[best].score:": "of explanations that "
     "are equal to the last digit, either may lead",
-    "control.supervision.supervisor:_over_own_errors: if not power > _RESIDUAL_FLOOR: -> "
-    "if not power >= _RESIDUAL_FLOOR:": "a power of just the floor gives 1 either way",
 }
 
 REASONS = RUNTIME | MQTT | CONTROL
