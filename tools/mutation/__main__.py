@@ -74,7 +74,7 @@ def judge(module: str, tests: Sequence[str], longest: int) -> Score:
 
 
 def _refuse_stale_reasons(module: str, every: Sequence[Mutant]) -> None:
-    """Refuse reasons of the module's changes that are none of its mutants: its source has changed."""
+    """Refuse reasons that belong to none of the mutants: the source has changed since."""
     own = {name for name in REASONS if name.startswith(f"{module.removeprefix('adaptdrive.')}:")}
     if stale := sorted(own - {one.name for one in every}):
         raise RuntimeError(f"survivors.py has reasons of changes that are not tried: {stale}")
