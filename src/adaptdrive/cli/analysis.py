@@ -124,14 +124,15 @@ def identify(
         view: Part of the record, and the form of the result.
     """
     with options.needing("analysis"):
-        from adaptdrive.analysis import record, record_load  # noqa: PLC0415 - they are large
+        from adaptdrive.analysis import load_report, record  # noqa: PLC0415 - they are large
+        from adaptdrive.analysis.record_load import identify_source  # noqa: PLC0415
     path = Path(source) if source is not None and Path(source).is_file() else _find(source)
     figure = view.folder(path.parent if path.is_file() else path) / "load.png"
     wanted = record.RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
-    found = record_load.identify_source(path, wanted)
-    replace_result(figure, record_load.draw_load(found))
-    text = f"{record_load.as_text(found)}\n\n{figure}"
-    return view.present(text, record_load.as_json(found), figure)
+    found = identify_source(path, wanted)
+    replace_result(figure, load_report.draw_load(found))
+    text = f"{load_report.as_text(found)}\n\n{figure}"
+    return view.present(text, load_report.as_json(found), figure)
 
 
 def whatif(

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis import record_load, style
+from adaptdrive.analysis import load_report, style
 from adaptdrive.analysis.closed_loop import run_loop
 from adaptdrive.analysis.curves import Quality, period_means, quality_of
 from adaptdrive.analysis.excerpts import IdentifiedPlant
@@ -310,8 +310,8 @@ def _checks(found: Commissioned) -> Iterator[str]:
         f"test            {given.symbol} {outcome.low_V:.4g}…{given.text(outcome.high_V)} from "
         f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
     )
-    yield from record_load.checks(load, unit)
-    yield from record_load.warnings(load)
+    yield from load_report.checks(load, unit)
+    yield from load_report.warnings(load)
 
 
 def _settings(found: Commissioned) -> Iterator[str]:

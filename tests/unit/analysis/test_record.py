@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter, lsim
 
 from adaptdrive.analysis.columns import columns_of_file, columns_of_table, quantity_of
+from adaptdrive.analysis.load_report import as_text
 from adaptdrive.analysis.record import RecordView, read_record
-from adaptdrive.analysis.record_load import as_text
 from adaptdrive.cli import main
 from adaptdrive.lab import RecordOptions, identify, load_session, simulate
 from adaptdrive.util.errors import IdentificationError

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.analysis.excerpts import read_stretches
-from adaptdrive.analysis.record_load import SessionLoad, as_json, as_text, identify_session
+from adaptdrive.analysis.load_report import as_json, as_text
+from adaptdrive.analysis.record_load import SessionLoad, identify_session
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session
