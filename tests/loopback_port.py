@@ -17,7 +17,7 @@ class LoopbackPort:
     Attributes:
         description: The bus in one phrase for people.
         counter_modulus: Where the counter of the readings wraps, None when they carry none.
-        complaint: Why the drive must not be energised; set it to whatever it shall say.
+        trip_cause: Why the drive must not be energised; set it to whatever it shall say.
         safe_s: Minus infinity once the safe command is in force: it is taken at once.
         stop_slack_s: 0; None makes a drive that never says whether its bridge is on.
     """
@@ -36,7 +36,7 @@ class LoopbackPort:
         self.counter_modulus = counter_modulus
         self._commanded = commanded
         self._listener: Listener | None = None
-        self.complaint: str | None = None
+        self.trip_cause: str | None = None
         self.safe_s = math.inf
         self.stop_slack_s: float | None = 0.0
         self.bridge_cycle_s = 0.0

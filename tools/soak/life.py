@@ -123,7 +123,7 @@ class Life(Course):
         self.fault_s = self.daemon.now
         row = self.draw.choice(FAULTS)
         row.put(self)
-        self.must.complaint = self.daemon.port.complaint is not None
+        self.must.trip_cause = self.daemon.port.trip_cause is not None
         self.must.stalled = not self.decides
         self.run(self.draw.uniform(0.1, FAULT_s), until_trip=self.draw.random() < 0.7)
         self._mend()
@@ -131,8 +131,8 @@ class Life(Course):
     def _mend(self) -> None:
         self.sensor, self.lags, self.sigma = honest, 0, self._sigma
         self.actuator, self.frame = (lambda command: command), (lambda reading: reading)
-        self.decides, self.daemon.port.complaint = True, None
-        self.must.stalled = self.must.complaint = False
+        self.decides, self.daemon.port.trip_cause = True, None
+        self.must.stalled = self.must.trip_cause = False
         load = self.drive.world.load
         assert isinstance(load, Motor)
         load.torque_Nm = 0.0

@@ -139,7 +139,7 @@ async def _command(port: Port, listener: _Probe, remark: Remark) -> None:
     """
     await asyncio.sleep(_LISTEN_S)
     if port.statistics.foreign_commands:
-        raise AdaptdriveError(f"no command sent: {port.complaint}")
+        raise AdaptdriveError(f"no command sent: {port.trip_cause}")
     before = _shown_state(listener.reading)
     for number in count(1):
         port.send(SAFE_COMMAND)

@@ -123,7 +123,7 @@ class FaultLatch:
         return ", ".join(named)
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Faults that no reading has carried yet, as text."""
         word = self.word
         return describe_fault(word, self.name) if word else None
@@ -171,7 +171,7 @@ class Relink:
         self._how = LOST
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason not to energise the drive, None for none."""
         return f"{_STOPPED}; {self._how}" if self._stopped else None
 
@@ -285,7 +285,7 @@ class OtherSender:
         self._frame, self._came_s = frame, now_s
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason not to energise the drive, None without a recent foreign command."""
         if not self._count:
             return None

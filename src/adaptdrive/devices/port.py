@@ -19,10 +19,10 @@ from adaptdrive.devices.faults import FaultLatch, FaultWord
 
 # The port that every backend meets: how a reading arrives and a command leaves.
 
-FAREWELLS = 3
+LAST_STOPS = 3
 """Safe commands at the end: two of them may be lost."""
 
-FAREWELL_GAP_S = 0.005
+LAST_STOP_GAP_S = 0.005
 """Time between them, so that one disturbance of the bus does not hit all."""
 
 
@@ -146,7 +146,7 @@ class Port(Protocol):
         """Return the counts since the port was opened."""
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason of the protocol not to energise the drive, None for no reason."""
 
     @property

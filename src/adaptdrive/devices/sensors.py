@@ -57,7 +57,7 @@ class SensorBus:
         self.up, self.detail = up, detail
         self.report(up, f"sensor bus {self.name}: {detail}")
 
-    def complaint(self, now_s: float) -> str | None:
+    def trip_cause(self, now_s: float) -> str | None:
         """The needed value that is too old, or that never came, in words."""
         for name in self.needed:
             taken_s = self.taken_s.get(name)
@@ -115,7 +115,7 @@ class SensoredPort:
         bridge_cycle_s: Time from one report of the bridge to the next.
         catch_up: Hands over what has arrived from the drive; sensors are never caught up with.
         rehearse: Does what a reading of the drive costs.
-        explain_age: Returns the oldest value of the drive; those of sensors are in the complaint.
+        explain_age: Returns the oldest value of the drive; sensors give theirs in `trip_cause`.
         details: Returns the messages of the drive's bus that were not used.
         reset_fault: Resets a latched fault of the drive.
     """
@@ -164,12 +164,12 @@ class SensoredPort:
         return self._drive.statistics
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Complaint of the drive's protocol, else the sensor value that is too old."""
-        complaint, now_s = self._drive.complaint, self._clock()
+        trip_cause, now_s = self._drive.trip_cause, self._clock()
         for bus in self.buses:
-            complaint = complaint or bus.complaint(now_s)
-        return complaint
+            trip_cause = trip_cause or bus.trip_cause(now_s)
+        return trip_cause
 
     @property
     def safe_s(self) -> float:
@@ -200,9 +200,9 @@ class SensoredPort:
             await bus.port.run(bus)
         except Exception:
             self._ends = True  # no other command goes out from now on
-            for _ in range(ports.FAREWELLS):
+            for _ in range(ports.LAST_STOPS):
                 self._drive.send(SAFE_COMMAND)
-                await asyncio.sleep(ports.FAREWELL_GAP_S)
+                await asyncio.sleep(ports.LAST_STOP_GAP_S)
             raise
 
     def send(self, command: Command) -> bool:

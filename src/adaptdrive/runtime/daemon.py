@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.control.supervision.setpoints import Reach
-from adaptdrive.devices.port import FAREWELL_GAP_S, FAREWELLS, Port, Reading
+from adaptdrive.devices.port import LAST_STOP_GAP_S, LAST_STOPS, Port, Reading
 from adaptdrive.runtime import (
     accounts,
     fast_loop,
@@ -185,20 +185,20 @@ class Daemon:
 
     async def _await_stop(self) -> None:
         """Send safe commands until the drive confirms its stop, or has had the time to."""
-        end_s = self._clock() + self._fast.stop_limit_s + FAREWELL_GAP_S
+        end_s = self._clock() + self._fast.stop_limit_s + LAST_STOP_GAP_S
         for number in itertools.count():
             late = self._clock() > end_s  # judged once more then, however long this process slept
             self._fast.send_safe()
             ended = late or self._machine.state is not reports.State.STOPPING
-            if ended and number >= FAREWELLS:
+            if ended and number >= LAST_STOPS:
                 break
-            await asyncio.sleep(FAREWELL_GAP_S)
+            await asyncio.sleep(LAST_STOP_GAP_S)
 
     async def _send_last_stops(self) -> None:
         """Stop the drive more than once: a frame can be lost."""
-        for _ in range(FAREWELLS):
+        for _ in range(LAST_STOPS):
             self._send_stop()
-            await asyncio.sleep(FAREWELL_GAP_S)
+            await asyncio.sleep(LAST_STOP_GAP_S)
 
     async def execute(self, request: requests.Request) -> reports.State:
         """Carry out an operator's request between two ticks.

@@ -159,7 +159,7 @@ class InterlockBoard:
 
     def standing_cause(self, reading: Reading | None, now_s: float) -> str | None:
         """Return the interlock that is active in any state; the drive's protocol comes first."""
-        cause = self._port.complaint or find_cause(
+        cause = self._port.trip_cause or find_cause(
             reading, now_s, self._limits, self._stale_s, self._port.explain_age
         )
         if cause is not None or self._rate is None:

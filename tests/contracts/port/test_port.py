@@ -23,7 +23,7 @@ async def test_a_reading_holds_what_the_drive_measured_and_when(rig: Rig) -> Non
         assert reading.oldest_s <= reading.bridge_reported_s <= reading.arrival_s
     arrivals_s = [reading.arrival_s for reading in rig.ear.readings]
     assert arrivals_s == sorted(set(arrivals_s))
-    assert rig.port.complaint is None
+    assert rig.port.trip_cause is None
 
 
 async def test_whoever_only_listens_commands_nothing(rig: Rig) -> None:
@@ -58,7 +58,7 @@ async def test_a_drive_is_brought_up_and_down_again(rig: Rig) -> None:
     await until(lambda: not rig.latest.bridge)
     assert rig.heard[-1] == (False, 0.0)
     assert rig.port.safe_s <= rig.latest.bridge_reported_s
-    assert rig.port.complaint is None
+    assert rig.port.trip_cause is None
     safe_s = rig.port.safe_s
     await rig.hears(5)
     assert rig.port.safe_s == safe_s  # it is that of the first of several
@@ -88,9 +88,9 @@ async def test_a_safe_command_that_is_refused_is_not_in_force(rig: Rig) -> None:
     assert rig.heard[-1][0]
     if rig.watched:  # nothing feeds it, and the operator is told
         assert len(rig.fed_s) <= known + 1
-        assert rig.port.complaint is not None
+        assert rig.port.trip_cause is not None
     rig.refuses = False
-    await until(lambda: rig.port.safe_s < math.inf and rig.port.complaint is None)
+    await until(lambda: rig.port.safe_s < math.inf and rig.port.trip_cause is None)
     assert rig.heard[-1] == (False, 0.0)
 
 
@@ -122,7 +122,7 @@ async def test_a_stop_is_confirmed_beside_values_that_are_refused(rig: Rig) -> N
 async def test_a_fault_of_one_report_is_not_forgotten(rig: Rig) -> None:
     await rig.hears(2)
     rig.show_fault()
-    await until(lambda: rig.ear.readings[-1].fault != 0 or rig.port.complaint is not None)
+    await until(lambda: rig.ear.readings[-1].fault != 0 or rig.port.trip_cause is not None)
 
 
 async def test_a_silent_drive_makes_no_readings_and_is_heard_again(rig: Rig) -> None:
@@ -209,12 +209,12 @@ async def test_a_drive_that_stopped_during_a_loss_is_not_driven_on(rig: Rig) -> 
     rig.bridge = False
     known = len(rig.heard)
     await rig.is_back()
-    await until(lambda: rig.port.complaint is not None)
+    await until(lambda: rig.port.trip_cause is not None)
     await rig.passes(20)
-    assert rig.port.complaint is not None
+    assert rig.port.trip_cause is not None
     assert not [one for one in rig.heard[known:] if one[0]]
     rig.ear.command = SAFE_COMMAND
-    await until(lambda: rig.port.complaint is None)
+    await until(lambda: rig.port.trip_cause is None)
     await rig.runs()
 
 
@@ -227,7 +227,7 @@ async def test_a_drive_that_stayed_on_during_a_loss_is_driven_on_where_its_bus_p
     await rig.is_back()
     await rig.passes(20)
     assert any(bridge for bridge, _ in rig.heard[known:]) == rig.outlives_loss
-    assert (rig.port.complaint is None) == rig.outlives_loss
+    assert (rig.port.trip_cause is None) == rig.outlives_loss
 
 
 async def test_an_error_of_the_listener_ends_the_port_and_leaves_the_drive_safe(rig: Rig) -> None:

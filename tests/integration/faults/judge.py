@@ -99,4 +99,4 @@ def mend(course: Course) -> None:
     course.sensor, course.lags, course.decides = honest, 0, True
     course.actuator = lambda command: command
     course.frame = lambda reading: reading
-    course.daemon.port.complaint = None
+    course.daemon.port.trip_cause = None

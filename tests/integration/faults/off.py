@@ -42,7 +42,7 @@ class MustBeOff:
         reading: The last reading that was handed over.
         readings: How many have been, since the daemon was started.
         judged: The reading at the last command.
-        complaint: What another sender does, as the bus sees it.
+        trip_cause: What another sender does, as the bus sees it.
         ran_s: When the daemon last ran: it sent a command, or a stand-in tick came without one.
         stalled: Whether the slow loop decides nothing.
         refused: Readings in a row with the bridge off after commands with it on: silence is none.
@@ -61,7 +61,7 @@ class MustBeOff:
     why_not: str = "nobody has enabled it"
     reading: Reading | None = None
     readings: int = 0
-    complaint: bool = False
+    trip_cause: bool = False
     ran_s: float = math.inf
     stalled: bool = False
     refused: int = 0
@@ -84,7 +84,7 @@ class MustBeOff:
             "the drive has a fault": reading.fault != 0,
             "over-voltage": reading.boost_voltage_V > BOOST_MAX_V,
             "the output is too high": reading.output > OUTPUT_MAX_V,
-            "another sender commands the drive": self.complaint,
+            "another sender commands the drive": self.trip_cause,
         }
         return next((cause for cause, active in causes.items() if active), None)
 

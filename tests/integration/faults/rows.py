@@ -196,7 +196,7 @@ def _stalled(course: Course) -> None:
 
 
 def _complaint(course: Course) -> None:
-    course.daemon.port.complaint = "another sender commands this drive"
+    course.daemon.port.trip_cause = "another sender commands this drive"
 
 
 NO_RESPONSE = ("no response", "stuck", "output", "load", "error")

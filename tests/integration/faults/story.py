@@ -181,8 +181,8 @@ class Story(RuleBasedStateMachine):
 
     @rule(speaks=st.booleans())
     def another_sender(self, speaks: bool) -> None:
-        self.must.complaint = speaks
-        self.daemon.port.complaint = "another sender commands" if speaks else None
+        self.must.trip_cause = speaks
+        self.daemon.port.trip_cause = "another sender commands" if speaks else None
 
     # -- the daemon --------------------------------------------------------------------------
 
@@ -203,7 +203,7 @@ class Story(RuleBasedStateMachine):
 
     def _start_daemon(self) -> DaemonByHand:
         daemon = DaemonByHand(self.configuration, self._hear, self.now)
-        daemon.port.complaint = "another sender commands" if self.must.complaint else None
+        daemon.port.trip_cause = "another sender commands" if self.must.trip_cause else None
         daemon.port.on_delivery = self._note
         daemon.revise = self._revised
         return daemon

@@ -206,9 +206,9 @@ async def test_refused_writes_trip_a_running_drive() -> None:
         assert stop.startswith("the drive does not stop: it has not taken the safe command ")
         assert after_s < ANNOUNCED_s
         note("stop-refused-tcp", after_s, 0.0)
-        complaint = "the drive refuses commands: exception reply 3"
-        await until(lambda: (rig.port.complaint or "").startswith(complaint))
-        with pytest.raises(RefusedError, match=complaint):
+        trip_cause = "the drive refuses commands: exception reply 3"
+        await until(lambda: (rig.port.trip_cause or "").startswith(trip_cause))
+        with pytest.raises(RefusedError, match=trip_cause):
             await rig.daemon.execute(Reset())
         await wire.heal()
         await rig.ask(Reset())

@@ -42,6 +42,6 @@ async def test_it_is_safe_without_its_interface_and_obeys_again_with_it(
         await ear.hears(1)
         assert not ear.readings[0].bridge
         assert not port.send(COMMAND)
-        assert "the bus was lost meanwhile" in str(port.complaint)
+        assert "the bus was lost meanwhile" in str(port.trip_cause)
         assert port.send(SAFE_COMMAND)
         await until(energised)

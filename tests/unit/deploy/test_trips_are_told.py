@@ -16,7 +16,7 @@ from tools.pages.trips_table import with_table
 
 CHECKOUT = Path(__file__).parents[3]
 SOURCE = CHECKOUT / "src" / "adaptdrive"
-RETURNING = {"find_cause", "_unhealthy", "_exceeded", "complaint"} | {
+RETURNING = {"find_cause", "_unhealthy", "_exceeded", "trip_cause"} | {
     "_problem",
     "_watch",
     "_departure",

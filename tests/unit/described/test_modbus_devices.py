@@ -131,7 +131,7 @@ async def test_the_delta_dtb() -> None:
         await bench.commands(command(60.0), lambda: (coils[0x0814], held[0x1012]) == (0xFF00, 600))
         assert (await bench.reading()).boost_voltage_V == pytest.approx(60.0)
         await bench.commands(SAFE_COMMAND, lambda: (coils[0x0814], held[0x1012]) == (0, 0))
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
         node.put("holding", 0x1000, 0x8003)  # the sensor is not connected
         await bench.commands(
             SAFE_COMMAND, lambda: "output: holding 4096" in bench.port.explain_age()

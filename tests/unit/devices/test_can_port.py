@@ -107,12 +107,12 @@ class Bench:
         return heard
 
     async def answers(self, command: Command, count: int) -> list[bool]:
-        """Command the drive after each of its readings; whether there was a complaint each time."""
+        """Command the drive after each of its readings; whether it gave a cause to trip then."""
         found = []
         for _ in range(count):
             await self.reports()
             self.port.send(command)
-            found.append(self.port.complaint is not None)
+            found.append(self.port.trip_cause is not None)
         return found
 
     def bridges(self) -> list[bool]:
@@ -261,7 +261,7 @@ async def test_a_fault_behind_a_piled_up_reading_is_kept(bench: Bench) -> None:
         await bench.received(3)
         assert [reading.fault for reading in bench.ear.readings] == [0]
         expected = "drive fault: Fault bit 2 Boost overvoltage (word 0x4)"
-        assert bench.port.complaint == expected
+        assert bench.port.trip_cause == expected
 
 
 async def test_what_waits_is_handed_out_when_it_is_asked_for(bench: Bench) -> None:
@@ -313,15 +313,15 @@ async def test_a_reset_is_given_for_a_moment_and_to_a_drive_that_is_off(bench: B
 
 async def test_a_command_of_another_sender_is_a_complaint(bench: Bench) -> None:
     async with bench.heard(COMMAND):
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
         bench.drive.put("DriveCommand", bytes(8))
-        await until(lambda: bench.port.complaint is not None)
-        assert "1 x frame 0x080 (DriveCommand)" in str(bench.port.complaint)
+        await until(lambda: bench.port.trip_cause is not None)
+        assert "1 x frame 0x080 (DriveCommand)" in str(bench.port.trip_cause)
         assert bench.port.statistics.foreign_commands == 1
         bench.clock.now_s += QUIET_S - 0.1
-        assert bench.port.complaint is not None
+        assert bench.port.trip_cause is not None
         bench.clock.now_s += 0.2
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
 
 
 def spread_over_messages(bench: Bench) -> None:
@@ -396,7 +396,7 @@ async def test_commands_that_the_bus_does_not_take_are_a_complaint_until_it_take
             assert complaints == [False, False, True, True][:refused]
             if refused == 4:
                 text = "the bus does not take commands: 4 in a row were refused while the drive's "
-                assert str(bench.port.complaint).startswith(text)
+                assert str(bench.port.trip_cause).startswith(text)
             assert await bench.answers(command, 1) == [False]
 
 
@@ -411,11 +411,11 @@ async def test_commands_into_a_silent_or_a_lost_bus_are_no_complaint(
         assert (port.statistics.sent, port.statistics.send_drops) == (1, 10)
         refuse_to_send(bench, monkeypatch)
         assert not any(port.send(SAFE_COMMAND) for _ in range(10))
-        assert port.complaint is None
+        assert port.trip_cause is None
         await bench.answers(SAFE_COMMAND, 3)
-        assert port.complaint is not None
+        assert port.trip_cause is not None
         await bench.loses_its_bus()
-        assert port.complaint is None
+        assert port.trip_cause is None
 
 
 @pytest.mark.parametrize("stopped", [False, True])
@@ -429,9 +429,9 @@ async def test_a_drive_that_was_on_when_its_bus_was_lost_is_heard_before_it_is_d
             assert not port.send(COMMAND)
         await bench.reports(BridgeOn=int(not stopped))
         assert port.send(COMMAND) is not stopped
-        assert ("the bus was lost meanwhile" in str(port.complaint)) is stopped
+        assert ("the bus was lost meanwhile" in str(port.trip_cause)) is stopped
         assert port.send(SAFE_COMMAND)
-        assert port.complaint is None
+        assert port.trip_cause is None
 
 
 async def repeat_in_turn(bench: Bench, held: int) -> None:
@@ -484,10 +484,10 @@ async def test_a_drive_that_came_on_just_before_its_bus_was_lost_is_not_driven_o
             await bench.loses_its_bus()
         assert not port.send(COMMAND)
         await bench.reports(BridgeOn=0)
-        assert ("drive stopped" in str(port.complaint)) is (losses > 0)
+        assert ("drive stopped" in str(port.trip_cause)) is (losses > 0)
         assert port.send(COMMAND) is (losses == 0)
         assert port.send(SAFE_COMMAND)
-        assert port.complaint is None
+        assert port.trip_cause is None
 
 
 @pytest.mark.parametrize("message", ["DriveStatus", "DriveLoad"])
@@ -510,9 +510,9 @@ async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on
         await bench.ear.hears(2 if message == "DriveLoad" else 3)
         assert port.send(COMMAND) is not stopped
         assert (port.statistics.withheld_commands, port.statistics.send_drops) == (1 + stopped, 0)
-        assert ("its alive counter leapt meanwhile" in str(port.complaint)) is stopped
+        assert ("its alive counter leapt meanwhile" in str(port.trip_cause)) is stopped
         assert port.send(SAFE_COMMAND)
-        assert port.complaint is None
+        assert port.trip_cause is None
 
 
 @pytest.mark.parametrize("alive", [0, 9])
@@ -649,7 +649,7 @@ async def test_a_drive_that_was_off_when_its_bus_was_lost_may_be_off_after_it(
         await bench.loses_its_bus()
         assert bench.port.send(COMMAND)
         await bench.reports(BridgeOn=0)
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
 
 
 async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
@@ -755,13 +755,13 @@ async def test_a_fault_is_kept_when_the_clocking_frame_is_lost(bench: Bench) -> 
     async with bench.heard():
         for count, fault in enumerate((1, 8, 64), 2):
             bench.drive.send_status(Fault=fault)
-            await until(lambda: bench.port.complaint is not None)
-            assert f"word {fault:#x}" in str(bench.port.complaint)
+            await until(lambda: bench.port.trip_cause is not None)
+            assert f"word {fault:#x}" in str(bench.port.trip_cause)
             bench.drive.send_status(Fault=0)
             bench.drive.send_load()
             await bench.ear.hears(count)
             assert bench.ear.readings[-1].fault == fault
-            assert bench.port.complaint is None
+            assert bench.port.trip_cause is None
         await bench.reports()
         assert bench.ear.readings[-1].fault == 0
 
@@ -773,13 +773,13 @@ async def test_of_two_fault_codes_between_two_readings_the_first_is_told(bench: 
         bench.drive.send_status(Fault=1)
         bench.drive.send_status(Fault=2)
         await bench.received(4)
-        assert bench.port.complaint == "drive fault: Fault Overcurrent (word 0x1)"
+        assert bench.port.trip_cause == "drive fault: Fault Overcurrent (word 0x1)"
         for count in (2, 3):
             bench.drive.send_load()
             await bench.ear.hears(count)
             bench.drive.send_status(Fault=6)
             await bench.received(2 * count + 2)
-        assert bench.port.complaint == "drive fault: Fault 6 (word 0x6)"
+        assert bench.port.trip_cause == "drive fault: Fault 6 (word 0x6)"
     faults = [(reading.fault, reading.fault_name) for reading in bench.ear.readings]
     assert faults == [(0, ""), (1, "Fault Overcurrent"), (6, "Fault 6")]
 
@@ -800,7 +800,7 @@ async def test_the_words_beside_a_value_that_is_not_available_are_used(
         status = bench.drive.frame("DriveStatus", **(STATUS | {"Fault": 2, "BridgeOn": 0}))
         no_volts = with_crc(b"\xff\xff" + status[2:])
         bench.drive.put("DriveStatus", no_volts if spoilt == "DriveStatus" else status)
-        await until(lambda: "word 0x2" in str(bench.port.complaint))
+        await until(lambda: "word 0x2" in str(bench.port.trip_cause))
         if spoilt == "DriveLoad":
             bench.drive.put("DriveLoad", unavailable(bench.drive, "DriveLoad"))
         else:

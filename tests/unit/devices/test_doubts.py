@@ -10,15 +10,15 @@ from adaptdrive.devices.faults import LEAPT, LOST, Obedience, OtherSender, Relin
 def test_another_master_is_remembered_for_five_seconds() -> None:
     now_s = [100.0]
     other = OtherSender(lambda: now_s[0])
-    assert other.complaint is None
+    assert other.trip_cause is None
     other.note("0x200 Command")
     now_s[0] = 104.9
-    assert "1 x frame 0x200 Command, the last 4.9 s ago" in str(other.complaint)
+    assert "1 x frame 0x200 Command, the last 4.9 s ago" in str(other.trip_cause)
     other.note("0x200 Command")
     now_s[0] = 109.9
-    assert "2 x frame" in str(other.complaint)
+    assert "2 x frame" in str(other.trip_cause)
     now_s[0] = 110.0
-    assert other.complaint is None
+    assert other.trip_cause is None
 
 
 def test_a_drive_that_stopped_unheard_waits_for_the_safe_command() -> None:
@@ -29,10 +29,10 @@ def test_a_drive_that_stopped_unheard_waits_for_the_safe_command() -> None:
     assert not relink.admits(bridge=True)  # until it has reported
     assert relink.admits(bridge=False)
     relink.note_reading(bridge=False)
-    assert "drive stopped" in str(relink.complaint)
+    assert "drive stopped" in str(relink.trip_cause)
     assert not relink.admits(bridge=True)
     relink.note_command(bridge=False, safe=True)
-    assert relink.complaint is None
+    assert relink.trip_cause is None
     assert relink.admits(bridge=True)
 
 
@@ -74,4 +74,4 @@ def test_a_counter_that_leaps_after_a_lost_bus_leaves_the_loss_as_the_cause() ->
     relink.open(bridge=True)
     relink.open(bridge=True, how=LEAPT)
     relink.note_reading(bridge=False)
-    assert LOST in str(relink.complaint)
+    assert LOST in str(relink.trip_cause)

@@ -26,9 +26,9 @@ WORDS = {
 
 def test_the_trip_names_signal_and_bit() -> None:
     latch = FaultLatch(WORDS)
-    assert latch.complaint is None
+    assert latch.trip_cause is None
     latch.see({"fault.0": float(0x100)})
-    assert latch.complaint == "drive fault: Post_Lo bit 8 hw_overcurrent (word 0x100)"
+    assert latch.trip_cause == "drive fault: Post_Lo bit 8 hw_overcurrent (word 0x100)"
     latch.see({"fault.1": float(0xF2)})  # bits outside its mask are no faults
     latch.see({"fault.2": 5.0})
     latch.see({"fault.2": 3.0})
@@ -49,14 +49,14 @@ def test_bits_of_a_word_add_up_until_a_reading_has_carried_them() -> None:
 def test_a_value_that_is_healthy_is_no_fault_and_each_other_one_is_a_code() -> None:
     latch = FaultLatch({"fault": FaultWord("state", -1, {61: "None", 65: "Open"}, frozenset({61}))})
     latch.see({"fault": 61.0})
-    assert latch.complaint is None
+    assert latch.trip_cause is None
     latch.see({"fault": 65.0})
     latch.see({"fault": 61.0})
     latch.see({"fault": 64.0})
-    assert latch.complaint == "drive fault: state Open (word 0x41)"
+    assert latch.trip_cause == "drive fault: state Open (word 0x41)"
     latch.clear(latch.word)
     latch.see({"fault": 64.0})
-    assert latch.complaint == "drive fault: state 64 (word 0x40)"
+    assert latch.trip_cause == "drive fault: state 64 (word 0x40)"
 
 
 @given(st.lists(st.integers(1, 0xFFFF), min_size=1, max_size=4))
@@ -183,7 +183,7 @@ def test_a_fault_and_a_warning_share_a_word() -> None:
     )
     for quantity in ("fault", "warning"):
         latch.see({quantity: float(0x30)})
-    assert (latch.word, latch.name, latch.complaint) == (0, "", None)
+    assert (latch.word, latch.name, latch.trip_cause) == (0, "", None)
     assert latch.warning == "Word bit 4 derating, bit 5"
     latch.clear(0)
     assert latch.warning == ""
@@ -245,6 +245,6 @@ def test_a_file_names_the_values_of_a_code() -> None:
     code = {"signal": "0x603F", "healthy": [0], "names": {"8880": "over-current", "5": "hot"}}
     latch = FaultLatch(plan_objects({"signals/fault": code}).faults)
     latch.see({"fault": float(0)})
-    assert latch.complaint is None
+    assert latch.trip_cause is None
     latch.see({"fault": float(0x22B0)})
-    assert latch.complaint == "drive fault: 0x603F over-current (word 0x22b0)"
+    assert latch.trip_cause == "drive fault: 0x603F over-current (word 0x22b0)"

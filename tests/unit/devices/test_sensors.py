@@ -197,7 +197,7 @@ async def test_loss_and_return_of_a_sensor_bus_are_told_with_its_name() -> None:
         one.bus.on_bus(up=False, detail="unplugged")
         one.frames(1)
         assert one.told == [(False, "sensor bus thermo: unplugged")]
-        assert one.port.complaint == "stale: thermo.hot: no measurement yet (unplugged)"
+        assert one.port.trip_cause == "stale: thermo.hot: no measurement yet (unplugged)"
         report = sensor_report(one.bus, 0.0)
         assert (report.up, report.detail, report.values) == (False, "unplugged", {})
 

@@ -81,7 +81,7 @@ class FailingPort(LoopbackPort):
     async def reset_fault(self) -> None:
         self.fault_resets += 1
         if not self.keeps_fault:
-            self.complaint = None
+            self.trip_cause = None
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         if self.problem.done():
@@ -239,7 +239,7 @@ async def test_the_state_is_reported_when_it_changes_and_only_then() -> None:
 
 async def test_only_the_operators_reset_lets_the_drive_leave_its_fault() -> None:
     async with running_daemon() as bench:
-        bench.port.complaint = "drive fault"
+        bench.port.trip_cause = "drive fault"
         bench.frames(2)
         assert bench.states[-1].trip == "drive fault"
         for request in (Disable(), SetMode(Mode.ADAPTIVE)):
@@ -254,7 +254,7 @@ async def test_a_drive_that_keeps_its_fault_refuses_the_reset() -> None:
     async with daemon_bench() as bench:
         bench.port.keeps_fault = True
         bench.frames(2)
-        bench.port.complaint = "drive fault"
+        bench.port.trip_cause = "drive fault"
         with pytest.raises(RefusedError, match="drive fault"):
             await bench.daemon.execute(Enable())
         await bench.daemon.execute(Reset())  # nothing is latched here: standby is not left

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from adaptdrive.devices.port import FAREWELLS
+from adaptdrive.devices.port import LAST_STOPS
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import StopWord
 from adaptdrive.runtime.requests import Enable
@@ -45,5 +45,5 @@ async def test_a_farewell_is_said_more_than_once() -> None:
     desk, fast = Desk(), Counting()
     desk.ask(Enable())
     await idle_daemon(desk.machine, cast(FastLoop, fast), lambda: 100.0)._send_last_stops()
-    assert fast.sent == FAREWELLS > 1
+    assert fast.sent == LAST_STOPS > 1
     assert not desk.machine.energised

@@ -285,7 +285,7 @@ class CanConnection(Generic[port.AnyListener]):
         return True
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason not to energise the drive: commands do not reach the bus, None for no reason."""
         if self._untaken < _UNTAKEN_COMMANDS:
             return None

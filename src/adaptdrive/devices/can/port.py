@@ -101,13 +101,13 @@ class Port:
         return port.PortStatistics(**self._counts)
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Another sender, a fault not carried yet, commands not taken, or a stop unheard."""
         return (
-            self._others.complaint
-            or self._assembly.newest.faults.complaint
-            or self._connection.complaint
-            or self._relink.complaint
+            self._others.trip_cause
+            or self._assembly.newest.faults.trip_cause
+            or self._connection.trip_cause
+            or self._relink.trip_cause
         )
 
     @property

@@ -67,11 +67,11 @@ class Port(node.NodePort):
         self._connection.caught_up = self.hand_out
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason not to energise the drive, None for no reason."""
         for seen in (self._others, self._reports.faults, self._connection):
-            if seen.complaint is not None:
-                return seen.complaint
+            if seen.trip_cause is not None:
+                return seen.trip_cause
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a separate cause
         problem = self._problem_of_node()
@@ -264,7 +264,7 @@ class Port(node.NodePort):
         try:
             with pulsing(self._half_cycle_s, *syncs):
                 announce()
-                node = self._master.run(self._report_node, lambda: self._others.complaint is None)
+                node = self._master.run(self._report_node, lambda: self._others.trip_cause is None)
                 return await self._connection.read_beside(node, "node")
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
@@ -301,7 +301,7 @@ _PAUSE_S = 0.2
 class CanOpenWatch(node.NodePort):
     """Read-only port to one drive: it sends no command and leaves the node unchanged."""
 
-    complaint = None
+    trip_cause = None
     """None: this port cannot energise the drive."""
 
     safe_s = math.inf

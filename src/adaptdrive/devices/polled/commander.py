@@ -104,9 +104,9 @@ class Commander:
         return f"command: {self._untaken.last}" if self._untaken.last else ""
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or has stopped."""
-        return self._untaken.complaint or self._history.complaint
+        return self._untaken.trip_cause or self._history.trip_cause
 
     @property
     def urgent(self) -> bool:

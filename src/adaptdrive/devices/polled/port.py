@@ -53,9 +53,9 @@ class Port(Polling[PolledLink, Listener]):
         self._failure = ""
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or had a fault."""
-        return self._commander.complaint or self._assembly.faults.complaint
+        return self._commander.trip_cause or self._assembly.faults.trip_cause
 
     @property
     def safe_s(self) -> float:

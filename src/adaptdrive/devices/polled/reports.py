@@ -58,9 +58,9 @@ class PollHistory:
         self.reported_s = self.fed_s = -math.inf
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason not to energise the drive: it has stopped; None for none."""
-        return self._relink.complaint
+        return self._relink.trip_cause
 
     def renew(self, command: Command) -> None:
         """Note that a new command was decided."""
@@ -207,7 +207,7 @@ class UntakenCommands:
         self.last = ""
 
     @property
-    def complaint(self) -> str | None:
+    def trip_cause(self) -> str | None:
         """Reason not to energise the drive, None while too few commands have failed."""
         if self._refused < _REFUSED_WRITES and self._untaken < _UNTAKEN_WRITES:
             return None

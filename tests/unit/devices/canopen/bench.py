@@ -65,9 +65,9 @@ class Bench:
         await until(lambda: bool(self.ear.readings) and self.ear.readings[-1].bridge)
 
     async def complains(self, text: str) -> str:
-        """Wait for a complaint."""
-        await until(lambda: text in (self.port.complaint or ""))
-        return self.port.complaint or ""
+        """Wait for a cause to trip."""
+        await until(lambda: text in (self.port.trip_cause or ""))
+        return self.port.trip_cause or ""
 
     async def reports(self, text: str) -> None:
         """Wait for the report that the node is lost, or cannot be set up."""

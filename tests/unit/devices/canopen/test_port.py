@@ -74,7 +74,7 @@ async def test_a_reading_is_what_the_drive_measured_at_one_sync(peer: Peer) -> N
         assert reading.output == pytest.approx(-3.123456)
         assert (reading.counter, reading.fault, reading.bridge) == (None, 0, False)
         assert 0.0 <= reading.arrival_s - reading.oldest_s < 0.5
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
         assert bench.ear.bus[-1] == (True, f"{bench.port.description}: operational")
 
 
@@ -181,7 +181,7 @@ async def test_a_node_that_stays_on_while_its_communication_starts_anew_is_switc
         bench.ear.command = SAFE_COMMAND
         peer.boot()
         await bench.reports("has been restarted")
-        await until(lambda: bench.port.complaint is None)
+        await until(lambda: bench.port.trip_cause is None)
         assert not peer.powered
 
 
@@ -216,7 +216,7 @@ async def test_a_heartbeat_that_stays_away_is_told_and_the_node_set_up_again(pee
         await bench.complains("node 5: heartbeat lost for")
         bench.ear.command = SAFE_COMMAND
         bench.port.send(SAFE_COMMAND)
-        await until(lambda: bench.port.complaint is None)  # its 0x1017 was written again
+        await until(lambda: bench.port.trip_cause is None)  # its 0x1017 was written again
         assert any("heartbeat lost" in detail for up, detail in bench.ear.bus if not up)
         assert bench.ear.bus[-1][0]
 
@@ -229,12 +229,12 @@ async def test_a_restarted_node_is_not_energised_again(peer: Peer) -> None:
         assert await bench.complains("restarted") == "node 5: has been restarted"
         await until(lambda: peer.node.nmt.state == "OPERATIONAL")
         await bench.ready()
-        assert bench.port.complaint == "node 5: has been restarted"  # until it is commanded safe
+        assert bench.port.trip_cause == "node 5: has been restarted"  # until it is commanded safe
         assert set(peer.words[known:]) <= {0x00, 0x0F}
         after = [word for word in peer.words[known:] if word]
         assert 0x06 not in after
         bench.ear.command = SAFE_COMMAND
-        await until(lambda: bench.port.complaint is None)
+        await until(lambda: bench.port.trip_cause is None)
         bench.ear.command = RUN
         await until(lambda: bench.ear.readings[-1].bridge)
 
@@ -256,13 +256,13 @@ async def test_an_emergency_stays_until_the_drive_takes_it_back(peer: Peer) -> N
         )
         bench.ear.command = SAFE_COMMAND
         await bench.ready()
-        assert "0x4310" in (bench.port.complaint or "")
+        assert "0x4310" in (bench.port.trip_cause or "")
         peer.node.emcy.reset()
-        await until(lambda: bench.port.complaint is None)
+        await until(lambda: bench.port.trip_cause is None)
         peer.node.emcy.send(0x4310, 0x09, b"hot")
         await bench.complains("0x4310")
         await bench.port.reset_fault()  # the operator may forget that of a drive without a fault
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
 
 
 async def test_an_emergency_does_not_hide_why_its_node_is_not_set_up(peer: Peer) -> None:
@@ -273,7 +273,7 @@ async def test_an_emergency_does_not_hide_why_its_node_is_not_set_up(peer: Peer)
         peer.node.emcy.send(0x4310, 0x09, b"hot")
         text = await bench.complains("0x4310")
         await bench.port.reset_fault()
-        assert text == bench.port.complaint
+        assert text == bench.port.trip_cause
         assert "not ready: is not the drive of cia402.eds" in text
 
 
@@ -291,7 +291,7 @@ async def test_a_fault_is_reset_by_an_edge_when_the_operator_says_so(peer: Peer)
         assert peer.words[-2] in {0x00, 0x80}
         peer.statusword, peer.obeys = REST, True
         await reset
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
         await until(lambda: peer.words[-1] == 0x00)
 
 
@@ -301,7 +301,7 @@ async def test_a_fault_that_stays_is_given_up_in_bounded_time(peer: Peer) -> Non
         await bench.complains("fault")
         async with asyncio.timeout(10.0):
             await bench.port.reset_fault()
-        assert bench.port.complaint == "node 5: the drive's state is fault"
+        assert bench.port.trip_cause == "node 5: the drive's state is fault"
 
 
 @pytest.mark.parametrize(
@@ -369,7 +369,7 @@ async def test_heartbeats_and_emergencies_of_two_bytes_are_read(peer: Peer) -> N
         assert text == "node 5: emergency 0x4310, excess temperature of the drive"
         bench.ear.command = SAFE_COMMAND
         send_foreign(peer, (0x080 + NODE, b"\0\0"))
-        await until(lambda: bench.port.complaint is None)
+        await until(lambda: bench.port.trip_cause is None)
 
 
 QUICK_STOP = """[605A]
@@ -466,7 +466,7 @@ async def test_a_heartbeat_or_sync_in_place_of_the_daemons_is_a_complaint(
 ) -> None:
     async with driven(peer) as bench:
         await until(lambda: len(peer.beats) > 2)
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
         send_foreign(peer, (0x77E, b"\x05"), (can_id, data))
         await bench.complains(f"another sender commands this drive: 1 x frame {name}")
         assert bench.port.statistics.foreign_commands == 1
@@ -474,7 +474,7 @@ async def test_a_heartbeat_or_sync_in_place_of_the_daemons_is_a_complaint(
 
 async def test_another_master_of_the_node_is_a_complaint(peer: Peer) -> None:
     async with ready(peer) as bench:
-        assert bench.port.complaint is None
+        assert bench.port.trip_cause is None
         harmless = [(0x605, b"\x40\x41\x60\0\0\0\0\0"), (0x000, b"\x01\x05"), (0x123, bytes(8))]
         commands = [(0x605, b"\x2b\x40\x60\0\x06\0\0\0"), (0x205, bytes(8))]
         send_foreign(peer, *harmless, *commands)
@@ -492,9 +492,9 @@ async def test_a_node_whose_watch_another_sender_has_switched_off_is_set_up_agai
         await bench.complains("another sender commands this drive")
 
         while peer.number(0x1016, 1) != watch:
-            assert bench.port.complaint is not None, "it may be energised without its watch"
+            assert bench.port.trip_cause is not None, "it may be energised without its watch"
             await asyncio.sleep(0.001)
-        await until(lambda: bench.port.complaint is None)
+        await until(lambda: bench.port.trip_cause is None)
         await bench.run_drive()
         assert peer.number(0x1016, 1) == watch
 
@@ -506,7 +506,7 @@ async def test_a_node_that_leaves_operational_for_a_moment_is_set_up_again(peer:
         for state in (0x7F, 0x05):
             peer.network.send_message(0x700 + NODE, bytes((state,)))
         await until(lambda: bench.port.statistics.reconnects == known + 1)
-        await until(lambda: bench.port.complaint is None)
+        await until(lambda: bench.port.trip_cause is None)
 
 
 async def test_pdos_that_come_twice_make_one_reading_for_each_sync(peer: Peer) -> None:

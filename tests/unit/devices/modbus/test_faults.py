@@ -201,8 +201,8 @@ async def test_a_reply_that_repeats_another_write_confirms_no_stop(
     async with watched() as one:
         one.peer.answer = answer
         one.port.send(SAFE_COMMAND)
-        await until(lambda: one.port.complaint is not None)
-        assert "a reply that belongs to another request" in str(one.port.complaint)
+        await until(lambda: one.port.trip_cause is not None)
+        assert "a reply that belongs to another request" in str(one.port.trip_cause)
         assert one.port.safe_s == math.inf
         make(one.peer, HEALTHY)
         await until(lambda: one.port.safe_s < math.inf)
@@ -216,14 +216,14 @@ async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(k
         def in_turn(pdu: bytes) -> bytes:
             if pdu[0] != 16:
                 return pdu
-            complaints.append(one.port.complaint)
+            complaints.append(one.port.trip_cause)
             return busy(pdu) if len(complaints) % 2 == 1 else nothing_written(pdu)
 
         one.peer.answer = in_turn
-        await one.runs_until(lambda: one.port.complaint is not None)
+        await one.runs_until(lambda: one.port.trip_cause is not None)
         assert complaints.count(None) <= 6
         make(one.peer, HEALTHY)
-        await one.runs_until(lambda: one.port.complaint is None)
+        await one.runs_until(lambda: one.port.trip_cause is None)
 
 
 async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken() -> None:
@@ -236,7 +236,7 @@ async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken()
 
     async with watched() as one:
         one.peer.answer = sometimes_busy
-        await one.runs_until(lambda: one.port.complaint is not None)
+        await one.runs_until(lambda: one.port.trip_cause is not None)
 
 
 async def test_a_half_open_connection_is_given_up_and_made_anew() -> None:

@@ -89,12 +89,12 @@ class HealthyDrive(Peer):
 
 @contextlib.asynccontextmanager
 async def commanded(kind: str, changes: Changes) -> AsyncIterator[tuple[Bench, HealthyDrive]]:
-    """Command a healthy drive on with each reading; no reading may come with a complaint."""
+    """Command a healthy drive on with each reading; no reading may come with a cause to trip."""
     peer = HealthyDrive(kind, 10 if changes else 0)
     one = Bench(build(**{**peer.link, **reported(changes)}), peer)
 
     def decide(reading: Reading) -> None:
-        assert one.port.complaint is None
+        assert one.port.trip_cause is None
         assert reading.bridge
         one.port.send(Command(0.0, 250.0 + len(one.ear.readings) % 100, bridge=True))
 
@@ -255,7 +255,7 @@ class Rig(Bench):
         stopped = self._been_on and not reading.bridge
         self._been_on = self._been_on or reading.bridge
         wanted = Command(0.0, 250.0 + len(self.ear.readings) // 50, bridge=True)
-        self.port.send(SAFE_COMMAND if stopped or self.port.complaint else wanted)
+        self.port.send(SAFE_COMMAND if stopped or self.port.trip_cause else wanted)
 
     async def run(self, seconds: float) -> None:
         self.drive.start()

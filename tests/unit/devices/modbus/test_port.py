@@ -166,10 +166,10 @@ async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_d
         one.port.send(RUN)
         one.peer.start()
         await one.hears_of_bus(up=True)
-        assert "the bus was lost meanwhile" in str(one.port.complaint)
+        assert "the bus was lost meanwhile" in str(one.port.trip_cause)
         assert not any(registers[1] for _, registers in one.peer.writes[written:])
         one.port.send(SAFE_COMMAND)
-        assert one.port.complaint is None
+        assert one.port.trip_cause is None
         await until(lambda: len(one.peer.writes) > written and one.told()[1] == 0)
 
 
@@ -222,7 +222,7 @@ async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(
         assert functions[lost[-1]] in {3, 4}
         assert {16, 23} & {*functions[lost[-1] :]}
         assert one.told()[1] == 1
-        assert one.port.complaint is None
+        assert one.port.trip_cause is None
         assert all(up for up, _ in one.ear.bus)
 
 
@@ -235,11 +235,11 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(changes
         known, one.peer.state = len(one.peer.writes), 0
         one.peer.dead = set()
         await one.hears(2)
-        assert "a read had no answer meanwhile" in str(one.port.complaint)
+        assert "a read had no answer meanwhile" in str(one.port.trip_cause)
         assert len(one.peer.writes) == known
         assert one.port.statistics.withheld_commands == 1  # one was given, and waits since
         one.port.send(SAFE_COMMAND)
-        assert one.port.complaint is None
+        assert one.port.trip_cause is None
 
 
 @BOTH_WAYS
@@ -391,7 +391,7 @@ async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven
         assert one.peer.writes[known:] == []
         one.port.send(SAFE_COMMAND)
         await one.is_told(0, 0)
-        assert one.port.complaint is None
+        assert one.port.trip_cause is None
 
 
 @pytest.mark.parametrize("stops_unseen", [True, False])
@@ -416,7 +416,7 @@ async def test_a_drive_that_came_on_beside_refused_values_and_stopped_is_not_dri
         assert one.peer.writes[written:] == []
         one.port.send(SAFE_COMMAND)
         await one.is_told(0, 0)
-        assert one.port.complaint is None
+        assert one.port.trip_cause is None
 
 
 @pytest.mark.parametrize("stops", [False, True])
@@ -438,7 +438,7 @@ async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(*, stops
             assert one.peer.writes[known:] == []
         else:
             await until(lambda: len(one.peer.writes) > known)
-            assert one.port.complaint is None
+            assert one.port.trip_cause is None
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])

@@ -86,7 +86,7 @@ async def test_a_drive_is_unlocked_and_set_up_before_its_first_command() -> None
         await until(commanded)
     assert [address for address, _ in drive.writes][:2] == [UNLOCK, MODE]
     assert drive.written(MODE) == [2]
-    assert port.complaint is None
+    assert port.trip_cause is None
 
 
 async def test_a_drive_that_has_started_anew_is_set_up_anew() -> None:
