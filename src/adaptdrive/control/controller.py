@@ -23,6 +23,7 @@ from adaptdrive.control.loads.battery import (
 )
 from adaptdrive.control.loads.load import Charging, Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.signals import Measurement, Order, Snapshot
 from adaptdrive.control.supervision import monitor, setpoints
 from adaptdrive.control.supervision.state import SlowState, new_slow_state, reason
 
@@ -72,9 +73,9 @@ class Controller:
         self._bank.quantiser = filters.known_quantiser(resolution)
         self.state = new_slow_state(settings, load, 0.0, 0.0)
         self._reach = setpoints.nominal_reach(load, settings.stage)
-        self._snapshot: signals.Snapshot | None = None
+        self._snapshot: Snapshot | None = None
 
-    def tick(self, measurement: signals.Measurement, order: signals.Order) -> signals.Command:
+    def tick(self, measurement: Measurement, order: Order) -> signals.Command:
         """Run the fast half for one half line cycle.
 
         Args:
@@ -95,12 +96,12 @@ class Controller:
         bridge = order.stage is _RUN or self.settings.stage.boost_needs_bridge
         return self._drive(measurement, bridge)
 
-    def take_snapshot(self) -> signals.Snapshot | None:
+    def take_snapshot(self) -> Snapshot | None:
         """The snapshot made in the last tick, if any; only once."""
         snapshot, self._snapshot = self._snapshot, None
         return snapshot
 
-    def decide(self, snapshot: signals.Snapshot) -> signals.Decision:
+    def decide(self, snapshot: Snapshot) -> signals.Decision:
         """Run the slow half on a snapshot."""
         state, settings, charging = self.state, self.settings, self.load.charging
         load_input = slow.slow_step(settings, self.load, state, self._sample(snapshot))
@@ -179,7 +180,7 @@ class Controller:
             self._prior = self._learnt
             self.settings = _recalling(settings)
 
-    def _enter(self, stage: signals.Stage, measurement: signals.Measurement) -> None:
+    def _enter(self, stage: signals.Stage, measurement: Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
         fed = (
             self._stage is not signals.Stage.PRECHARGE
@@ -239,22 +240,20 @@ class Controller:
         tau = self.settings.learning.tau_lambda_s
         return fast.new_filter_bank(self.load, tick_period_s, tau, output, voltage)
 
-    def _run_filters(self, measurement: signals.Measurement, order: signals.Order) -> None:
+    def _run_filters(self, measurement: Measurement, order: Order) -> None:
         rates = self.settings.rates
         if fast.take_in(self.settings, self.load, self._fast, self._bank, measurement):
             k = measurement.tick // rates.ticks_per_period
             self._snapshot = self._take(measurement, order, k)
 
-    def _take(
-        self, measurement: signals.Measurement, order: signals.Order, k: int
-    ) -> signals.Snapshot:
+    def _take(self, measurement: Measurement, order: Order, k: int) -> Snapshot:
         rates, learning, order_m = self.settings.rates, self.settings.learning, self.load.order
         held_V = self._fast.boost_reference_V if self._fast.by_hand else math.nan
         means = fast.take_means(self._bank)
         applied_V, followed, held = fast.close_period(self._fast, self.settings)
         resolution, rounding = fast.take_rounding(self.settings, self._bank)
         fast.tune_filters(self._bank, measurement.tick_period_s, learning.tau_lambda_s)
-        return signals.Snapshot(
+        return Snapshot(
             k=k,
             tick=measurement.tick,
             period_s=rates.ticks_per_period * measurement.tick_period_s,
@@ -282,18 +281,18 @@ class Controller:
         ]
         return tuple(map(self._reach.nearest, asked) if self.settings.govern else asked)
 
-    def _set_by_hand(self, measurement: signals.Measurement, order: signals.Order) -> None:
+    def _set_by_hand(self, measurement: Measurement, order: Order) -> None:
         """Set V_c to the operator's value; a battery's terminals stay at their limit."""
         highest_V = self._bearable(measurement, highest_boost_voltage)
         fast.set_by_hand(self._fast, self.settings.stage, order.manual_V, highest_V)
 
-    def _drive(self, measurement: signals.Measurement, bridge: bool) -> signals.Command:
+    def _drive(self, measurement: Measurement, bridge: bool) -> signals.Command:
         highest_V = self._bearable(measurement, voltage_limit)
         scale, reference = fast.drive(self._fast, self.settings.stage, measurement, highest_V)
         return signals.Command(scale, reference, bridge)
 
     def _bearable(
-        self, measurement: signals.Measurement, limit: Callable[[Charging, float], float]
+        self, measurement: Measurement, limit: Callable[[Charging, float], float]
     ) -> float:
         """Return the V_c that a battery bears; infinite for a load that bears any."""
         charging, voltage_V = self.load.charging, measurement.boost_voltage_V
@@ -302,7 +301,7 @@ class Controller:
         power_W = measurement.load_power_W
         return limit(charging, proven_current(charging, measurement.output, voltage_V, power_W))
 
-    def _sample(self, snapshot: signals.Snapshot) -> regression.SlowSample:
+    def _sample(self, snapshot: Snapshot) -> regression.SlowSample:
         load, stage = self.load, self.settings.stage
         gain, exponent = load.input_gain, load.input_exponent
         applied = to_input(snapshot.applied_V, gain, exponent)

@@ -16,10 +16,11 @@ its input: inertia, volume. Either may come with the other, and with another gai
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import regression, rls
 from adaptdrive.control.estimation.branch import Branch
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector
 
 # Standard deviations of the physical parameters of a load, from an estimate and its P.
@@ -28,7 +29,7 @@ _TINY = 1e-12
 """Divisor that counts as 0: 4,500 rounding errors of 1."""
 
 
-def is_sure(branch: Branch, power: float, learning: settings.EstimatorSettings, load: Load) -> bool:
+def is_sure(branch: Branch, power: float, learning: EstimatorSettings, load: Load) -> bool:
     """Return whether every physical parameter is known within half of its value.
 
     Args:
@@ -46,11 +47,7 @@ def is_sure(branch: Branch, power: float, learning: settings.EstimatorSettings, 
 
 
 def deviations_of(
-    branch: Branch,
-    noise: float,
-    learning: settings.EstimatorSettings,
-    load: Load,
-    values: Vector,
+    branch: Branch, noise: float, learning: EstimatorSettings, load: Load, values: Vector
 ) -> Vector:
     """Standard deviations of the physical parameters at any θ and P, to first order.
 
@@ -72,11 +69,7 @@ def deviations_of(
 
 
 def root_of(
-    branch: Branch,
-    noise: float,
-    learning: settings.EstimatorSettings,
-    load: Load,
-    values: Vector,
+    branch: Branch, noise: float, learning: EstimatorSettings, load: Load, values: Vector
 ) -> Vector:
     """L, lower triangular, flat, of the covariance L Lᵀ of the physical parameters.
 
@@ -108,9 +101,7 @@ def root_of(
     return root
 
 
-def _jacobian(
-    theta: Vector, learning: settings.EstimatorSettings, load: Load, values: Vector
-) -> Vector:
+def _jacobian(theta: Vector, learning: EstimatorSettings, load: Load, values: Vector) -> Vector:
     """Derivatives of the physical parameters by θ, a row for each; NaN without a dc gain."""
     count = len(theta)
     rows = [0.0] * (len(values) * count)
@@ -161,9 +152,7 @@ class Anchor:
     gap_s: float = 0.0
 
 
-def restart_past(
-    branch: Branch, learning: settings.EstimatorSettings, load: Load, time_s: float
-) -> None:
+def restart_past(branch: Branch, learning: EstimatorSettings, load: Load, time_s: float) -> None:
     """Count the functions of the initial state from another time; θ and P follow.
 
     Args:
@@ -200,7 +189,7 @@ def _shifted_functions(count: int, shift: float) -> Vector:
 
 
 def widen(
-    branch: Branch, kind: int, learning: settings.EstimatorSettings, load: Load, anchor: Anchor
+    branch: Branch, kind: int, learning: EstimatorSettings, load: Load, anchor: Anchor
 ) -> None:
     """Open an estimate up for what a kind of change may have moved.
 
@@ -235,18 +224,14 @@ def widen(
         )
 
 
-def _widen_load(
-    branch: Branch, learning: settings.EstimatorSettings, load: Load, anchor: Anchor
-) -> None:
+def _widen_load(branch: Branch, learning: EstimatorSettings, load: Load, anchor: Anchor) -> None:
     """Other dynamics with the same dc gain and the same offset of the input."""
     for i in range(regression.fitted_order(learning, load) + len(load.input_powers) - 1):
         direction = load_direction(branch.theta, i, learning, load)
         _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, anchor)
 
 
-def load_direction(
-    theta: Vector, index: int, learning: settings.EstimatorSettings, load: Load
-) -> Vector:
+def load_direction(theta: Vector, index: int, learning: EstimatorSettings, load: Load) -> Vector:
     """Return a direction of θ that leaves the dc gain and the offset of the input as they are.
 
     Args:
@@ -271,10 +256,7 @@ def load_direction(
 
 
 def _carry_offset(
-    direction: Vector,
-    theta: Vector,
-    divisor: float,
-    learning: settings.EstimatorSettings,
+    direction: Vector, theta: Vector, divisor: float, learning: EstimatorSettings
 ) -> None:
     """Let what acts with the input move with the gain: bias and charge, over a divisor."""
     size = len(theta)
@@ -289,7 +271,7 @@ def _open(
     branch: Branch,
     direction: Vector,
     spread: float,
-    learning: settings.EstimatorSettings,
+    learning: EstimatorSettings,
     load: Load,
     anchor: Anchor,
 ) -> None:
@@ -307,9 +289,7 @@ def _open(
     rls.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
 
 
-def _widen_state(
-    branch: Branch, variance: float, learning: settings.EstimatorSettings, load: Load
-) -> None:
+def _widen_state(branch: Branch, variance: float, learning: EstimatorSettings, load: Load) -> None:
     """Widen γ, what is left of the state at the change, by itself."""
     first = regression.fitted_order(learning, load) + len(load.input_powers)
     for i in range(regression.initial_state_count(learning, load)):

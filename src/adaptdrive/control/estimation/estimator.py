@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import (
     covariance,
     hypothesis_test,
@@ -27,6 +27,7 @@ from adaptdrive.control.estimation.branch import (
 )
 from adaptdrive.control.estimation.hypothesis_test import ChangeDetector, track_noise
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector
 
 _LARGEST = 1.0e20
@@ -56,67 +57,49 @@ class Method(Protocol):
         kept for the next run.
         """
 
-    def parameter_count(self, learning: settings.EstimatorSettings, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: EstimatorSettings, load: Load, taps: int) -> int:
         """Return the length of θ; `taps` is the number of past inputs of the discrete model."""
 
     def theta_of(
-        self,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        numerator: Vector,
-        denominator: Vector,
+        self, learning: EstimatorSettings, load: Load, numerator: Vector, denominator: Vector
     ) -> Vector:
         """Return the first entries of θ for a model in s, scaled; empty if not `physical`."""
 
-    def begin(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> None:
+    def begin(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Adjust P of a new estimator to what is known of the start."""
 
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: settings.EstimatorSettings,
+        learning: EstimatorSettings,
         load: Load,
         sample: regression.SlowSample,
         past: tuple[Vector, Vector],
     ) -> None:
         """Overwrite r by that of a slow sample; `past` are y and u of the periods before it."""
 
-    def target(self, learning: settings.EstimatorSettings, sample: regression.SlowSample) -> float:
+    def target(self, learning: EstimatorSettings, sample: regression.SlowSample) -> float:
         """Return the value that r predicts, in the unit of the output."""
 
-    def take_in(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> None:
+    def take_in(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Update θ and P by the last sample, which the estimate has predicted."""
 
     def model(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load
     ) -> tuple[Vector, Vector]:
         """Return numerator and denominator of the estimate: in s if `physical`, else in q^-1."""
 
     def root(
-        self,
-        state: EstimatorState,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        values: Vector,
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
     ) -> Vector:
         """Return L, flat, of the covariance L Lᵀ of the physical parameters; NaN where unknown."""
 
     def shown_deviations(
-        self,
-        state: EstimatorState,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        values: Vector,
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
     ) -> Vector:
         """Return their standard deviations for operators: the load may have changed since."""
 
-    def input_offset(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> float:
+    def input_offset(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> float:
         """Return the constant input with the effect of what is no dynamics; NaN without a bias."""
 
 
@@ -170,7 +153,7 @@ class EstimatorState:
 
 
 def new_estimator(
-    method: Method, learning: settings.EstimatorSettings, load: Load, taps: int
+    method: Method, learning: EstimatorSettings, load: Load, taps: int
 ) -> EstimatorState:
     """Return an estimator without data, which starts from zero or from the nominal model."""
     count = method.parameter_count(learning, load, taps)
@@ -191,9 +174,7 @@ def new_estimator(
     return state
 
 
-def nominal_theta(
-    method: Method, learning: settings.EstimatorSettings, load: Load, taps: int
-) -> Vector:
+def nominal_theta(method: Method, learning: EstimatorSettings, load: Load, taps: int) -> Vector:
     """Return θ of the nominal model, scaled; zeros where the method cannot express it."""
     theta = [0.0] * method.parameter_count(learning, load, taps)
     numerator, denominator = list(load.numerator), list(load.denominator)
@@ -201,7 +182,7 @@ def nominal_theta(
     return theta
 
 
-def _open(estimate: Branch, learning: settings.EstimatorSettings) -> None:
+def _open(estimate: Branch, learning: EstimatorSettings) -> None:
     """Know nothing, and expect an offset of the size of a disturbance.
 
     The latter only where it rests and the nominal gain is known.
@@ -218,7 +199,7 @@ def _open(estimate: Branch, learning: settings.EstimatorSettings) -> None:
         diagonal[len(diagonal) - 1] = min(diagonal[len(diagonal) - 1], expected)
 
 
-def begin_anew(state: EstimatorState, learning: settings.EstimatorSettings, load: Load) -> None:
+def begin_anew(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
     """Start from the nominal model again: an estimate that no load can have has lost its way.
 
     It learnt a disturbance as dynamics before σ² was known, and what surprises it is explained by
@@ -236,7 +217,7 @@ def begin_anew(state: EstimatorState, learning: settings.EstimatorSettings, load
 
 
 def start_from(
-    state: EstimatorState, learning: settings.EstimatorSettings, load: Load, values: Vector
+    state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
 ) -> None:
     """Start from a load that an earlier run has learnt, moderately sure of it.
 
@@ -256,11 +237,7 @@ def start_from(
 
 
 def update_estimate(
-    state: EstimatorState,
-    learning: settings.EstimatorSettings,
-    load: Load,
-    output: float,
-    usable: bool,
+    state: EstimatorState, learning: EstimatorSettings, load: Load, output: float, usable: bool
 ) -> None:
     """Take in one slow sample whose regressor has been filled in.
 
@@ -289,9 +266,7 @@ def update_estimate(
         state.method.take_in(state, learning, load)
 
 
-def take_in(
-    state: EstimatorState, learning: settings.EstimatorSettings, *, directional: bool
-) -> None:
+def take_in(state: EstimatorState, learning: EstimatorSettings, *, directional: bool) -> None:
     """Update θ and P, if the sample can teach anything.
 
     Args:
@@ -313,7 +288,7 @@ def take_in(
     remember_residual(state, own, rho)
 
 
-def widen_emf(state: EstimatorState, learning: settings.EstimatorSettings) -> None:
+def widen_emf(state: EstimatorState, learning: EstimatorSettings) -> None:
     """Let a slow period pass for an EMF that rises with the charge, at a rate that changes slowly.
 
     At a constant current only the EMF moves: without this, what a straight line misses of its

@@ -25,7 +25,7 @@ when it has won.
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import covariance, regression
 from adaptdrive.control.estimation.branch import (
     Branch,
@@ -40,6 +40,7 @@ from adaptdrive.control.estimation.branch import (
     squared_error,
 )
 from adaptdrive.control.loads.load import Load, is_damped
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector
 
 # Detection of an abrupt change of the load from the innovations of the estimator.
@@ -227,9 +228,7 @@ def prepare(hypotheses: Hypotheses, power: float) -> None:
     hypotheses.anchor.gap_s = hypotheses.kept[0].time_s - hypotheses.anchor.time_s
 
 
-def split(
-    hypotheses: Hypotheses, learning: settings.EstimatorSettings, load: Load, power: float
-) -> None:
+def split(hypotheses: Hypotheses, learning: EstimatorSettings, load: Load, power: float) -> None:
     """After an alarm: go back to the anchor, and start every explanation from there.
 
     Args:
@@ -252,7 +251,7 @@ def split(
 
 
 def follow(
-    hypotheses: Hypotheses, learning: settings.EstimatorSettings, load: Load, sample: Observation
+    hypotheses: Hypotheses, learning: EstimatorSettings, load: Load, sample: Observation
 ) -> None:
     """Let every explanation take in a sample, and find the likeliest.
 
@@ -307,7 +306,7 @@ def is_clear(hypotheses: Hypotheses) -> bool:
     return hypotheses.branches[best].score - rival > thresholds.CLEAR
 
 
-def is_expected(hypotheses: Hypotheses, learning: settings.EstimatorSettings) -> bool:
+def is_expected(hypotheses: Hypotheses, learning: EstimatorSettings) -> bool:
     """Return whether an explanation that has not been left behind expected the last sample."""
     least = hypotheses.branches[_likeliest(hypotheses)].score - thresholds.CLEAR
     largest, rho = DRIFT * hypotheses.anchor.power, learning.forgetting
@@ -316,7 +315,7 @@ def is_expected(hypotheses: Hypotheses, learning: settings.EstimatorSettings) ->
     )
 
 
-def is_settled(hypotheses: Hypotheses, learning: settings.EstimatorSettings, load: Load) -> bool:
+def is_settled(hypotheses: Hypotheses, learning: EstimatorSettings, load: Load) -> bool:
     """Decide when the evidence suffices or time is over; the explanation is in `kind` then.
 
     Another explanation than `nothing` needs proof, and a load must be one that can exist.
@@ -356,7 +355,7 @@ def explained_power(hypotheses: Hypotheses) -> float:
     return max(thresholds.NOISE_FLOOR, power)
 
 
-def is_possible(theta: Vector, learning: settings.EstimatorSettings, load: Load) -> bool:
+def is_possible(theta: Vector, learning: EstimatorSettings, load: Load) -> bool:
     """Return whether such a load can exist: it stores and loses, so it neither grows nor swings."""
     _, denominator = regression.filtered_model(theta, learning, load)
     losing = all(coefficient > 0.0 for coefficient in denominator)

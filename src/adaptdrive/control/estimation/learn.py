@@ -20,7 +20,7 @@ that were found lately: others of their size may not have been.
 
 import math
 
-from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import (
     covariance,
     estimator,
@@ -30,9 +30,11 @@ from adaptdrive.control.estimation import (
     second_filters,
 )
 from adaptdrive.control.estimation.branch import Branch, copy_estimate, posterior_power
+from adaptdrive.control.estimation.estimator import EstimatorState
 from adaptdrive.control.estimation.hypothesis_test import is_change
 from adaptdrive.control.estimation.rls import normalised, predict, widen
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector
 
 # EstimatorSettings with explanations: what the λ-method does when a sample surprises it.
@@ -42,9 +44,7 @@ _LOUDER = thresholds.PRIOR_SAMPLES
 known of it weighs as so many samples, of which one may have had all the noise."""
 
 
-def learn_and_explain(
-    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
-) -> None:
+def learn_and_explain(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
     """Learn a sample; one that completes the evidence for a change starts explanations of it."""
     if state.hypotheses.samples > 0:
         alarm = _explain(state, learning, load)
@@ -59,14 +59,12 @@ def learn_and_explain(
         _challenge(state, learning, load)
 
 
-def _squared(branch: Branch, learning: settings.EstimatorSettings) -> float:
+def _squared(branch: Branch, learning: EstimatorSettings) -> float:
     """Return ε² ρ/(ρ + rᵀPr) of the last prediction of a branch."""
     return normalised(branch.excitation, branch.innovation, learning.forgetting)
 
 
-def _explain(
-    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
-) -> bool:
+def _explain(state: EstimatorState, learning: EstimatorSettings, load: Load) -> bool:
     """Compare the explanations of an alarm on one more sample; the likeliest is the estimate.
 
     The detector stays on: what surprises an explanation that is clearly ahead, or "nothing", is the
@@ -91,9 +89,7 @@ def _explain(
     return alarm
 
 
-def _split(
-    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
-) -> None:
+def _split(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
     """Start the explanations of an alarm.
 
     One alarm after the other, each before the last can be explained, is noise.
@@ -112,7 +108,7 @@ def _split(
         _challenge(state, learning, load)
 
 
-def _mark(state: estimator.EstimatorState) -> None:
+def _mark(state: EstimatorState) -> None:
     """Remember from where the next change is to be explained: from the last calm sample."""
     suspect = state.detector.sum > 0.0
     if not (
@@ -122,9 +118,7 @@ def _mark(state: estimator.EstimatorState) -> None:
         hypothesis_test.drop_anchor(state.hypotheses, state.estimate, state.sample)
 
 
-def _offset_share(
-    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
-) -> float:
+def _offset_share(state: EstimatorState, learning: EstimatorSettings, load: Load) -> float:
     """Return the offset of the input over its scale; NaN without a bias."""
     return (
         regression.input_offset(state.estimate.theta, learning, load, state.charge)
@@ -132,9 +126,7 @@ def _offset_share(
     )
 
 
-def _settle(
-    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
-) -> None:
+def _settle(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
     """Keep the explanation that has won."""
     hypotheses = state.hypotheses
     if hypotheses.kind == covariance.DISTURBANCE:
@@ -149,7 +141,7 @@ def _settle(
     hypothesis_test.settle(hypotheses)
 
 
-def _publish(state: estimator.EstimatorState, learning: settings.EstimatorSettings) -> None:
+def _publish(state: EstimatorState, learning: EstimatorSettings) -> None:
     """Make the likeliest explanation the estimate."""
     best = hypothesis_test.likeliest(state.hypotheses)
     copy_estimate(state.estimate, best)
@@ -159,9 +151,7 @@ def _publish(state: estimator.EstimatorState, learning: settings.EstimatorSettin
     estimator.remember_residual(state, best, learning.forgetting)
 
 
-def _challenge_anew(
-    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
-) -> bool:
+def _challenge_anew(state: EstimatorState, learning: EstimatorSettings, load: Load) -> bool:
     """Start a second filter at an alarm, unless there is one that expected what surprised."""
     if not second_filters.is_surprised(state.second_filter, learning, load, state.sample):
         return False
@@ -170,9 +160,7 @@ def _challenge_anew(
     return True
 
 
-def _challenge(
-    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
-) -> None:
+def _challenge(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
     """Let the second filter predict the sample too; one that has won is the estimate."""
     second_filter, hypotheses, sample, own = (
         state.second_filter,
@@ -191,7 +179,7 @@ def _challenge(
         _take_over(state)
 
 
-def _take_over(state: estimator.EstimatorState) -> None:
+def _take_over(state: EstimatorState) -> None:
     """Make the second filter the estimate; the comparison that is under way ends."""
     second_filter, hypotheses = state.second_filter, state.hypotheses
     copy_estimate(state.estimate, second_filter.branch)
@@ -210,25 +198,25 @@ def _take_over(state: estimator.EstimatorState) -> None:
 # The estimate in force: the one whose bias rests, or the one whose bias walks (`second_filters`).
 
 
-def show(state: estimator.EstimatorState, learning: settings.EstimatorSettings) -> None:
+def show(state: EstimatorState, learning: EstimatorSettings) -> None:
     """Publish innovation and excitation of the estimate in force."""
     if state.incremental.in_force:
         state.innovation = state.incremental.branch.innovation * learning.output_scale
         state.excitation = state.incremental.branch.excitation
 
 
-def in_force(state: estimator.EstimatorState) -> Branch:
+def in_force(state: EstimatorState) -> Branch:
     """Return the estimate in force."""
     return state.incremental.branch if state.incremental.in_force else state.estimate
 
 
-def own_residual(state: estimator.EstimatorState, learning: settings.EstimatorSettings) -> float:
+def own_residual(state: EstimatorState, learning: EstimatorSettings) -> float:
     """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
     innovation = state.innovation / learning.output_scale
     return rls.normalised(state.excitation, innovation, learning.forgetting)
 
 
-def residual_noise(state: estimator.EstimatorState) -> float:
+def residual_noise(state: EstimatorState) -> float:
     """σ of the innovations, scaled; NaN before there are more of them than parameters."""
     power, weight = state.residual_power, state.residual_weight
     if state.incremental.in_force:
@@ -239,7 +227,7 @@ def residual_noise(state: estimator.EstimatorState) -> float:
     return math.sqrt(power / freedom)
 
 
-def correlation_factor(state: estimator.EstimatorState) -> float:
+def correlation_factor(state: EstimatorState) -> float:
     """Return the factor by which innovations that resemble their neighbours widen a deviation.
 
     n samples whose neighbours have the correlation φ carry the information of n (1 - φ)/(1 + φ)
@@ -260,10 +248,7 @@ def correlation_factor(state: estimator.EstimatorState) -> float:
 
 
 def parameter_root(
-    state: estimator.EstimatorState,
-    learning: settings.EstimatorSettings,
-    load: Load,
-    values: Vector,
+    state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
 ) -> Vector:
     """L of the covariance L Lᵀ of the physical parameters, to first order.
 
@@ -282,9 +267,7 @@ _SHOWN = 30.0
 """Movement of a sample, in σ, by an α that is larger by 1: 3 σ for a quarter of a second disk."""
 
 
-def count_unseen(
-    state: estimator.EstimatorState, learning: settings.EstimatorSettings, load: Load
-) -> None:
+def count_unseen(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
     """Count the slow periods since a sample that would have shown another load.
 
     Args:
@@ -300,12 +283,12 @@ def count_unseen(
             state.unseen_periods = 0
 
 
-def is_doubtful(state: estimator.EstimatorState) -> bool:
+def is_doubtful(state: EstimatorState) -> bool:
     """Return whether the load may be another than the estimate."""
     return state.unseen_periods > thresholds.FEWEST or is_contested(state)
 
 
-def is_contested(state: estimator.EstimatorState) -> bool:
+def is_contested(state: EstimatorState) -> bool:
     """Return whether the latest samples speak for another load than the estimate."""
     if state.detector.sum > 0.0 or state.hypotheses.samples > 0:
         return True
@@ -319,10 +302,7 @@ def is_contested(state: estimator.EstimatorState) -> bool:
 
 
 def inflated_deviations(
-    state: estimator.EstimatorState,
-    learning: settings.EstimatorSettings,
-    load: Load,
-    values: Vector,
+    state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
 ) -> Vector:
     """Return the standard deviations to be shown: wider while the load may be another.
 

@@ -13,16 +13,13 @@ and b of the discrete model (17).
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import branch, hypothesis_test, learn, regression, rls
-from adaptdrive.control.estimation.estimator import (
-    EstimatorState,
-    Method,
-    take_in,
-    widen_emf,
-)
+from adaptdrive.control.estimation.estimator import EstimatorState, Method, take_in, widen_emf
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.second_filters import follow_incremental as follow
 from adaptdrive.control.loads.load import Load
+from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector
 
 # The λ-method (LM-RLS): recursive least squares on signals behind λ filters.
@@ -37,23 +34,17 @@ class LambdaMethod:
         """True: θ is a model in s."""
         return True
 
-    def parameter_count(self, learning: settings.EstimatorSettings, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: EstimatorSettings, load: Load, taps: int) -> int:
         """Return the length of θ, which does not depend on the past inputs."""
         return regression.filtered_count(learning, load)
 
     def theta_of(
-        self,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        numerator: Vector,
-        denominator: Vector,
+        self, learning: EstimatorSettings, load: Load, numerator: Vector, denominator: Vector
     ) -> Vector:
         """Return α and β of a model in s, scaled."""
         return regression.theta_of(learning, load, numerator, denominator)
 
-    def begin(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> None:
+    def begin(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Take γ = 0 as known where the initial state is not learnt: the load is at rest."""
         if learning.initial_state:
             return
@@ -66,9 +57,9 @@ class LambdaMethod:
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: settings.EstimatorSettings,
+        learning: EstimatorSettings,
         load: Load,
-        sample: regression.SlowSample,
+        sample: SlowSample,
         past: tuple[Vector, Vector],
     ) -> None:
         """Overwrite r, and r with every power of λ lowered by one for the explanations."""
@@ -83,13 +74,11 @@ class LambdaMethod:
         regression.fill_lowered_regressor(lowered, learning, load, output, y, u)
         regression.fill_charge(lowered, learning, state.charge + output / learning.output_scale)
 
-    def target(self, learning: settings.EstimatorSettings, sample: regression.SlowSample) -> float:
+    def target(self, learning: EstimatorSettings, sample: SlowSample) -> float:
         """Return y[k]."""
         return sample.output
 
-    def take_in(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> None:
+    def take_in(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Update θ and P; an abrupt change is explained where `alert` is set."""
         own, sample = state.estimate, state.sample
         if not learning.alert:
@@ -104,34 +93,24 @@ class LambdaMethod:
         learn.show(state, learning)
 
     def model(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load
     ) -> tuple[Vector, Vector]:
         """Return numerator and denominator of the estimated model in s."""
         return regression.filtered_model(learn.in_force(state).theta, learning, load)
 
     def root(
-        self,
-        state: EstimatorState,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        values: Vector,
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
     ) -> Vector:
         """Return L of the covariance of the physical parameters, to first order."""
         return learn.parameter_root(state, learning, load, values)
 
     def shown_deviations(
-        self,
-        state: EstimatorState,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        values: Vector,
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
     ) -> Vector:
         """Return their deviations, with what the load may be since the samples showed it."""
         return learn.inflated_deviations(state, learning, load, values)
 
-    def input_offset(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> float:
+    def input_offset(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> float:
         """Return the constant input with the effect of bias and charge; NaN without a bias."""
         return regression.input_offset(learn.in_force(state).theta, learning, load, state.charge)
 
@@ -189,79 +168,61 @@ class DirectMethod:
         """False: θ is a discrete model."""
         return False
 
-    def parameter_count(self, learning: settings.EstimatorSettings, load: Load, taps: int) -> int:
+    def parameter_count(self, learning: EstimatorSettings, load: Load, taps: int) -> int:
         """Return the length of θ."""
         return load.order + taps + (1 if learning.bias else 0)
 
     def theta_of(
-        self,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        numerator: Vector,
-        denominator: Vector,
+        self, learning: EstimatorSettings, load: Load, numerator: Vector, denominator: Vector
     ) -> Vector:
         """Return nothing: the discrete model of a nominal one depends on the period."""
         return [0.0] * 0
 
-    def begin(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> None:
+    def begin(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Leave P as it is."""
 
     def fill_regressor(
         self,
         state: EstimatorState,
-        learning: settings.EstimatorSettings,
+        learning: EstimatorSettings,
         load: Load,
-        sample: regression.SlowSample,
+        sample: SlowSample,
         past: tuple[Vector, Vector],
     ) -> None:
         """Overwrite r by the past outputs and inputs."""
         outputs, inputs = past
         fill_direct_regressor(state.sample.regressor, learning, load, outputs, inputs)
 
-    def target(self, learning: settings.EstimatorSettings, sample: regression.SlowSample) -> float:
+    def target(self, learning: EstimatorSettings, sample: SlowSample) -> float:
         """Return y[k]."""
         return sample.output
 
-    def take_in(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> None:
+    def take_in(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Update θ and P; an abrupt change opens P where `alert` is set."""
         if learning.alert:
             _open_up(state, learning)
         take_in(state, learning, directional=False)
 
     def model(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load
     ) -> tuple[Vector, Vector]:
         """Return B and A as estimated; the gains need no more."""
         a, b = direct_model(state.estimate.theta, learning, load)
         return b, a
 
     def root(
-        self,
-        state: EstimatorState,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        values: Vector,
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
     ) -> Vector:
         """Return NaN: nothing is known of the physical parameters."""
         return [math.nan] * (len(values) * len(values))
 
     def shown_deviations(
-        self,
-        state: EstimatorState,
-        learning: settings.EstimatorSettings,
-        load: Load,
-        values: Vector,
+        self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
     ) -> Vector:
         """Return NaN for each physical parameter."""
         return [math.nan] * len(values)
 
-    def input_offset(
-        self, state: EstimatorState, learning: settings.EstimatorSettings, load: Load
-    ) -> float:
+    def input_offset(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> float:
         """Return the constant input with the effect of the estimated bias; NaN without one."""
         if not learning.bias:
             return math.nan
@@ -272,11 +233,7 @@ class DirectMethod:
 
 
 def fill_direct_regressor(
-    regressor: Vector,
-    learning: settings.EstimatorSettings,
-    load: Load,
-    outputs: Vector,
-    inputs: Vector,
+    regressor: Vector, learning: EstimatorSettings, load: Load, outputs: Vector, inputs: Vector
 ) -> None:
     """r of direct least squares (17).
 
@@ -295,9 +252,7 @@ def fill_direct_regressor(
         regressor[len(regressor) - 1] = 1.0
 
 
-def direct_model(
-    theta: Vector, learning: settings.EstimatorSettings, load: Load
-) -> tuple[Vector, Vector]:
+def direct_model(theta: Vector, learning: EstimatorSettings, load: Load) -> tuple[Vector, Vector]:
     """Return A, B in q^-1 of a direct estimate."""
     order = load.order
     b = [0.0] * (_input_count(theta, learning, load) + 1)
@@ -306,11 +261,11 @@ def direct_model(
     return [1.0, *theta[:order]], b
 
 
-def _input_count(parameters: Vector, learning: settings.EstimatorSettings, load: Load) -> int:
+def _input_count(parameters: Vector, learning: EstimatorSettings, load: Load) -> int:
     return len(parameters) - load.order - (1 if learning.bias else 0)
 
 
-def _open_up(state: EstimatorState, learning: settings.EstimatorSettings) -> None:
+def _open_up(state: EstimatorState, learning: EstimatorSettings) -> None:
     """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
     own = state.estimate
     squared = rls.normalised(own.excitation, own.innovation, learning.forgetting)

@@ -8,8 +8,9 @@ import math
 from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.design import pole_placement
 from adaptdrive.control.design.noise import detuned_loop, fast_loop, noise_gain
-from adaptdrive.control.estimation import methods, regression, second_filters
+from adaptdrive.control.estimation import methods, second_filters
 from adaptdrive.control.estimation.estimator import begin_anew
+from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.control.supervision import supervisor
@@ -17,9 +18,7 @@ from adaptdrive.control.supervision.state import SlowState
 from adaptdrive.control.vectors import Vector
 
 
-def adapt(
-    settings: ControllerSettings, load: Load, state: SlowState, sample: regression.SlowSample
-) -> None:
+def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
     """Judge the estimate and, if it is trusted, make gains of it."""
     gains = [0.0] * len(state.adaptive_gains)
     verdict = _redesign(settings, load, state, sample, gains)
@@ -95,7 +94,7 @@ def _take_loop(load: Load, state: SlowState, share: float, pole: float) -> None:
 
 
 def _take_fast_law(
-    settings: ControllerSettings, load: Load, state: SlowState, sample: regression.SlowSample
+    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
 ) -> None:
     """Take over the fast law, or the quiet one where the covariance leaves the fast one unsure."""
     a, b, quiet, solved = state.model_a, state.model_b, state.new_loop, state.equation
@@ -140,11 +139,7 @@ def _input_noise(
 
 
 def _redesign(
-    settings: ControllerSettings,
-    load: Load,
-    state: SlowState,
-    sample: regression.SlowSample,
-    gains: Vector,
+    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample, gains: Vector
 ) -> int:
     a, b, verdict = judged_model(settings, load, state, sample.period_s)
     if verdict != supervisor.Verdict.TRUSTED:
@@ -163,11 +158,7 @@ def _redesign(
 
 
 def _judge_response(
-    settings: ControllerSettings,
-    load: Load,
-    state: SlowState,
-    gains: Vector,
-    sample: regression.SlowSample,
+    settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, sample: SlowSample
 ) -> int:
     """Check how far the response may be off within the covariance of the estimate."""
     limit, learning = settings.supervision.spread_max, settings.learning
@@ -180,13 +171,7 @@ def _judge_response(
     return supervisor.Verdict.TRUSTED if state.spread <= limit else supervisor.Verdict.UNCERTAIN
 
 
-def _spread(
-    load: Load,
-    state: SlowState,
-    gains: Vector,
-    loop: Vector,
-    pole: float,
-) -> float:
+def _spread(load: Load, state: SlowState, gains: Vector, loop: Vector, pole: float) -> float:
     """Return how far the response may be off within the covariance of the estimate; 0 for none."""
     if not state.estimator.method.physical:
         return 0.0

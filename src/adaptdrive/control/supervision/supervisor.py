@@ -14,9 +14,10 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from adaptdrive.control import settings, thresholds, vectors
+from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.design.pole_placement import MARGIN_RADIUS, STABLE_RADIUS
 from adaptdrive.control.loads.load import is_damped
+from adaptdrive.control.settings import SupervisionLimits
 from adaptdrive.control.vectors import Vector
 
 _TINY = 1e-12
@@ -78,10 +79,7 @@ def judge_model(numerator: Vector, denominator: Vector) -> int:
 
 
 def judge_bounds(
-    values: Vector,
-    nominal: Vector,
-    supervision: settings.SupervisionLimits,
-    state: SupervisorState,
+    values: Vector, nominal: Vector, supervision: SupervisionLimits, state: SupervisorState
 ) -> int:
     """Check whether every parameter is within its bounds around the nominal one."""
     for i, value in enumerate(values):
@@ -92,7 +90,7 @@ def judge_bounds(
     return Verdict.TRUSTED
 
 
-def judge_damping(denominator: Vector, supervision: settings.SupervisionLimits) -> int:
+def judge_damping(denominator: Vector, supervision: SupervisionLimits) -> int:
     """Check that a model of second order is damped like a passive load with losses."""
     least = supervision.damping_min
     damped = not least > 0.0 or is_damped(denominator, least)
@@ -112,7 +110,7 @@ def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
     state.fixed_mean += _RESIDUAL_RATE * (fixed - state.fixed_mean)
 
 
-def judge_residual(state: SupervisorState, supervision: settings.SupervisionLimits) -> int:
+def judge_residual(state: SupervisorState, supervision: SupervisionLimits) -> int:
     """Check whether the estimate predicts no worse than the nominal model does."""
     margin = supervision.residual_margin * supervision.residual_margin
     if margin > 0.0 and state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
@@ -160,7 +158,7 @@ def judge_loop(closed_loop: Vector) -> int:
 def take_verdict(
     state: SupervisorState,
     verdict: int,
-    supervision: settings.SupervisionLimits,
+    supervision: SupervisionLimits,
     periods: int,
     in_force: bool,
 ) -> bool:
