@@ -55,8 +55,10 @@ def forms() -> tuple[Form, ...]:
     drawn = (*whole, f"{faults}/test_configurations.py", "--timeout", "86400")
     energised = (*whole, f"{faults}/test_energised.py", "--timeout", "86400")
     examples = os.environ.get("EXAMPLES", "1000")
-    long = (*whole, "-m", "proof", "--timeout", "86400")
-    properties = (*whole, "-m", "hypothesis", "--timeout", "86400")
+    # By files: what a module builds once, as the Debian package, is built once.
+    parallel = ("--numprocesses", "2", "--dist", "loadfile", "--timeout", "86400")
+    long = (*whole, "-m", "proof", *parallel)
+    properties = (*whole, "-m", "hypothesis", *parallel)
     return (
         *(Form(group, f"Faults: {group}", ("-m", "tools.proof.faults", seeds, group),
                as_table=True, is_shown=False) for group in GROUPS),
