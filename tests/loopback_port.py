@@ -82,9 +82,6 @@ class LoopbackPort:
     def catch_up(self) -> None:
         """What is delivered is handed over at once."""
 
-    def rehearse(self) -> None:
-        """What is delivered has no cost."""
-
     def explain_age(self) -> str:
         """Name nothing: the readings come from outside, whole."""
         return ""

@@ -17,17 +17,14 @@ from tools.benchmarks.rows import Extent, Row, quantile
 from tools.benchmarks.tools import PRIORITY, run_json, try_fifo
 
 PERIOD_US = 8333
-SPIN_US = 300
 _ROUNDS = 6
 _ROUND_S = 10.0
 """How long one of them runs before it is the other's turn."""
 
 PLAIN = "idle CPUs asleep"
 AWAKE = "cpu_latency_us = 0"
-SPUN = f"spinning {SPIN_US} us"
-_WAYS = {PLAIN: (0, False), AWAKE: (0, True), SPUN: (SPIN_US, False)}
-"""Ways to set up the timer: how long it spins, and whether idle CPUs are kept awake, as cyclictest
-keeps them."""
+_WAYS = {PLAIN: False, AWAKE: True}
+"""Whether idle CPUs are kept awake, as cyclictest keeps them."""
 
 SHARES = ((0.50, "p50"), (0.99, "p99"), (0.999, "p99.9"), (1.0, "max"))
 
@@ -43,12 +40,11 @@ def rows(extent: Extent) -> Iterator[Row]:
     ours: dict[str, list[float]] = {how: [] for how in _WAYS}
     for _ in range(rounds):
         peer += cyclictest(seconds, priority)
-        for how, (spin_us, awake) in _WAYS.items():
-            found = run_json("tools.benchmarks.timer_ticks", seconds, priority, spin_us, int(awake))
+        for how, awake in _WAYS.items():
+            found = run_json("tools.benchmarks.timer_ticks", seconds, priority, int(awake))
             ours[how] += found["lateness_us"]
     limit = 2.0 * quantile(peer, 0.99) + 100.0
     yield from _compared(AWAKE, ours[AWAKE], peer, f"at most {limit:.0f} us (2 x + 100)", limit)
-    yield from _compared(SPUN, ours[SPUN], peer, "at most cyclictest's", quantile(peer, 0.99))
     yield from _compared(PLAIN, ours[PLAIN], peer)
     yield _rare(60.0 * extent.pick(extent.minutes, 0.2, 0.01), priority)
 
@@ -57,7 +53,7 @@ def _rare(seconds: float, priority: int) -> Row:
     """Ticks later than half a period, of ours and of cyclictest's in the same minutes."""
     with ThreadPoolExecutor(1) as beside:
         running = beside.submit(cyclictest, seconds, priority)
-        ours = run_json("tools.benchmarks.timer_ticks", seconds, priority, 0, 1)["lateness_us"]
+        ours = run_json("tools.benchmarks.timer_ticks", seconds, priority, 1)["lateness_us"]
         peer = running.result()
     late, held = (sum(one > 0.5 * PERIOD_US for one in times) for times in (ours, peer))
     scheduling = f"SCHED_FIFO {priority}" if priority else "ordinary scheduling"

@@ -1,4 +1,4 @@
-"""Ticks of the timer, in a process of its own: `timer_ticks.py SECONDS PRIORITY SPIN_US AWAKE`.
+"""Ticks of the timer, in a process of its own: `timer_ticks.py SECONDS PRIORITY AWAKE`.
 
 The fast loop without a drive, on the kernel's timer, set up as the daemon sets itself up; AWAKE
 is 1 to keep idle CPUs from sleeping. Prints the lateness of every tick, in microseconds.
@@ -39,7 +39,7 @@ class Timed(Kept):
             self.timer.arm(deadline_s)
 
 
-async def main(duration_s: float, priority: int, spin_us: float, *, awake: bool) -> list[float]:
+async def main(duration_s: float, priority: int, *, awake: bool) -> list[float]:
     """Run ticks for so long."""
     around, settings = Timed(), daemon_settings(MOTOR)
     machine = Machine(settings.machine, settings.pole)
@@ -52,7 +52,7 @@ async def main(duration_s: float, priority: int, spin_us: float, *, awake: bool)
         times.append((time.monotonic() - deadline_s) * 1e6)
         loop.on_deadline(deadline_s)
 
-    around.timer = TickTimer(asyncio.get_running_loop(), on_deadline, spin_us * 1e-6)
+    around.timer = TickTimer(asyncio.get_running_loop(), on_deadline)
     wanted = Realtime(
         priority=priority or None,
         lock_memory=bool(priority),
@@ -68,6 +68,6 @@ async def main(duration_s: float, priority: int, spin_us: float, *, awake: bool)
 
 if __name__ == "__main__":
     with asyncio.Runner() as runner:
-        duration_s, priority, spin_us, awake = map(float, sys.argv[1:])
-        found = runner.run(main(duration_s, int(priority), spin_us, awake=bool(awake)))
+        duration_s, priority, awake = map(float, sys.argv[1:])
+        found = runner.run(main(duration_s, int(priority), awake=bool(awake)))
     sys.stdout.write(json.dumps({"lateness_us": found}))

@@ -12,21 +12,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tools.benchmarks.lateness import SPIN_US
 from tools.benchmarks.prober import SETTLE_S
 from tools.benchmarks.rows import Extent, Row, quantile
 from tools.benchmarks.site import Running, enable, runs, site
 from tools.benchmarks.tools import PRIORITY, bus_ports, process, run_json
 
-_REHEARSED = {"realtime.rehearse_us": "650.0"}
-"""Before the first of the two frames of a half cycle, not only before the clocking one."""
-
-_SPINNING = {"realtime.spin_us": f"{SPIN_US:.1f}"}
 _WAYS: dict[str, dict[str, str]] = {
     "": {},
-    ", rehearsed": _REHEARSED,
-    f", spinning {SPIN_US} us": _SPINNING,
-    ", rehearsed and spinning": {**_REHEARSED, **_SPINNING},
     ", cpu_latency_us = 0": {"realtime.cpu_latency_us": "0"},
 }
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
+
+from cantools.database.errors import EncodeError
 
 from adaptdrive.config.file import parse_configuration
 from adaptdrive.devices.can.codec import MessageCodec
@@ -37,7 +40,8 @@ def dbc(data: bytes) -> object:
     for message in database.messages:
         proofs(message)
         if catalogue.message(message.name, "bus") is not None:
-            MessageCodec(message).example()
+            with suppress(EncodeError, ValueError):  # pages, or a range
+                MessageCodec(message).encode({})
         for signal in message.signals:
             catalogue.find(f"{message.name}.{signal.name}", "signals.output")
     return list(candidates(database))

@@ -4,9 +4,8 @@ The lock is an abstract socket of the kernel. It needs no directory that every u
 no sandbox hides it, and it ends with its process, however that dies. It is seen exactly where the
 network interfaces are seen: a container with separate CAN interfaces has separate locks, too.
 
-A rehearsal has ticks and slow steps on synthetic readings. Before the first real one it makes
-imports and memory ready, so that the first real ticks take no longer than later ones. Shortly
-before each real one it fills the caches of the CPU.
+The warm-up runs ticks and slow steps on synthetic readings before the bus is opened. Imports and
+memory are ready then, so that the first real ticks take no longer than later ones.
 """
 
 import errno
@@ -16,7 +15,7 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -155,18 +154,18 @@ def _since(pid: int) -> str:
     return f"running since {started:%Y-%m-%dT%H:%M:%SZ}"
 
 
-# `[realtime]` at start: rehearse, request the settings, and report the kernel's answers.
+# `[realtime]` at start: warm up, request the settings, and report the kernel's answers.
 
 _PERIODS = 4
 _READINGS_AT_MOST = 2400
-_READINGS_TO_RUN = 4
+_READINGS_BEFORE_START = 2
 
 
-class Rehearsal:
+class WarmUp:
     """A scratch controller and a scratch fast loop, whose surroundings it is: all goes well."""
 
     def __init__(self, configuration: Configuration, port: Port) -> None:
-        """Rehearse nothing yet.
+        """Build both, and run nothing yet.
 
         Args:
             configuration: The drive.
@@ -175,15 +174,13 @@ class Rehearsal:
         self._configuration = configuration
         self._time_s = 0.0
         self._snapshots: list[Snapshot] = []
-        self._settings = daemon_settings(configuration)
-        settings, load = controller_settings(configuration), loads.build_load(configuration)
-        self._port, self._controller = port, Controller(settings, load)
-        self._machine = state_machine.Machine(self._settings.machine, self._settings.pole)
-        self._loop = fast_loop.FastLoop(
-            port, self._controller, self._machine, self._settings.fast, self
+        settings = daemon_settings(configuration)
+        self._controller = Controller(
+            controller_settings(configuration), loads.build_load(configuration)
         )
-        self._readings = 0
-        self._output = _reachable_output(configuration, self._settings.machine.reach)
+        self._machine = state_machine.Machine(settings.machine, settings.pole)
+        self._loop = fast_loop.FastLoop(port, self._controller, self._machine, settings.fast, self)
+        self._output = _reachable_output(configuration, settings.machine.reach)
 
     def run(self) -> int:
         """Go through start, run and stop.
@@ -192,20 +189,20 @@ class Rehearsal:
             Ticks run.
         """
         readings = min(_READINGS_AT_MOST, _PERIODS * self._configuration.ticks_per_period)
-        self._start(readings)
+        for number in range(readings):
+            self._read(number)
+            if number == _READINGS_BEFORE_START:
+                self._carry_out(requests.SetMode(Mode.ADAPTIVE))
+                self._carry_out(requests.Enable())
+                self._carry_out(requests.SetSetpoint(self._output))
+            for snapshot in tuple(self._snapshots):
+                self._snapshots.clear()
+                self._loop.deliver(snapshot, self._controller.decide(snapshot))
         self._loop.on_deadline(self._time_s)
         self._machine.carry_out(requests.Disable(), self._loop.tick, math.nan, None)
         self._loop.send_safe()
         self._machine.confirm_stop()  # no drive is there to do it
         return self._loop.ticks
-
-    def tick(self) -> None:
-        """One tick of a drive that runs, from its frames to a command; the first one starts it."""
-        if not self._machine.energised:
-            self._start(_READINGS_TO_RUN)
-        self._port.rehearse()
-        self._read()
-        self._snapshots.clear()
 
     def now_s(self) -> float:
         """Return the simulated time."""
@@ -225,30 +222,17 @@ class Rehearsal:
 
     met_deadline = ticked = decided = not_stopped = arm
 
-    def _start(self, readings: int) -> None:
-        """Start the drive, and keep it running for the rest of so many readings."""
-        for number in range(readings):
-            self._read()
-            if number == _READINGS_TO_RUN // 2:
-                self._carry_out(requests.SetMode(Mode.ADAPTIVE))
-                self._carry_out(requests.Enable())
-                self._carry_out(requests.SetSetpoint(self._output))
-            for snapshot in tuple(self._snapshots):
-                self._snapshots.clear()
-                self._loop.deliver(snapshot, self._controller.decide(snapshot))
-
     def _carry_out(self, request: requests.Request) -> None:
         loop = self._loop
         self._machine.carry_out(request, loop.tick, self._output, loop.cause)
 
-    def _read(self) -> None:
+    def _read(self, number: int) -> None:
         configuration = self._configuration
         self._time_s += configuration.timing.reading_s
         bridge = self._loop.command.bridge
-        output = self._output * (1.0 + 0.001 * math.sin(0.1 * self._readings))
+        output = self._output * (1.0 + 0.001 * math.sin(0.1 * number))
         reading = _reading(configuration, output, self._time_s, bridge=bridge)
         self._loop.on_reading(reading)
-        self._readings += 1
 
 
 def _reachable_output(configuration: Configuration, reach: Reach) -> float:
@@ -278,49 +262,26 @@ def _reading(
 
 @contextmanager
 def prepared(
-    configuration: Configuration, rehearsal: Rehearsal, hub: reports.Hub
+    configuration: Configuration, port: Callable[[], Port], hub: reports.Hub
 ) -> Iterator[None]:
-    """Rehearse, ask for what is configured, and publish an event for each answer.
+    """Warm up, ask for what is configured, and publish an event for each answer.
 
     Args:
         configuration: The drive.
-        rehearsal: Of its ticks.
+        port: Builds another port of the drive, which is not opened.
         hub: Where the events go.
     """
     grants: list[realtime.Grant] = []
     if configuration.realtime.warm_up:
         began_s = time.monotonic()
-        ticks = rehearsal.run()
+        ticks = WarmUp(configuration, port()).run()
         spent_ms = (time.monotonic() - began_s) * 1e3
-        meaning = f"{ticks} ticks rehearsed in {spent_ms:.0f} ms"
+        meaning = f"{ticks} ticks run in {spent_ms:.0f} ms"
         grants.append(realtime.Grant("warm_up = true", granted=True, meaning=meaning))
-    grants.extend(before_frames(configuration))
     with realtime.real_time(configuration.realtime) as answers:
         for grant in (*grants, *answers):
             hub.publish(_event(grant))
         yield
-
-
-def before_frames(configuration: Configuration) -> Iterator[realtime.Grant]:
-    """Return the work to do before each frame of the drive, and its description.
-
-    Args:
-        configuration: The drive.
-    """
-    wanted, tick_us = configuration.realtime, 0.5e6 / configuration.drive.line_frequency_Hz
-    polled = configuration.bus.ticks_per_reading > 1
-    if wanted.rehearse_us > 0.0:
-        meaning = "a tick on a made-up drive before each frame keeps the CPU's caches warm"
-        if polled:
-            meaning = "a drive that is polled answers, and its replies must not wait for it"
-        yield realtime.Grant(
-            f"rehearse_us = {wanted.rehearse_us:g}", granted=not polled, meaning=meaning
-        )
-    if wanted.spin_us > 0.0:
-        before = "each deadline of the timer" if polled else "each frame and deadline"
-        share = 100.0 * wanted.spin_us / tick_us
-        meaning = f"busy before {before}, up to {share:.0f} % of a CPU"
-        yield realtime.Grant(f"spin_us = {wanted.spin_us:g}", granted=True, meaning=meaning)
 
 
 def _event(grant: realtime.Grant) -> reports.Event:

@@ -258,6 +258,7 @@ async def _run(
     """Serve until the run ends; False when the end of its session is not recorded."""
     configuration, hub = given.configuration, reports.Hub()
     events = hub.subscribe(reports.Event, size=_EVENTS_HELD)
+    build_port = functools.partial(ports.build_port, configuration, clock.now_s, course.path)
     port = ports.build_whole_port(configuration, clock.now_s, course.path)
     settings, load = controller_settings(configuration), loads.build_load(configuration)
     recalled = recall_log(recording.place_of(configuration)[0], datetime.now(UTC))
@@ -265,9 +266,6 @@ async def _run(
         recalled.learnt, configuration, settings, load, measured=given.measured
     )
     controller = Controller(settings, load, learnt.values, learnt.resolution)
-    rehearsal = process.Rehearsal(
-        configuration, ports.build_port(configuration, clock.now_s, course.path)
-    )
     recorder = recording.build_recorder(
         configuration, given.text, hub, recalled, learnt, start_thread
     )
@@ -281,7 +279,6 @@ async def _run(
         hub=hub,
         manager=tick_support.ServiceManager(os.environ),
         sensors=ports.sensor_reports(port, clock.now_s),
-        rehearse=rehearsal.tick,
         recorded=lambda: not recorder.failing,
         prepare=course.prepare,
     )
@@ -313,7 +310,7 @@ async def _run(
             hub.publish(event)
         with (
             clock.uncaught_errors_end(daemon.fail),
-            process.prepared(configuration, rehearsal, hub),
+            process.prepared(configuration, build_port, hub),
         ):
             await daemon.run(course.stop)
     return recorder.complete

@@ -145,18 +145,6 @@ class Realtime(section.Section):
     freeze_gc: bool = True
     """collect garbage in idle time after a tick, young objects only"""
     warm_up: bool = True
-    """rehearse ticks and slow steps before the bus is opened"""
-    rehearse_us: float = section.key(0.0, span=(0.0, 3000.0))
-    """rehearse a tick at this time before the next frame, to warm the CPU's caches; takes the CPU
-    time of a tick; 0: never"""
-    spin_us: float = section.key(0.0, span=(0.0, 1000.0))
-    """busy wait before the next frame or deadline; costs that share of a CPU"""
+    """run ticks and slow steps on synthetic readings before the bus is opened"""
     late_us: section.PositiveFloat = section.key(2000.0, span=(10.0, 1e6))
     """lateness from which a tick is reported as an event, with its cause"""
-
-    def flaws(self) -> Iterator[Flaw]:
-        """Yield a wait without time for the rehearsal before it."""
-        if self.spin_us >= self.rehearse_us > 0.0:
-            larger = f"rehearse_us = {self.rehearse_us:g} must be larger"
-            problem = f"{self.spin_us:g} leaves no time for the rehearsal before it: {larger}"
-            yield Flaw("spin_us", problem)

@@ -180,9 +180,6 @@ class CountingPort:
     def catch_up(self) -> None:
         """Nothing waits: each answer is taken where it was asked for."""
 
-    def rehearse(self) -> None:
-        """Not worth it: what a reading costs is little compared with what a tick does."""
-
     def details(self) -> list[str]:
         """Return no lines: what is refused is announced on its own."""
         return []

@@ -169,12 +169,6 @@ class Port(Protocol):
     def catch_up(self) -> None:
         """Pass the frames that have arrived, but were not read yet, to the listener."""
 
-    def rehearse(self) -> None:
-        """Run the decode path on synthetic frames, without side effects.
-
-        Called on ports that are never opened, so that the CPU's caches hold what a real one needs.
-        """
-
     def explain_age(self) -> str:
         """Return the oldest value, its source, and the likeliest cause of its age.
 

@@ -114,7 +114,6 @@ class SensoredPort:
         stop_slack_s: Additional time for the report of the bridge.
         bridge_cycle_s: Time from one report of the bridge to the next.
         catch_up: Hands over what has arrived from the drive; sensors are never caught up with.
-        rehearse: Does what a reading of the drive costs.
         explain_age: Returns the oldest value of the drive; sensors give theirs in `trip_cause`.
         details: Returns the messages of the drive's bus that were not used.
         reset_fault: Resets a latched fault of the drive.
@@ -143,7 +142,6 @@ class SensoredPort:
         self.stop_slack_s = drive.stop_slack_s
         self.bridge_cycle_s = drive.bridge_cycle_s
         self.catch_up = drive.catch_up
-        self.rehearse = drive.rehearse
         self.explain_age = drive.explain_age
         self.details = drive.details
         self.reset_fault = drive.reset_fault

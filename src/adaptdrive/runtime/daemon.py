@@ -46,7 +46,6 @@ class Daemon:
         hub: reports.Hub,
         manager: tick_support.ServiceManager,
         sensors: Callable[[], tuple[reports.SensorReport, ...]] = tuple,
-        rehearse: Callable[[], None] = lambda: None,
         recorded: Callable[[], bool] = lambda: True,
         prepare: Callable[[requests.Reload], Awaitable[Callable[[], None]]] | None = None,
     ) -> None:
@@ -60,13 +59,11 @@ class Daemon:
             hub: Where reports go.
             manager: The service manager.
             sensors: Gives the state of the separate sensor buses.
-            rehearse: Does what a tick does, and nothing that can be noticed.
             recorded: Gives whether all that is to be recorded is.
             prepare: Prepares another run of this process and returns what ends the present one;
                 None where there is none.
         """
         self.opened = asyncio.Event()
-        self._rehearse = rehearse
         self._prepare = prepare
         self._another_follows = False
         self._sensors = sensors
@@ -97,10 +94,8 @@ class Daemon:
         """
         loop = asyncio.get_running_loop()
         self._failure = loop.create_future()
-        self._timer = TickTimer(loop, self._on_deadline, self._settings.realtime.spin_us * 1e-6)
-        self._support = tick_support.TickSupport(
-            self._settings, self._port.catch_up, self._rehearse, self._warn, self._clock
-        )
+        self._timer = TickTimer(loop, self._on_deadline)
+        self._support = tick_support.TickSupport(self._settings.realtime, self._warn, self._clock)
         self._hub.publish(self._announcer.published)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -238,15 +233,13 @@ class Daemon:
         return self._machine.state
 
     def on_reading(self, reading: Reading) -> None:
-        """Run the tick of a reading, and prepare for the next one."""
+        """Run the tick of a reading, and report what its port warns of."""
         try:
             self._fast.on_reading(reading)
         except Exception as problem:  # noqa: BLE001 - a port that dies of it would close the bus
             self.fail(problem)
             return
         self._announcer.report_warning(reading.warning, reading.arrival_s)
-        if self._support is not None:
-            self._support.expect(reading.arrival_s + self._fast.reading_period_s)
 
     def on_bus(self, up: bool, detail: str) -> None:
         """Publish that the bus was lost or came back."""

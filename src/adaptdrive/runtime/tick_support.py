@@ -1,16 +1,14 @@
-"""Work between the ticks: preparation, causes of late ticks, garbage, and the watchdog."""
+"""Work between the ticks: causes of late ticks, garbage, and the watchdog."""
 
 import asyncio
 import gc
-import math
 import socket
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
 
+from adaptdrive.config.services import Realtime
 from adaptdrive.runtime.reports import TickReport
-from adaptdrive.runtime.settings import DaemonSettings
-from adaptdrive.util.clock import TickTimer
 
 # Causes of a late tick: the processor time that the daemon itself used before it.
 
@@ -153,56 +151,25 @@ class IdleCollector:
 
 
 class TickSupport:
-    """Shortens the ticks of one drive, and explains the late ones.
-
-    Shortly before each frame is due it rehearses a tick: of all the time that a tick takes after a
-    sleep, most is spent waiting for memory, and the CPU's caches then hold what it needs. Then it
-    looks at the bus again and again until the frame has come: there is nothing to wake up from.
-    """
+    """Collects garbage in the idle time after the ticks of one drive, and explains late ticks."""
 
     def __init__(
         self,
-        settings: DaemonSettings,
-        look: Callable[[], None],
-        rehearse: Callable[[], None],
+        settings: Realtime,
         warn: Callable[[str, str], None],
         clock: Callable[[], float],
     ) -> None:
-        """Begin to note garbage collections, and expect no frame in the running loop yet.
+        """Begin to note garbage collections.
 
         Args:
-            settings: Times before a frame is due, and thresholds.
-            look: Passes arrived frames on; the receiver of a frame calls `expect` again.
-            rehearse: Does what a tick does, and nothing that can be noticed.
-            warn: Takes kind and text of an event: the cause of a late tick, or the error that has
-                ended the rehearsals.
+            settings: When to collect, and from which lateness a tick is late.
+            warn: Takes kind and text of an event: the cause of a late tick.
             clock: Monotonic clock in seconds.
         """
         self._loop = asyncio.get_running_loop()
-        self._look = look
-        self._rehearse = rehearse
-        self._warn = warn
-        self._clock = clock
-        self._due_s = math.nan
-        realtime = settings.realtime
-        self._spin_s = realtime.spin_us * 1e-6
-        steps = ((realtime.rehearse_us, self._prepare), (realtime.spin_us, self._await_frame))
-        # the replies of a drive that is polled come through the loop, which must not be kept
-        polled = settings.fast.timing.ticks_per_reading > 1
-        self._timers = [
-            (TickTimer(self._loop, step), lead_us * 1e-6)
-            for lead_us, step in steps
-            if lead_us > 0.0 and not polled
-        ]
-        self._collector = IdleCollector(COLLECT_TICKS if realtime.freeze_gc else 0)
-        self._detector = LatencyDetector(realtime.late_us, partial(warn, "latency"), clock)
+        self._collector = IdleCollector(COLLECT_TICKS if settings.freeze_gc else 0)
+        self._detector = LatencyDetector(settings.late_us, partial(warn, "latency"), clock)
         self._detector.open()
-
-    def expect(self, due_s: float) -> None:
-        """Prepare for a frame that is due at a monotonic time."""
-        self._due_s = due_s
-        for timer, lead_s in self._timers:
-            timer.arm(due_s - lead_s)
 
     def ticked(self, report: TickReport, *, idle: bool) -> None:
         """Look at a tick that has just ended; the next one is far.
@@ -216,27 +183,8 @@ class TickSupport:
             self._loop.call_soon(partial(self._collector.collect, idle=idle))
 
     def close(self) -> None:
-        """Prepare for nothing any more, and note nothing."""
-        for timer, _ in self._timers:
-            timer.close()
-        self._timers.clear()
+        """Note garbage collections no longer."""
         self._detector.close()
-
-    def _prepare(self, _: float) -> None:
-        """Rehearse, and read the bus; no rehearsal that fails is worth a drive that stops."""
-        try:
-            self._rehearse()
-        except Exception as problem:  # noqa: BLE001 - without it ticks only take longer
-            timer, _ = self._timers.pop(0)
-            timer.close()
-            self._warn("realtime", f"rehearse_us has no effect any more: {problem!r}")
-        self._look()
-
-    def _await_frame(self, _: float) -> None:
-        """Look until the frame has come, or is late by as much as the wait began early."""
-        due_s = self._due_s
-        while self._due_s == due_s and self._clock() < due_s + self._spin_s:
-            self._look()
 
 
 # The service manager: ready, status, and the watchdog that the fast loop feeds.

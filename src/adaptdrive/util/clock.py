@@ -89,22 +89,15 @@ def acknowledge(descriptor: int) -> bool:
 class TickTimer:
     """Calls back at an absolute time of the daemon's clock; arming again replaces the deadline."""
 
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        callback: Callable[[float], None],
-        spin_s: float = 0.0,
-    ) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, callback: Callable[[float], None]) -> None:
         """Open the timer.
 
         Args:
             loop: Event loop to call back in.
             callback: Called with the deadline that has passed.
-            spin_s: Wake up so much earlier, and wait for the deadline without giving up the CPU.
         """
         self._loop = loop
         self._callback = callback
-        self._spin_s = spin_s
         self._deadline_s = 0.0
         self._descriptor = create_timer()
         loop.add_reader(self._descriptor, self._expired)
@@ -112,7 +105,7 @@ class TickTimer:
     def arm(self, deadline_s: float) -> None:
         """Call back at `deadline_s`, at once when it is past."""
         self._deadline_s = deadline_s
-        arm_timer(self._descriptor, deadline_s - self._spin_s)
+        arm_timer(self._descriptor, deadline_s)
 
     def close(self) -> None:
         """Never call back again."""
@@ -124,8 +117,6 @@ class TickTimer:
     def _expired(self) -> None:
         if not acknowledge(self._descriptor):
             return  # armed anew since it woke the loop: by a frame that came in the same round
-        while now_s() < self._deadline_s:
-            pass
         self._callback(self._deadline_s)
 
 

@@ -139,7 +139,6 @@ async def rigged(configuration: Configuration) -> AsyncIterator[Rig]:
         patch = stack.enter_context(pytest.MonkeyPatch.context())
         if isinstance(asyncio.get_running_loop(), VirtualLoop):
             patch.setattr("adaptdrive.runtime.daemon.TickTimer", LoopTimer)
-            patch.setattr("adaptdrive.runtime.tick_support.TickTimer", LoopTimer)
         tasks = await stack.enter_async_context(asyncio.TaskGroup())
         listening = tasks.create_task(rig.listen())
         serving = tasks.create_task(daemon.run(stop))

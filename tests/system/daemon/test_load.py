@@ -34,7 +34,6 @@ BUSY = {
     "recording.flush_s": "0.25",
     "realtime.priority": "50",
     "realtime.late_us": "4000.0",
-    "realtime.spin_us": "100.0",
 }
 
 Load = Callable[[Site], contextlib.AbstractContextManager[None]]

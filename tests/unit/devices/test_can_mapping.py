@@ -203,7 +203,7 @@ def test_an_initial_value_that_is_never_sent_may_be_any(
 ) -> None:
     bus = with_initial(tmp_path, message, signal, "FLOAT -100 100", value)
     mapping = map_drive(bus, MOTOR.signals, TIMING)
-    assert all(status.codec.example() for status in mapping.statuses)
+    assert all(status.codec.encode({}) for status in mapping.statuses)
 
 
 def test_what_selects_a_page_cannot_be_commanded_itself(tmp_path: Path) -> None:

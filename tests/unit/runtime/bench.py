@@ -321,12 +321,7 @@ async def running_bench(
 class LoopTimer:
     """Keeps deadlines by the clock of the event loop, in place of the kernel's timer."""
 
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        callback: Callable[[float], None],
-        _spin_s: float = 0.0,
-    ) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, callback: Callable[[float], None]) -> None:
         self._loop, self._callback = loop, callback
         self._handle: asyncio.TimerHandle | None = None
 

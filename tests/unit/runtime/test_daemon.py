@@ -52,7 +52,6 @@ PATIENT = replace(
         timing=replace(SETTINGS.fast.timing, stale_s=1e6),
     ),
 )
-REHEARSING = SETTINGS.realtime.model_copy(update={"rehearse_us": 2000.0})
 OUTSIDE = "the shared supply is lost"
 
 READS = count()
@@ -65,8 +64,7 @@ def now_s() -> float:
 
 @pytest.fixture(autouse=True)
 def _timers_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("daemon", "tick_support"):
-        monkeypatch.setattr(f"adaptdrive.runtime.{module}.TickTimer", LoopTimer)
+    monkeypatch.setattr("adaptdrive.runtime.daemon.TickTimer", LoopTimer)
 
 
 class FailingPort(LoopbackPort):
@@ -97,7 +95,6 @@ class DaemonBench:
     def __init__(
         self, manager: ServiceManager | None = None, settings: DaemonSettings = PATIENT
     ) -> None:
-        self.rehearsals_s: list[float] = []
         self.sent: list[Command] = []
         self.port = FailingPort(self.sent.append)
         self.controller = MotorController()
@@ -112,7 +109,6 @@ class DaemonBench:
             clock=now_s,
             hub=self.hub,
             manager=manager or ServiceManager({}),
-            rehearse=self.rehearse,
             prepare=self.prepare,
         )
         self.stop = asyncio.Event()
@@ -142,9 +138,6 @@ class DaemonBench:
     def frames(self, count: int) -> None:
         for _ in range(count):
             self.frame()
-
-    def rehearse(self) -> None:
-        self.rehearsals_s.append(now_s())
 
     async def prepare(self, _: Reload) -> Callable[[], None]:
         """Read the file again, while something beside the drive fails."""
@@ -394,41 +387,6 @@ async def test_losing_the_bus_and_its_return_are_events() -> None:
         bench.port.restore()
         told = [(event.severity, event.detail) for event in bench.events("bus")]
         assert told == [(Severity.WARNING, "unplugged"), (Severity.INFO, "loopback")]
-
-
-@pytest.mark.parametrize(("ticks_per_reading", "rehearsed"), [(1, True), (2, False)])
-async def test_frames_are_rehearsed_and_what_a_drive_answers_when_polled_is_not(
-    ticks_per_reading: int, rehearsed: bool
-) -> None:
-    """A tenth of a second between frames that should come each half cycle: one rehearsal each."""
-    timing = replace(PATIENT.fast.timing, ticks_per_reading=ticks_per_reading)
-    fast = replace(PATIENT.fast, timing=timing)
-    settings = replace(PATIENT, realtime=REHEARSING, fast=fast)
-    async with daemon_bench(settings=settings) as bench:
-        for _ in range(4):
-            bench.frame()
-            await asyncio.sleep(0.1)
-        assert len(bench.rehearsals_s) == (4 if rehearsed else 0)
-        await bench.end()
-
-
-async def test_a_rehearsal_that_fails_is_a_warning_and_the_drive_goes_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def fail(_: DaemonBench) -> None:
-        raise RefusedError("tripped (drive fault: word 0x1)")
-
-    monkeypatch.setattr(DaemonBench, "rehearse", fail)
-    async with daemon_bench(settings=replace(PATIENT, realtime=REHEARSING)) as bench:
-        with uncaught_errors_end(bench.daemon.fail):
-            await bench.start()
-            await until(lambda: bool(bench.events("realtime")) or bench.task.done())
-            (event,) = bench.events("realtime")
-            assert event.severity is Severity.WARNING
-            assert "drive fault: word 0x1" in event.detail
-            bench.frame()
-            assert bench.states[-1].state is State.RUNNING
-            await bench.end()
 
 
 async def test_an_orderly_stop_says_goodbye_more_than_once() -> None:

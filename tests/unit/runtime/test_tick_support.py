@@ -1,119 +1,35 @@
-"""Around a tick: a busy wait and a rehearsal before its frame, and what made it late."""
+"""Around a tick: the warm-up before the first one, and what made one late."""
 
 from __future__ import annotations
 
 import asyncio
 import gc
 import math
-from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, replace
-from itertools import count
+from dataclasses import replace
 
 import pytest
 
 from adaptdrive.app.ports import build_port
-from adaptdrive.app.process import Rehearsal
+from adaptdrive.app.process import WarmUp
 from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Realtime
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.realtime import real_time
-from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector, TickSupport
+from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector
 from tests.loopback_port import LoopbackPort
 from tests.unit.devices.bench import EXAMPLES
-from tests.unit.runtime.bench import CALM, SETTINGS, TICK_S, FastBench, LoopTimer, fast_bench
-
-SPIN_S, LOOK_S = 0.01, 0.001
+from tests.unit.runtime.bench import CALM, TICK_S, FastBench, fast_bench
 
 
-@pytest.fixture(autouse=True)
-def _timer_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adaptdrive.runtime.tick_support.TickTimer", LoopTimer)
-
-
-def nothing() -> None:
-    """Look at a bus that has no frame."""
-
-
-def support(
-    *,
-    spin_s: float = 0.0,
-    lead_s: float = 0.0,
-    look: Callable[[], None] = nothing,
-    rehearse: Callable[[], None] = nothing,
-    report_end: Callable[[str], None] = pytest.fail,
-    clock: Callable[[], float] | None = None,
-) -> TickSupport:
-    """A busy wait, or a rehearsal, in the running loop."""
-    changes = {"spin_us": spin_s * 1e6, "rehearse_us": lead_s * 1e6}
-    settings = replace(SETTINGS, realtime=SETTINGS.realtime.model_copy(update=changes))
-    clock = clock or asyncio.get_running_loop().time
-    return TickSupport(settings, look, rehearse, lambda _, text: report_end(text), clock)
-
-
-@pytest.mark.parametrize(("looks_to_frame", "looks"), [(1, 1), (7, 7), (1000, 20)])
-async def test_it_looks_from_shortly_before_a_frame_until_it_has_come_or_is_late(
-    looks_to_frame: int, looks: int
-) -> None:
-    """Each look takes a millisecond; the frame comes at the last of so many."""
-    loop, found_s = asyncio.get_running_loop(), list[float]()
-
-    def look() -> None:
-        found_s.append(loop.time())
-        if len(found_s) == looks_to_frame:
-            watch.expect(due_s + 3600.0)
-
-    def now_s() -> float:
-        return due_s - SPIN_S + (len(found_s) + 0.5) * LOOK_S
-
-    watch, due_s = support(spin_s=SPIN_S, look=look, clock=now_s), loop.time() + 1.0
-    watch.expect(due_s)
-    await asyncio.sleep(10.0)
-    watch.close()
-    assert found_s == [pytest.approx(due_s - SPIN_S, abs=1e-6)] * looks
-
-
-async def test_each_frame_is_rehearsed_once_before_it_is_due_and_an_early_one_not() -> None:
-    loop, times_s, due_s = asyncio.get_running_loop(), list[float](), list[float]()
-    rehearsal = support(rehearse=lambda: times_s.append(loop.time()), lead_s=0.02)
-    for early in (False, True, False):
-        due_s.append(loop.time() + 0.05)
-        rehearsal.expect(due_s[-1])
-        await asyncio.sleep(0.02 if early else 0.05)
-    rehearsal.expect(loop.time() + 3600.0)
-    await asyncio.sleep(0.03)
-    rehearsal.close()
-    assert times_s == pytest.approx([due_s[0] - 0.02, due_s[2] - 0.02], abs=1e-6)
-
-
-def test_the_rehearsal_leaves_the_bus_alone() -> None:
+def test_the_warm_up_leaves_the_bus_alone() -> None:
     path = EXAMPLES / "motor.toml"
     configuration = load_configuration(path)
     port = build_port(configuration, lambda: 0.0, path)
-    ticks = Rehearsal(configuration, port).run()
+    ticks = WarmUp(configuration, port).run()
     assert ticks > 3 * configuration.ticks_per_period
     assert port.statistics.sent == 0
     assert port.statistics.send_drops >= ticks
-
-
-@pytest.mark.parametrize("name", ["motor", "bath", "battery", "motor-inverter"])
-def test_a_tick_is_rehearsed_from_frames_to_a_command_of_a_drive_that_runs(name: str) -> None:
-    path, now = EXAMPLES / f"{name}.toml", count(1000.0, 1e-5)
-    configuration = load_configuration(path)
-    port = build_port(configuration, lambda: next(now), path)
-    rehearsal = Rehearsal(configuration, port)
-    rehearsal.tick()
-    before, ticks = port.statistics, rehearsal._loop.ticks
-    for _ in range(100):
-        rehearsal.tick()
-    after, loop = port.statistics, rehearsal._loop
-    assert loop.ticks == ticks + 100
-    assert loop.command.bridge
-    assert rehearsal._machine.trip is None
-    assert after.send_drops > before.send_drops
-    assert after.received >= before.received + 100
-    refused = {name: count for name, count in asdict(after).items() if count and count > 0}
-    assert refused.keys() == {"received", "send_drops"}
 
 
 class LateReader(LoopbackPort):

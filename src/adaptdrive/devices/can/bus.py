@@ -18,7 +18,7 @@ import ipaddress
 import os
 import socket
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import can
@@ -210,19 +210,6 @@ def missing_here(config: CanLink) -> str:
     """Return why a kernel's interface cannot be opened on this machine, empty where it can."""
     problem = next(_obstacles(config), None) if config.interface == "socketcan" else None
     return str(BusError(describe_bus(config), problem)) if problem else ""
-
-
-def as_received(config: CanLink, frame: can.Message) -> Callable[[], can.Message]:
-    """Gives a frame again and again at the cost of receiving it, without a bus.
-
-    Args:
-        config: Which kind of bus.
-        frame: The frame.
-    """
-    if config.interface != "udp_multicast":
-        return lambda: frame
-    datagram = pack_message(frame)
-    return lambda: parse(datagram, 0.0)
 
 
 def requests(bus: CanDescription, codecs: Iterable[MessageCodec]) -> list[can.Message]:

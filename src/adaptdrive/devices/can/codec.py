@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Final, Literal, cast
 
 import can
-from cantools.database import DecodeError, EncodeError
+from cantools.database import DecodeError
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
@@ -152,17 +152,6 @@ class MessageCodec:
             data=data,
         )
 
-    def example(self, values: Mapping[str, float | None] = _NOTHING) -> bytes | None:
-        """A frame with every other signal at its initial value, None where that is impossible.
-
-        Args:
-            values: As for `encode`.
-        """
-        try:
-            return self.encode(values)
-        except (EncodeError, ValueError):  # pages, or a range
-            return None
-
     def decode(self, data: bytes) -> _Decoded:
         """Check a frame: length, checksum, alive counter and ranges, in this order.
 
@@ -229,11 +218,6 @@ class MessageCodec:
             for one, value in found
             if one.value(value) is None
         )
-
-    def reset(self) -> None:
-        """Forget the alive counter received last; the next frame starts anew."""
-        self._alive.reset()
-        self._data = b""
 
     def resume(self) -> None:
         """Accept any alive counter but the last one: nothing was received for a time."""

@@ -11,7 +11,7 @@ with a value out of range. Of one whose alive counter leapt or stands, faults an
 import math
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -23,7 +23,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import bus, port
 from adaptdrive.devices.can import assembly, connection, integrity
 from adaptdrive.devices.can.assembly import CanMapping, CommandFrame, StatusFrame
-from adaptdrive.devices.can.bus import as_received, requests
+from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.devices.faults import LEAPT, Obedience, OtherSender, Relink
 
@@ -93,7 +93,6 @@ class Port:
         self._relink = Relink()
         self._leapt_s = self._asked_s = -math.inf
         self._newest: port.Reading | None = None
-        self._made_up = list(_made_up(config, mapping))
 
     @property
     def statistics(self) -> port.PortStatistics:
@@ -176,13 +175,6 @@ class Port:
     def catch_up(self) -> None:
         """Process the frames that have arrived, but were not read yet."""
         self._connection.catch_up()
-
-    def rehearse(self) -> None:
-        """Decode synthetic frames, without a report to the listener."""
-        for status in self._mapping.statuses:
-            status.codec.reset()
-        for received in self._made_up:
-            self.take(received())
 
     def explain_age(self) -> str:
         """Return the oldest value, its source, its age, and the likeliest cause of that."""
@@ -346,13 +338,3 @@ class Port:
         if not self._takes_all:
             self._set_up()
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
-
-
-def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.Message]]:
-    """Frames as a drive without a fault might send them, each from a function that repeats it."""
-    for status in mapping.statuses:
-        codec = status.codec
-        faults = [one.field.name for one in status.sources if one.quantity in mapping.faults]
-        data = codec.example(dict.fromkeys(faults, 0.0))
-        if data is not None:
-            yield as_received(config, codec.frame(data))
