@@ -147,10 +147,6 @@ CONTROL: dict[str, str] = {
     "_SERIES_TERMS = 80": "the terms that are left out are below the rounding of a double",
     "control.design.noise:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
     "a, b = (list(denominator), [0.0] * (degree + 2))": _NOT_READ,
-    "control.estimation.hypothesis_test:_likeliest: if branch.score > "
-    "hypotheses.branches[best].score: "
-    "-> if branch.score >= hypotheses.branches[best].score:": "of explanations that "
-    "are equal to the last digit, either may lead",
 }
 
 REASONS = RUNTIME | MQTT | CONTROL

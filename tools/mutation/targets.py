@@ -157,7 +157,7 @@ def _control(tests: dict[str, str]) -> dict[str, tuple[str, ...]]:
 
 SUPERVISION = _control({
     "supervision.monitor": "test_watch",
-    "estimation.hypothesis_test": "test_explanation test_challenger",
+    "estimation.change": "test_bank test_doubt test_methods",
     "estimation.filters": "test_screen test_lambda_filter test_rounding",
     "supervision.setpoints": "test_probing test_rest",
     "loads.battery": "test_charging test_slow_half test_loads test_certainty",
@@ -167,20 +167,19 @@ SUPERVISION = _control({
     "design.reference": "test_fast_feedback",
     "supervision.state": "test_reasons test_slow_half test_probing",
     "supervision.redesign": "test_redesign",
-    "estimation.learn": "test_drift test_explanation test_certainty test_challenger",
-    "estimation.covariance": "test_certainty test_explanation",
+    "estimation.uncertainty": "test_drift test_bank test_certainty test_doubt",
 })  # fmt: skip
 
 LEARNING = _control({
-    "estimation.regression": "test_lambda_filter test_estimator test_explanation test_methods",
+    "estimation.regression": "test_lambda_filter test_estimator test_bank test_methods",
     "estimation.rls": "test_rls test_beside",
-    "estimation.branch": "test_explanation test_challenger test_drift test_methods test_estimator",
-    "estimation.second_filters": "test_challenger test_drift",
+    "estimation.branch": "test_bank test_doubt test_drift test_methods test_estimator",
+    "estimation.bank": "test_bank test_doubt test_drift",
     "estimation.estimator": (
         "test_estimator test_runs test_redesign "
-        "test_explanation test_methods test_certainty"
+        "test_bank test_methods test_certainty"
     ),
-    "estimation.methods": "test_methods test_explanation test_estimator test_discretise",
+    "estimation.methods": "test_methods test_bank test_estimator test_discretise",
 })  # fmt: skip
 
 DESIGN = _control({

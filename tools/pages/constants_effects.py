@@ -28,8 +28,8 @@ Last columns: {runs} with half and with twice the constant (of poles and of rati
 distance from 1): sum of the [costs](campaign.md#criteria) of the adaptive controller over that with
 the constant unchanged, standard/wide. *Worse*: runs that cost over 5 % more than with the fixed
 controller, where they are not {worse}. *Lost*: unstable or tripped runs, where they are not {lost}.
-*Same*: every run is bit-equal. An empty cell: not measured with this value. Measured while the
-challenger took over at 25.
+*Same*: every run is bit-equal. An empty cell: not measured with this value, or with the present
+bank of branches.
 """
 
 

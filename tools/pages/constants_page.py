@@ -61,9 +61,11 @@ _UNITS = {
     "UNREST": "1",
     "SLOWEST_SHARE": "1",
     "PRIOR_SAMPLES": "samples",
-    "_TRAINED": "σ²",
     "_SHOWN": "σ",
-    "_PROOF": "log odds",
+    "RARE": "log odds",
+    "_ROOM": "branches",
+    "_OUTLIER": "σ²",
+    "_LEAD": "log odds",
     "NOISE_FLOOR": "scale²",
     "_SMALLEST_SHARE": "1",
     "ALPHA": "1/tick",
@@ -120,8 +122,8 @@ mathematics: nothing to choose."""
 _PAPER = {"PAPER_COVARIANCE"}
 """Numbers of the paper."""
 
-_NAMES = {"NOTHING", "DISTURBANCE", "LOAD", "BOTH", "ANEW"}
-"""Numbers of the explanations."""
+_NAMES = {"DISTURBANCE", "LOAD", "ANEW"}
+"""Numbers of the kinds of change."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from adaptdrive.control.design.reference import (
     reference_of,
     rest,
 )
-from adaptdrive.control.estimation import learn
+from adaptdrive.control.estimation import uncertainty
 from adaptdrive.control.estimation.estimator import update_estimate
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.estimation.rls import predict
@@ -202,7 +202,7 @@ def _take_sample(
     if estimator.method.physical:
         learnt = estimator.sample
         fixed = learnt.target - predict(state.nominal_theta, learnt.regressor)
-        own = learn.own_residual(estimator, learning)
+        own = uncertainty.own_residual(estimator, learning)
         supervisor.compare_residuals(state.supervisor, own, fixed)
     vectors.shift_in(state.outputs, sample.output)
 

@@ -11,20 +11,23 @@ EARLIEST = 2 * FEWEST
 """Samples before a decision: twice as many as there are parameters."""
 
 WINDOW = 2 * EARLIEST
-"""Samples after which the most likely explanation stays, and over which errors are a mean: twice
-those of the earliest decision."""
+"""Samples over which errors are a mean: twice those of the earliest decision."""
 
 MEMORY = 60.0
 """Samples that an estimate remembers: 1/(1 - ρ) is 67 with the forgetting factor by default."""
 
 LIFE = 150
-"""Samples after which an alarm has no effect: what has not shown by then is none of the alarm's."""
+"""Samples after which a branch that has not become the estimate ends: what has not shown by then is
+none of the change that split it off."""
 
 CLEAR = 10.0
 """Lead that decides between two estimates: odds of e^10, 22,000 to 1."""
 
+RARE = 5.0
+"""Log odds against a disturbance at an alarm, 150 to 1: it may be noise."""
+
 RARER = 9.0
-"""Handicap of a load, of a disturbance with it, of each load found lately: odds of 8,000 to 1."""
+"""Log odds against a load, and against a disturbance with it: 8,000 to 1."""
 
 PRIOR_SHARE = 0.5
 """Relative deviation of gain and α before samples; nothing is known that is not below this."""

@@ -64,7 +64,7 @@ def fill_sample(
     regressor, elapsed_s = state.sample.regressor, state.sample.time_s - state.estimate.origin_s
     regression.fill_filtered_regressor(regressor, learning, load, outputs, inputs)
     regression.fill_initial_state(regressor, learning, load, elapsed_s)
-    regression.fill_lowered_regressor(state.hypotheses.lowered, learning, load, y, outputs, inputs)
+    regression.fill_lowered_regressor(state.sample.lowered, learning, load, y, outputs, inputs)
 
 
 R, TAU_s = 0.021, 500.0

@@ -17,11 +17,14 @@ from adaptdrive.control.design.pole_placement import (
     response_spread,
 )
 from adaptdrive.control.estimation.branch import Branch
-from adaptdrive.control.estimation.covariance import deviations_of, is_sure
 from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, remember_residual
-from adaptdrive.control.estimation.learn import correlation_factor, inflated_deviations
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import filtered_model, theta_of
+from adaptdrive.control.estimation.uncertainty import (
+    correlation_factor,
+    deviations_of,
+    inflated_deviations,
+)
 from adaptdrive.control.settings import EstimatorSettings
 from tests.integration.closed_loop.bench import EXACT, MOTOR, SCALED_LEARNING
 from tests.unit.control.systems import Array
@@ -67,24 +70,6 @@ def propagated(learning: EstimatorSettings) -> Array:
 def test_deviations_are_those_of_the_propagated_covariance(learning: EstimatorSettings) -> None:
     found = deviations_of(estimate(learning), NOISE, learning, MOTOR, VALUES)
     assert found == pytest.approx(propagated(learning), rel=1e-4)
-
-
-@pytest.mark.parametrize("learning", KINDS)
-@pytest.mark.parametrize(("share", "sure"), [(0.499, True), (0.501, False)])
-def test_it_is_sure_of_parameters_that_are_all_known_within_half(
-    learning: EstimatorSettings, share: float, *, sure: bool
-) -> None:
-    worst = float(np.max(propagated(learning) / np.abs(VALUES)))
-    power = (NOISE * share / worst) ** 2
-    assert is_sure(estimate(learning), power, learning, MOTOR) is sure
-
-
-@pytest.mark.parametrize("level", [0.0, 1e-13, -1e-6])
-def test_nobody_is_sure_of_a_load_without_a_gain_at_rest(level: float) -> None:
-    """1 + α_1 + α_2 = 0 is a pole at s = 0."""
-    theta = [level - 1.0, 0.0, 1.0]
-    upper = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    assert is_sure(Branch(theta, upper, [0.0] * 3), 0.0, UNBIASED, MOTOR) is False
 
 
 LONG = replace(SCALED_LEARNING, forgetting=0.9995)

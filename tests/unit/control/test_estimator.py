@@ -12,7 +12,7 @@ from scipy.signal import lfilter, lsim
 
 from adaptdrive.control import fast
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import learn, regression
+from adaptdrive.control.estimation import regression, uncertainty
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.rls import covariance
 from adaptdrive.control.settings import EstimatorSettings
@@ -175,7 +175,7 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
             est.update_estimate(state, learning, MOTOR, float(y), usable=True)
         values = physical(state, learning)
         found.append(values)
-        claimed.append(row_norms(learn.parameter_root(state, learning, MOTOR, values)))
+        claimed.append(row_norms(uncertainty.parameter_root(state, learning, MOTOR, values)))
     assert np.mean(claimed, axis=0) == pytest.approx(np.std(found, axis=0), rel=0.3)
 
 
@@ -211,8 +211,9 @@ def test_numbers_that_no_sensor_gives_teach_nothing(
     """From 1e20 on, where 1 is usual: the squares of larger ones leave the doubles."""
     state = est.new_estimator(METHODS[PLAIN_LEARNING.method], PLAIN_LEARNING, MOTOR, 2)
     state.sample.regressor[:] = [1.0, entry, 0.0]
-    est.update_estimate(state, PLAIN_LEARNING, MOTOR, output, usable=False)
-    assert (state.idle_periods == 1) is taught
+    before = memory(state)
+    est.update_estimate(state, PLAIN_LEARNING, MOTOR, output, usable=True)
+    assert (memory(state) != before) is taught
 
 
 def test_a_sample_that_is_not_usable_is_predicted_but_not_learnt() -> None:

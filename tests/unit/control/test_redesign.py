@@ -163,56 +163,6 @@ def test_noise_of_the_output_makes_the_poles_slower(noise: float, rounding: floa
     assert distance(found, expected.tolist()) < 0.02
 
 
-# the way back
-
-
-def lost(state: SlowState, settings: ControllerSettings, periods: int) -> list[int]:
-    """Count of the periods in which the estimate was none of a load."""
-    counts = []
-    for _ in range(periods):
-        adapted(state, settings)
-        counts.append(state.estimator.lost_periods)
-    return counts
-
-
-def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods() -> None:
-    state = known(30.0)
-    estimator = state.estimator
-    estimator.sample.time_s, estimator.estimate.theta[5] = 500.0, 0.7
-    estimator.detector.sum, estimator.hypotheses.samples, estimator.second_filter.samples = (
-        3.0,
-        4,
-        5,
-    )
-    before = list(estimator.estimate.theta)
-    assert lost(state, CAREFUL, 60) == list(range(1, 61))
-    assert estimator.estimate.theta == before
-    assert lost(state, CAREFUL, 1) == [0]
-    assert estimator.estimate.theta == pytest.approx([*state.nominal_theta])
-    assert estimator.estimate.diagonal == [LEARNING.initial_covariance] * 6
-    assert estimator.estimate.origin_s == 500.0
-    assert (
-        estimator.detector.sum
-        == estimator.hypotheses.samples
-        == estimator.second_filter.samples
-        == 0
-    )
-    assert adapted(state) == Verdict.UNCERTAIN
-
-
-def test_only_periods_in_a_row_that_teach_another_load_count() -> None:
-    state = known(30.0)
-    lost(state, CAREFUL, 30)
-    state.estimator.idle_periods = 1
-    assert lost(state, CAREFUL, 1) == [0]
-    state.estimator.idle_periods = 0
-    assert lost(state, CAREFUL, 2) == [1, 2]
-    state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
-    assert lost(state, CAREFUL, 1) == [0]
-    plain = replace(CAREFUL, learning=replace(LEARNING, alert=False, initial_state=True))
-    assert lost(known(30.0, plain), plain, 70) == [0] * 70
-
-
 def test_a_loop_that_is_asked_to_grow_is_refused() -> None:
     state = known()
     redesign.adapt(CAREFUL, MOTOR, state, replace(AT_REST, pole=1.02))

@@ -1,22 +1,12 @@
 """A branch: an estimate with its covariance, how well it predicts, and an offset that moves.
 
-The estimator holds several. One is its estimate; the others explain an alarm
-(`hypothesis_test`), compete with the estimate, or follow a disturbance that never rests
-(`second_filters`). With σ² known only as σ0² from ν0 samples the logarithm of the likelihood of n
-samples is, up to a constant
-(Bayesian linear regression with an inverse-gamma prior of σ²; Gelman et al., Bayesian Data
-Analysis, chapter 14),
-
-    L = -1/2 Σ ln(1 + rᵀPr/ρ) - (ν0 + n)/2 ln((ν0 σ0² + Σ ε² ρ/(ρ + rᵀPr)) / ((ν0 + n) σ0²))
-
-Least squares take every parameter as constant, but for the forgetting. A bias that moves is no
-constant: between two samples it follows a random walk, which widens P (Ljung, System
-Identification, section 11.2), and that is all that is forgotten of it. With the walk a sample is
-uncertain by its bias most of all, so that forgetting along P r would hardly reach the dynamics:
-they are forgotten separately.
+The bank (`bank`) holds several; the most probable one is the estimate. Least squares take every
+parameter as constant, but for the forgetting. A bias that moves is no constant: between two samples
+it follows a random walk, which widens P (Ljung, System Identification, section 11.2), and that is
+all that is forgotten of it. With the walk a sample is uncertain by its bias most of all, so that
+forgetting along P r would hardly reach the dynamics: they are forgotten separately.
 """
 
-import math
 from dataclasses import dataclass
 
 from adaptdrive.control import settings, thresholds, vectors
@@ -35,12 +25,14 @@ class Observation:
     Attributes:
         regressor: r, scaled; the functions of the initial state in it belong to the branch that
             has predicted it last.
+        lowered: r with every power of λ lowered by one.
         target: What r predicts, scaled.
         time_s: Time since start.
         rounding: Standard deviation of the rounding error of the output, scaled.
     """
 
     regressor: Vector
+    lowered: Vector
     target: float = 0.0
     time_s: float = 0.0
     rounding: float = 0.0
@@ -55,9 +47,8 @@ class Branch:
         upper: U of P = U D Uᵀ.
         diagonal: D.
         origin_s: Since when the functions of the initial state are counted.
-        squares: Sum of ε² ρ / (ρ + rᵀPr).
-        logs: Sum of ln(1 + rᵀPr / ρ).
-        score: Logarithm of its likelihood, up to a constant.
+        score: Logarithm of its probability over that of the most probable branch.
+        age: Samples since it was split off.
         innovation: ε of the last sample, scaled.
         excitation: rᵀPr of the last sample.
     """
@@ -66,9 +57,8 @@ class Branch:
     upper: Vector
     diagonal: Vector
     origin_s: float = 0.0
-    squares: float = 0.0
-    logs: float = 0.0
     score: float = 0.0
+    age: int = 0
     innovation: float = 0.0
     excitation: float = 0.0
 
@@ -109,26 +99,8 @@ def predict_sample(
 
 
 def squared_error(branch: Branch, forgetting: float) -> float:
-    """Return ε² ρ/(ρ + rᵀPr) of the last prediction, the quotient first as in old sessions."""
+    """Return ε² ρ/(ρ + rᵀPr) of the last prediction."""
     return branch.innovation * branch.innovation * (forgetting / (forgetting + branch.excitation))
-
-
-def count_prediction(branch: Branch, forgetting: float) -> None:
-    """Add the last prediction to the sums by which branches are compared."""
-    branch.squares += squared_error(branch, forgetting)
-    branch.logs += math.log(1.0 + branch.excitation / forgetting)
-
-
-def likelihood(branch: Branch, power: float, count: int) -> float:
-    """Return L of a branch that has predicted so many samples, from σ0²."""
-    weight = thresholds.PRIOR_SAMPLES + count
-    mean = (thresholds.PRIOR_SAMPLES * power + branch.squares) / power
-    return -0.5 * (branch.logs + weight * math.log(mean / weight))
-
-
-def posterior_power(branch: Branch, power: float, count: int) -> float:
-    """Return σ² as a branch leaves it after so many samples, from σ0²."""
-    return (thresholds.PRIOR_SAMPLES * power + branch.squares) / (thresholds.PRIOR_SAMPLES + count)
 
 
 def widen_last(branch: Branch, variance: float) -> None:

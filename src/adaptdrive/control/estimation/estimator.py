@@ -1,7 +1,7 @@
-"""The on-line estimator: recursive least squares with a gate, a bound of P and an alarm.
+"""The on-line estimator: recursive least squares with a gate, and a bank of branches.
 
 What is learnt, from which signals and by which update is in the file of the method (`methods`); the
-arithmetic of the update is in `rls`, and what counts as an abrupt change in `change_detector`.
+arithmetic of the update is in `rls`, and what an abrupt change does in `change` and `bank`.
 """
 
 from __future__ import annotations
@@ -11,21 +11,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from adaptdrive.control import thresholds, vectors
-from adaptdrive.control.estimation import (
-    covariance,
-    hypothesis_test,
-    regression,
-    rls,
-    second_filters,
-)
+from adaptdrive.control.estimation import change, regression, rls
+from adaptdrive.control.estimation.bank import Bank, IncrementalModel, learn_branches, new_bank
 from adaptdrive.control.estimation.branch import (
     Branch,
     Observation,
-    learn_sample,
     new_branch,
     predict,
 )
-from adaptdrive.control.estimation.hypothesis_test import ChangeDetector, track_noise
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector
@@ -119,14 +112,10 @@ class EstimatorState:
         innovation: ε of the last sample, in the unit of the output.
         excitation: rᵀPr of the last sample.
         periods: Slow periods since start.
-        idle_periods: Slow periods since the last sample that taught something.
         charge: Integral of the output since start over τ_λ, scaled.
         detector: Detector of abrupt changes.
-        alarm_period: Slow period of the last alarm.
-        lost_periods: Slow periods in a row in which no load can have such an estimate.
+        bank: The branches; `estimate` is the most probable of them.
         unseen_periods: Slow periods since a sample that would have shown another load.
-        hypotheses: Explanations of an alarm.
-        second_filter: A second estimate, learnt anew since an alarm.
         incremental: A second estimate, whose bias walks.
     """
 
@@ -134,10 +123,9 @@ class EstimatorState:
     estimate: Branch
     opened: Branch
     sample: Observation
-    detector: ChangeDetector
-    hypotheses: hypothesis_test.Hypotheses
-    second_filter: second_filters.SecondFilter
-    incremental: second_filters.IncrementalModel
+    detector: change.ChangeDetector
+    bank: Bank
+    incremental: IncrementalModel
     residual_power: float = 0.0
     residual_weight: float = 0.0
     residual_lag: float = 0.0
@@ -145,10 +133,7 @@ class EstimatorState:
     innovation: float = math.nan
     excitation: float = 0.0
     periods: int = 0
-    idle_periods: int = 0
     charge: float = 0.0
-    alarm_period: int = -thresholds.WINDOW
-    lost_periods: int = 0
     unseen_periods: int = 0
 
 
@@ -157,15 +142,15 @@ def new_estimator(
 ) -> EstimatorState:
     """Return an estimator without data, which starts from zero or from the nominal model."""
     count = method.parameter_count(learning, load, taps)
+    bank = new_bank(count)
     state = EstimatorState(
         method,
+        bank.estimate,
         new_branch(count),
-        new_branch(count),
-        Observation([0.0] * count),
-        ChangeDetector(),
-        hypothesis_test.new_hypotheses(count),
-        second_filters.SecondFilter(new_branch(count)),
-        second_filters.IncrementalModel(new_branch(count)),
+        Observation([0.0] * count, [0.0] * count),
+        change.ChangeDetector(),
+        bank,
+        IncrementalModel(new_branch(count)),
     )
     _open(state.estimate, learning)
     method.begin(state, learning, load)
@@ -193,27 +178,8 @@ def _open(estimate: Branch, learning: EstimatorSettings) -> None:
     diagonal = estimate.diagonal
     rls.reset(estimate.theta, estimate.upper, diagonal, learning.initial_covariance)
     if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
-        expected = (
-            covariance.DISTURBANCE_SHARE * covariance.DISTURBANCE_SHARE / thresholds.NOISE_FLOOR
-        )
+        expected = change.DISTURBANCE_SHARE * change.DISTURBANCE_SHARE / thresholds.NOISE_FLOOR
         diagonal[len(diagonal) - 1] = min(diagonal[len(diagonal) - 1], expected)
-
-
-def begin_anew(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
-    """Start from the nominal model again: an estimate that no load can have has lost its way.
-
-    It learnt a disturbance as dynamics before σ² was known, and what surprises it is explained by
-    other disturbances ever since.
-    """
-    own, numerator, denominator = state.estimate, list(load.numerator), list(load.denominator)
-    _open(own, learning)
-    vectors.copy_into(own.theta, state.method.theta_of(learning, load, numerator, denominator))
-    own.origin_s = state.sample.time_s
-    state.detector.sum = 0.0
-    state.hypotheses.samples = 0
-    state.second_filter.samples = 0
-    second_filters.restart(state.incremental)
-    hypothesis_test.drop_anchor(state.hypotheses, own, state.sample)
 
 
 def start_from(
@@ -257,35 +223,48 @@ def update_estimate(
     usual = abs(own.innovation) < _LARGEST and all(abs(one) < _LARGEST for one in sample.regressor)
     if not (usual and math.isfinite(own.excitation)):
         return
-    state.idle_periods += 1
-    hypothesis_test.forget_changes(state.hypotheses)
     if not usable:
         return
-    track_noise(state.detector, own.innovation)
+    change.track_noise(state.detector, own.innovation)
     if state.periods > learning.settle_periods:
         state.method.take_in(state, learning, load)
 
 
-def take_in(state: EstimatorState, learning: EstimatorSettings, *, directional: bool) -> None:
-    """Update θ and P, if the sample can teach anything.
+def take_in(state: EstimatorState, learning: EstimatorSettings) -> None:
+    """Update θ and P by forgetting, if the sample can teach anything.
 
     Args:
         state: Its estimate has predicted the sample; overwritten.
         learning: Forgetting and gates.
-        directional: Whether to forget only along r (`learn_sample`).
     """
     own, sample, rho = state.estimate, state.sample, learning.forgetting
     if vectors.lacks(own.excitation, learning.gate * (1.0 - rho)):
         return
-    state.idle_periods = 0
     theta, upper, diagonal = own.theta, own.upper, own.diagonal
-    if directional:
-        learn_sample(own, sample, learning, learning.gate)
-    else:
-        rls.update(theta, upper, diagonal, sample.regressor, sample.target, rho)
+    rls.update(theta, upper, diagonal, sample.regressor, sample.target, rho)
     if learning.covariance_max > 0.0:
         rls.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
     remember_residual(state, own, rho)
+
+
+def learn_in_bank(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
+    """Let the bank take in a sample; its most probable branch is the estimate.
+
+    Args:
+        state: Overwritten.
+        learning: Forgetting and gates.
+        load: Order and structure.
+    """
+    detector, rho = state.detector, learning.forgetting
+    another = learn_branches(state.bank, detector, learning, load, state.sample)
+    own = state.estimate = state.bank.estimate
+    state.excitation = own.excitation
+    state.innovation = own.innovation * learning.output_scale
+    if another:  # what the one before could not explain is no noise
+        usual = max(thresholds.NOISE_FLOOR, detector.power) * state.residual_weight
+        state.residual_power = min(state.residual_power, usual)
+    if own.excitation > learning.gate * (1.0 - rho):
+        remember_residual(state, own, rho)
 
 
 def widen_emf(state: EstimatorState, learning: EstimatorSettings) -> None:
@@ -295,20 +274,21 @@ def widen_emf(state: EstimatorState, learning: EstimatorSettings) -> None:
     course would be mistaken for dynamics.
 
     Args:
-        state: P is overwritten.
+        state: P of every branch is overwritten.
         learning: Whether a charge is learnt.
     """
     if not learning.charge:
         return
-    _wander(state, 0.0, _EMF_NOISE)
-    _wander(state, _EMF_BEND, -_EMF_BEND * state.charge)
+    for one in state.bank.branches:
+        _wander(one, 0.0, _EMF_NOISE)
+        _wander(one, _EMF_BEND, -_EMF_BEND * state.charge)
 
 
-def _wander(state: EstimatorState, rise: float, bias: float) -> None:
+def _wander(branch: Branch, rise: float, bias: float) -> None:
     """Widen P along a change of the rise with the charge and of the bias."""
-    direction = [0.0] * len(state.estimate.theta)
+    direction = [0.0] * len(branch.theta)
     direction[len(direction) - 2], direction[len(direction) - 1] = rise, bias
-    rls.widen(state.estimate.upper, state.estimate.diagonal, direction, 1.0)
+    rls.widen(branch.upper, branch.diagonal, direction, 1.0)
 
 
 def remember_residual(state: EstimatorState, branch: Branch, forgetting: float) -> None:

@@ -14,10 +14,15 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import thresholds, vectors
-from adaptdrive.control.estimation import branch, hypothesis_test, learn, regression, rls
-from adaptdrive.control.estimation.estimator import EstimatorState, Method, take_in, widen_emf
+from adaptdrive.control.estimation import bank, branch, change, regression, rls, uncertainty
+from adaptdrive.control.estimation.estimator import (
+    EstimatorState,
+    Method,
+    learn_in_bank,
+    take_in,
+    widen_emf,
+)
 from adaptdrive.control.estimation.regression import SlowSample
-from adaptdrive.control.estimation.second_filters import follow_incremental as follow
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector
@@ -62,7 +67,7 @@ class LambdaMethod:
         sample: SlowSample,
         past: tuple[Vector, Vector],
     ) -> None:
-        """Overwrite r, and r with every power of λ lowered by one for the explanations."""
+        """Overwrite r, and r with every power of λ lowered by one for a change."""
         y, u = sample.output_filtered, sample.input_filtered
         regressor = state.sample.regressor
         elapsed_s = state.sample.time_s - state.estimate.origin_s
@@ -70,7 +75,7 @@ class LambdaMethod:
         regression.fill_initial_state(regressor, learning, load, elapsed_s)
         regression.fill_charge(regressor, learning, state.charge)
         widen_emf(state, learning)
-        lowered, output = state.hypotheses.lowered, sample.output
+        lowered, output = state.sample.lowered, sample.output
         regression.fill_lowered_regressor(lowered, learning, load, output, y, u)
         regression.fill_charge(lowered, learning, state.charge + output / learning.output_scale)
 
@@ -79,40 +84,39 @@ class LambdaMethod:
         return sample.output
 
     def take_in(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
-        """Update θ and P; an abrupt change is explained where `alert` is set."""
+        """Update θ and P; branches explain an abrupt change where `alert` is set."""
         own, sample = state.estimate, state.sample
         if not learning.alert:
-            take_in(state, learning, directional=False)
+            take_in(state, learning)
             return
-        follow(state.incremental, learning, load, sample, own)
-        regression.fill_initial_state(
-            sample.regressor, learning, load, sample.time_s - own.origin_s
-        )
-        learn.learn_and_explain(state, learning, load)
-        learn.count_unseen(state, learning, load)
-        learn.show(state, learning)
+        bank.follow_incremental(state.incremental, learning, load, sample, own)
+        learn_in_bank(state, learning, load)
+        uncertainty.count_unseen(state, learning, load)
+        uncertainty.show(state, learning)
 
     def model(
         self, state: EstimatorState, learning: EstimatorSettings, load: Load
     ) -> tuple[Vector, Vector]:
         """Return numerator and denominator of the estimated model in s."""
-        return regression.filtered_model(learn.in_force(state).theta, learning, load)
+        return regression.filtered_model(uncertainty.in_force(state).theta, learning, load)
 
     def root(
         self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
     ) -> Vector:
         """Return L of the covariance of the physical parameters, to first order."""
-        return learn.parameter_root(state, learning, load, values)
+        return uncertainty.parameter_root(state, learning, load, values)
 
     def shown_deviations(
         self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
     ) -> Vector:
         """Return their deviations, with what the load may be since the samples showed it."""
-        return learn.inflated_deviations(state, learning, load, values)
+        return uncertainty.inflated_deviations(state, learning, load, values)
 
     def input_offset(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> float:
         """Return the constant input with the effect of bias and charge; NaN without a bias."""
-        return regression.input_offset(learn.in_force(state).theta, learning, load, state.charge)
+        return regression.input_offset(
+            uncertainty.in_force(state).theta, learning, load, state.charge
+        )
 
 
 # From a discrete model back to the continuous-time load, for orders 1 and 2.
@@ -201,7 +205,7 @@ class DirectMethod:
         """Update θ and P; an abrupt change opens P where `alert` is set."""
         if learning.alert:
             _open_up(state, learning)
-        take_in(state, learning, directional=False)
+        take_in(state, learning)
 
     def model(
         self, state: EstimatorState, learning: EstimatorSettings, load: Load
@@ -269,7 +273,7 @@ def _open_up(state: EstimatorState, learning: EstimatorSettings) -> None:
     """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
     own = state.estimate
     squared = rls.normalised(own.excitation, own.innovation, learning.forgetting)
-    if not hypothesis_test.is_change(state.detector, squared):
+    if not change.is_change(state.detector, squared):
         return
     rls.open_up(own.upper, own.diagonal, learning.initial_covariance)
     branch.predict(own, state.sample)

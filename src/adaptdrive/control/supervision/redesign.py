@@ -8,8 +8,7 @@ import math
 from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.design import pole_placement
 from adaptdrive.control.design.noise import detuned_loop, fast_loop, noise_gain
-from adaptdrive.control.estimation import methods, second_filters
-from adaptdrive.control.estimation.estimator import begin_anew
+from adaptdrive.control.estimation import methods
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
@@ -22,7 +21,6 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
     """Judge the estimate and, if it is trusted, make gains of it."""
     gains = [0.0] * len(state.adaptive_gains)
     verdict = _redesign(settings, load, state, sample, gains)
-    _look_for_a_way_back(settings, load, state, verdict)
     periods = state.estimator.periods
     state.accepted = supervisor.take_verdict(
         state.supervisor, verdict, settings.supervision, periods, state.adaptive
@@ -47,28 +45,6 @@ def _is_recalled(settings: ControllerSettings, state: SlowState, verdict: int) -
     state.recalled = state.recalled and unchanged and possible
     state.supervisor.trusted = state.supervisor.trusted or state.recalled
     return state.recalled
-
-
-def _look_for_a_way_back(
-    settings: ControllerSettings, load: Load, state: SlowState, verdict: int
-) -> None:
-    """Let an estimate that cannot be right for as long as it remembers begin anew."""
-    estimator = state.estimator
-    if (
-        not settings.learning.alert
-        or estimator.idle_periods > 0
-        or not supervisor.is_impossible(verdict)
-    ):
-        estimator.lost_periods = 0
-        return
-    estimator.lost_periods += 1
-    if not state.estimator.method.physical or estimator.lost_periods <= thresholds.MEMORY:
-        return
-    estimator.lost_periods = 0
-    if estimator.incremental.in_force:
-        second_filters.restart(estimator.incremental)
-    else:
-        begin_anew(estimator, settings.learning, load)
 
 
 def _take_gains(supervision: SupervisionLimits, state: SlowState, gains: Vector) -> None:

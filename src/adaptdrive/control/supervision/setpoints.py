@@ -30,8 +30,8 @@ the fixed controller has taken over for good. It never lasts longer than four ex
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.estimation.learn import is_contested
 from adaptdrive.control.estimation.regression import SlowSample
+from adaptdrive.control.estimation.uncertainty import is_contested
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import EstimatorSettings, PowerStage, Probing
 from adaptdrive.control.supervision import monitor, supervisor

@@ -197,16 +197,6 @@ def take_verdict(
     return True
 
 
-def is_impossible(verdict: int) -> bool:
-    """Return whether no load within the bounds can have such an estimate."""
-    return verdict in {
-        Verdict.NOT_FINITE,
-        Verdict.UNSTABLE_LOAD,
-        Verdict.OUT_OF_BOUNDS,
-        Verdict.UNDERDAMPED,
-    }
-
-
 def is_uncertain(verdict: int) -> bool:
     """Check whether the estimate is not wrong, but not known well enough."""
     return verdict in {Verdict.UNCERTAIN, Verdict.UNDERDAMPED}

@@ -1,4 +1,17 @@
-"""The covariance P of an estimate: deviations of physical parameters, and its jumps.
+"""Abrupt changes: how they are detected, and what may have moved in one.
+
+The normalised innovation z² = ε² ρ / ((ρ + rᵀPr) σ²) of a settled estimate is about 1. A one-sided
+cumulative sum (E. S. Page, Biometrika 41, 1954, doi:10.1093/biomet/41.1-2.100)
+
+    S <- max(0, S + z² - drift)          alarm when S > threshold, S = 0 after it
+
+stays at 0 then, and reaches the threshold within a few samples of a change. σ² follows the median
+of z² σ², which is 0.455 of the mean for Gaussian noise: a change moves it hardly, however large it
+is. It has a floor against rounding and model error.
+
+While an estimate is new, its innovations are a poor measure of σ². The noise of a sample shows in
+their second differences, (ε[k] - 2 ε[k-1] + ε[k-2])² / 6 on average, whatever slow error is
+under it.
 
 Let θ jump by Δ at t0. The regression with the new θ then has the error e = y - rᵀθ = -r(t0)ᵀΔ at
 t0, and (τ_λ p + 1)^m e = 0 from there on, because every term of it has passed the λ filters:
@@ -18,124 +31,119 @@ from dataclasses import dataclass
 
 from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import regression, rls
-from adaptdrive.control.estimation.branch import Branch
+from adaptdrive.control.estimation.branch import Branch, Observation
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.vectors import Vector
 
-# Standard deviations of the physical parameters of a load, from an estimate and its P.
+# Detection of an abrupt change from the innovations of the estimate.
+
+DRIFT = 3.0
+"""Subtracted from each z²: the sum rises only while z² is larger than three times its mean."""
+
+THRESHOLD = 9.0
+"""One z² above 12, or several smaller ones in a row: rare with noise alone."""
+
+_FAST_RATE = 0.3
+"""Rate of the median after a start: within a factor of 2 after about 3 samples."""
+
+_SLOW_RATE = 0.03
+"""Rate of the median later: a factor of 2 takes 25 samples, longer than a comparison."""
+
+_MEDIAN = 0.455
+"""Median over mean of the square of Gaussian noise (χ² with one degree of freedom)."""
+
+LEAST_NOISE = 1e-2 * thresholds.NOISE_FLOOR
+"""Least mean square of noise that is followed: a tenth of the deviation that explanations count."""
+
+
+@dataclass(slots=True)
+class ChangeDetector:
+    """State of the detector of abrupt changes.
+
+    Attributes:
+        power: σ², of the innovations in units of the scaled output.
+        sum: S.
+        samples: Samples seen.
+        alarms: Alarms so far.
+        noise: Mean square of the noise of a sample, from second differences.
+        last: ε of the last sample.
+        slope: Difference of the last two.
+    """
+
+    power: float = 0.0
+    sum: float = 0.0
+    samples: int = 0
+    alarms: int = 0
+    noise: float = thresholds.NOISE_FLOOR
+    last: float = 0.0
+    slope: float = 0.0
+
+
+def is_change(state: ChangeDetector, squared: float) -> bool:
+    """Return whether the load has just changed.
+
+    Args:
+        state: Overwritten.
+        squared: ε² ρ / (ρ + rᵀPr), scaled.
+    """
+    state.samples += 1
+    if state.samples <= thresholds.WINDOW:
+        state.power = max(thresholds.NOISE_FLOOR, state.noise)
+        return False
+    ratio = squared / state.power
+    state.power = max(thresholds.NOISE_FLOOR, move_median(state.power, squared, _SLOW_RATE))
+    state.sum = max(0.0, state.sum + ratio - DRIFT)
+    if state.sum <= THRESHOLD:
+        return False
+    state.sum = 0.0
+    state.alarms += 1
+    return True
+
+
+def track_noise(state: ChangeDetector, innovation: float) -> None:
+    """Follow the noise of a sample, which no slow error hides.
+
+    Args:
+        state: Overwritten.
+        innovation: ε, scaled.
+    """
+    slope = innovation - state.last
+    bend = slope - state.slope
+    squared = bend * bend / 6.0  # a power would raise where it overflows
+    state.last, state.slope = innovation, slope
+    rate = _FAST_RATE if state.samples <= thresholds.WINDOW else _SLOW_RATE
+    state.noise = max(LEAST_NOISE, move_median(state.noise, squared, rate))
+
+
+def move_median(power: float, squared: float, rate: float) -> float:
+    """Move a mean square so that its median is that of Gaussian noise."""
+    return power * (1.0 + (rate if squared > _MEDIAN * power else -rate))
+
+
+# What may have moved, as directions in which θ becomes uncertain.
+
+DISTURBANCE = 1
+LOAD = 2
+ANEW = 3
+
+ODDS_AGAINST = {
+    DISTURBANCE: thresholds.RARE,
+    LOAD: thresholds.RARE + thresholds.RARER,
+    ANEW: thresholds.RARE + 2.0 * thresholds.RARER,
+}
+"""Log odds against each at an alarm."""
+
+DISTURBANCE_SHARE = 0.1
+"""Deviation of a disturbance, of the input's scale: 30 V of 300 V."""
 
 _TINY = 1e-12
 """Divisor that counts as 0: 4,500 rounding errors of 1."""
 
 
-def is_sure(branch: Branch, power: float, learning: EstimatorSettings, load: Load) -> bool:
-    """Return whether every physical parameter is known within half of its value.
-
-    Args:
-        branch: θ and P.
-        power: σ², scaled.
-        learning: Scales.
-        load: Names and meaning of the parameters.
-    """
-    numerator, denominator = regression.filtered_model(branch.theta, learning, load)
-    if vectors.lacks(abs(denominator[load.order]), _TINY):
-        return False
-    values = load.physical(numerator, denominator)
-    deviations = deviations_of(branch, math.sqrt(power), learning, load, values)
-    return all(deviations[i] <= thresholds.PRIOR_SHARE * abs(values[i]) for i in range(len(values)))
-
-
-def deviations_of(
-    branch: Branch, noise: float, learning: EstimatorSettings, load: Load, values: Vector
-) -> Vector:
-    """Standard deviations of the physical parameters at any θ and P, to first order.
-
-    Args:
-        branch: θ and P.
-        noise: σ of the innovations, scaled.
-        learning: Scales.
-        load: Names and meaning of the parameters.
-        values: The parameters at θ.
-    """
-    count, rows = len(branch.theta), _jacobian(branch.theta, learning, load, values)
-    deviations = [math.nan] * len(values)
-    if not math.isfinite(rows[0]):
-        return deviations
-    for i in range(len(values)):
-        row = rows[i * count : (i + 1) * count]
-        deviations[i] = rls.standard_deviation(row, branch.upper, branch.diagonal, noise)
-    return deviations
-
-
-def root_of(
-    branch: Branch, noise: float, learning: EstimatorSettings, load: Load, values: Vector
-) -> Vector:
-    """L, lower triangular, flat, of the covariance L Lᵀ of the physical parameters.
-
-    Args:
-        branch: θ and P.
-        noise: σ of the innovations, scaled.
-        learning: Scales.
-        load: Names and meaning of the parameters.
-        values: The parameters at θ.
-    """
-    size, count = len(values), len(branch.theta)
-    rows = _jacobian(branch.theta, learning, load, values)
-    known = rls.covariance(branch.upper, branch.diagonal)
-    root = [0.0] * (size * size)
-    for i in range(size):
-        for j in range(i + 1):
-            rest = 0.0
-            for m in range(count):
-                for n in range(count):
-                    rest += rows[i * count + m] * known[m * count + n] * rows[j * count + n]
-            rest *= noise * noise
-            whole = rest
-            for m in range(j):
-                rest -= root[i * size + m] * root[j * size + m]
-            if i == j:
-                root[i * size + i] = math.sqrt(rest) if not rest < _TINY * whole else 0.0
-            elif root[j * size + j] > 0.0:
-                root[i * size + j] = rest / root[j * size + j]
-    return root
-
-
-def _jacobian(theta: Vector, learning: EstimatorSettings, load: Load, values: Vector) -> Vector:
-    """Derivatives of the physical parameters by θ, a row for each; NaN without a dc gain."""
-    count = len(theta)
-    rows = [0.0] * (len(values) * count)
-    for j in range(count):
-        step = 1e-6 * max(1.0, abs(theta[j]))
-        moved = list(theta)
-        moved[j] += step
-        numerator, denominator = regression.filtered_model(moved, learning, load)
-        if vectors.lacks(abs(denominator[load.order]), _TINY):
-            return [math.nan] * len(rows)
-        shifted = load.physical(numerator, denominator)
-        for i in range(len(values)):
-            rows[i * count + j] = (shifted[i] - values[i]) / step
-    return rows
-
-
-# Rival explanations of an abrupt change, as directions in which θ becomes uncertain.
-
-NOTHING = 0
-DISTURBANCE = 1
-LOAD = 2
-BOTH = 3
-ANEW = 4
-
-DISTURBANCE_SHARE = 0.1
-"""Deviation of a disturbance, of the input's scale: 30 V of 300 V."""
-
-
-"""Divisor that counts as 0: 4,500 rounding errors of 1."""
-
-
 @dataclass(slots=True)
-class Anchor:
-    """The last sample before the change.
+class ChangePoint:
+    """The last sample before a change.
 
     Attributes:
         regressor: r.
@@ -150,6 +158,13 @@ class Anchor:
     time_s: float = 0.0
     power: float = 0.0
     gap_s: float = 0.0
+
+
+def note_sample(point: ChangePoint, sample: Observation) -> None:
+    """Remember a sample: the next one may be the first after a change."""
+    vectors.copy_into(point.regressor, sample.regressor)
+    vectors.copy_into(point.lowered, sample.lowered)
+    point.time_s = sample.time_s
 
 
 def restart_past(branch: Branch, learning: EstimatorSettings, load: Load, time_s: float) -> None:
@@ -189,46 +204,46 @@ def _shifted_functions(count: int, shift: float) -> Vector:
 
 
 def widen(
-    branch: Branch, kind: int, learning: EstimatorSettings, load: Load, anchor: Anchor
+    branch: Branch, kind: int, learning: EstimatorSettings, load: Load, point: ChangePoint
 ) -> None:
     """Open an estimate up for what a kind of change may have moved.
 
     Args:
         branch: P is overwritten.
-        kind: NOTHING, DISTURBANCE, LOAD, BOTH, or ANEW for both and the state of the load.
+        kind: DISTURBANCE, LOAD, or ANEW for both, another gain and the state of the load.
         learning: Scales.
         load: Order and structure.
-        anchor: The last sample before the change.
+        point: The last sample before the change.
     """
-    if kind == NOTHING:
-        return
     order, size = regression.fitted_order(learning, load), len(branch.theta)
     last = order + len(load.input_powers) - 1
     gains = abs(vectors.total(branch.theta[order : last + 1]))
     if kind != LOAD and learning.bias:
         direction = vectors.unit(size, size - 1)
-        _open(branch, direction, DISTURBANCE_SHARE * gains, learning, load, anchor)
+        _open(branch, direction, DISTURBANCE_SHARE * gains, learning, load, point)
     if kind != DISTURBANCE:
-        _widen_load(branch, learning, load, anchor)
-    if kind >= BOTH:
+        _widen_load(branch, learning, load, point)
+    if kind == ANEW:
         direction = [0.0] * size
         direction[order : last + 1] = branch.theta[order : last + 1]
         _carry_offset(direction, branch.theta, 1.0, learning)
-        _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, anchor)
-    share = min(1.0, anchor.gap_s / learning.tau_lambda_s)  # the moment of the change is in doubt
+        _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, point)
+    share = min(1.0, point.gap_s / learning.tau_lambda_s)  # the moment of the change is in doubt
     spread = DISTURBANCE_SHARE * gains
-    _widen_state(branch, share * share * spread * spread / anchor.power, learning, load)
+    _widen_state(branch, share * share * spread * spread / point.power, learning, load)
     if kind == ANEW:  # a disk that lands at rest takes half the speed away
         _widen_state(
-            branch, thresholds.PRIOR_SHARE * thresholds.PRIOR_SHARE / anchor.power, learning, load
+            branch, thresholds.PRIOR_SHARE * thresholds.PRIOR_SHARE / point.power, learning, load
         )
 
 
-def _widen_load(branch: Branch, learning: EstimatorSettings, load: Load, anchor: Anchor) -> None:
+def _widen_load(
+    branch: Branch, learning: EstimatorSettings, load: Load, point: ChangePoint
+) -> None:
     """Other dynamics with the same dc gain and the same offset of the input."""
     for i in range(regression.fitted_order(learning, load) + len(load.input_powers) - 1):
         direction = load_direction(branch.theta, i, learning, load)
-        _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, anchor)
+        _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, point)
 
 
 def load_direction(theta: Vector, index: int, learning: EstimatorSettings, load: Load) -> Vector:
@@ -273,7 +288,7 @@ def _open(
     spread: float,
     learning: EstimatorSettings,
     load: Load,
-    anchor: Anchor,
+    point: ChangePoint,
 ) -> None:
     """Widen P by a spread along a direction of θ and along what goes with it in γ, at least one."""
     size, count = len(direction), regression.initial_state_count(learning, load)
@@ -281,12 +296,12 @@ def _open(
     plain, lowered = 0.0, 0.0
     for i in range(size):
         if not first <= i < first + count:
-            plain += anchor.regressor[i] * direction[i]
-            lowered += anchor.lowered[i] * direction[i]
+            plain += point.regressor[i] * direction[i]
+            lowered += point.lowered[i] * direction[i]
     direction[first] = -plain
     if count > 1:
         direction[first + 1] = -lowered
-    rls.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
+    rls.widen(branch.upper, branch.diagonal, direction, spread * spread / point.power)
 
 
 def _widen_state(branch: Branch, variance: float, learning: EstimatorSettings, load: Load) -> None:

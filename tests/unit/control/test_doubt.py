@@ -1,4 +1,4 @@
-"""The second_filter: what was changed and misjudged at an alarm is found by predicting, later."""
+"""A load that takes speed away, and what is shown of a load that may have changed."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import regression
-from adaptdrive.control.estimation.learn import is_doubtful
 from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.uncertainty import is_doubtful
 from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.integration.closed_loop.bench import MOTOR, SCALED_LEARNING, TICKS, TICK_s
