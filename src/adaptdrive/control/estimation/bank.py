@@ -100,13 +100,13 @@ def learn_branches(
     Returns:
         Whether another branch has become the estimate.
     """
-    power = max(thresholds.NOISE_FLOOR, detector.power, sample.rounding * sample.rounding)
+    power = change.noise_power(detector, sample.rounding)
     for one in bank.branches:
         predict_sample(one, learning, load, sample)
         one.score += _likelihood(one, power, learning.forgetting)
         one.age += 1
     best = _most_probable(bank)
-    if change.is_change(detector, squared_error(best, learning.forgetting)):
+    if change.is_change(detector, squared_error(best, learning.forgetting), sample.rounding):
         bank.point.power, bank.point.gap_s = power, sample.time_s - bank.point.time_s
         _split(bank, best, learning, load, sample)
     for one in bank.branches:

@@ -80,18 +80,24 @@ class ChangeDetector:
     slope: float = 0.0
 
 
-def is_change(state: ChangeDetector, squared: float) -> bool:
+def noise_power(state: ChangeDetector, rounding: float) -> float:
+    """Return σ², at least the variance of the rounding error of a sample."""
+    return max(thresholds.NOISE_FLOOR, state.power, rounding * rounding)
+
+
+def is_change(state: ChangeDetector, squared: float, rounding: float) -> bool:
     """Return whether the load has just changed.
 
     Args:
         state: Overwritten.
         squared: ε² ρ / (ρ + rᵀPr), scaled.
+        rounding: Standard deviation of the rounding error of the output, scaled.
     """
     state.samples += 1
     if state.samples <= thresholds.WINDOW:
         state.power = max(thresholds.NOISE_FLOOR, state.noise)
         return False
-    ratio = squared / state.power
+    ratio = squared / noise_power(state, rounding)
     state.power = max(thresholds.NOISE_FLOOR, move_median(state.power, squared, _SLOW_RATE))
     state.sum = max(0.0, state.sum + ratio - DRIFT)
     if state.sum <= THRESHOLD:

@@ -261,7 +261,7 @@ def learn_in_bank(state: EstimatorState, learning: EstimatorSettings, load: Load
     state.excitation = own.excitation
     state.innovation = own.innovation * learning.output_scale
     if another:  # what the one before could not explain is no noise
-        usual = max(thresholds.NOISE_FLOOR, detector.power) * state.residual_weight
+        usual = change.noise_power(detector, state.sample.rounding) * state.residual_weight
         state.residual_power = min(state.residual_power, usual)
     if own.excitation > learning.gate * (1.0 - rho):
         remember_residual(state, own, rho)
