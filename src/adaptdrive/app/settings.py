@@ -229,7 +229,6 @@ def _jacket(configuration: Configuration) -> SupervisionLimits:
         dwell_periods=supervisor.dwell_periods,
         blend_periods=supervisor.blend_periods,
         confidence=supervisor.confidence,
-        gain_slew=supervisor.gain_slew,
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         saturated_periods=_periods(configuration, supervisor.saturated_s),
         error_limit=ERROR_SHARE * reference_range if limit is None else limit,

@@ -299,8 +299,6 @@ class Supervisor(section.Section):
     saturated_s: section.Duration = 240.0
     """longest time at a limit without coming closer to where the model rests, before the fixed
     gains return; 0: any"""
-    gain_slew: float = section.key(1.0, gt=0.0, le=1.0)
-    """largest share of the way from the gains in force to new ones in a slow period"""
     error_limit: section.NonNegativeFloat | None = None
     """distance from the response asked for, in the unit of the output, that must not last for ten
     closed-loop time constants with a free input; 10 % of the set-point range when left out; 0:

@@ -130,7 +130,6 @@ class SupervisionLimits:
             for no swings and no limit cycles.
         response_periods: Longest wait at a limit for the output to move where a model does.
         response_distance: Movement that counts, in the unit of the output.
-        gain_slew: Largest share of the way to new gains that is gone in one period.
         noise_max: Largest standard deviation of the input that noise of the output may cause, in
             the unit of the input.
         confidence: Standard deviations by which the estimate may be wrong without new gains
@@ -152,7 +151,6 @@ class SupervisionLimits:
     response_periods: int = 0
     response_distance: float = 0.0
     confidence: float = 0.0
-    gain_slew: float = 1.0
     noise_max: float = 0.0
 
 

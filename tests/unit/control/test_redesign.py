@@ -73,28 +73,6 @@ def test_an_estimate_that_is_trusted_becomes_gains_and_the_trusted_model() -> No
 
 
 @pytest.mark.parametrize(
-    ("adaptive", "slew", "share"), [(True, 0.25, 0.25), (False, 0.25, 1.0), (True, 1.0, 1.0)]
-)
-def test_gains_in_force_move_by_their_share_and_waiting_ones_at_once(
-    adaptive: bool, slew: float, share: float
-) -> None:
-    settings = replace(CAREFUL, supervision=replace(JACKET, gain_slew=slew))
-    state = known(1.0, settings)
-    adapted(state, settings)
-    state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
-    state.adaptive = adaptive
-    old = list(state.adaptive_gains), list(state.reference_filter.loop)
-    adapted(state, settings)
-    state_of_new = known(2.0)
-    adapted(state_of_new)
-    new = state_of_new.adaptive_gains, state_of_new.reference_filter.loop
-    found = state.adaptive_gains, state.reference_filter.loop
-    for before, after, now in zip(old, new, found, strict=True):
-        assert now == pytest.approx(np.array(before) + share * (np.array(after) - before))
-    assert state.reference_filter.asked == pytest.approx(state_of_new.reference_filter.asked)
-
-
-@pytest.mark.parametrize(
     ("disks", "verdict"), [(1.0, Verdict.TRUSTED), (30.0, Verdict.OUT_OF_BOUNDS)]
 )
 def test_parameters_out_of_bounds_are_refused(disks: float, verdict: Verdict) -> None:

@@ -11,7 +11,7 @@ from adaptdrive.control.design.noise import detuned_loop, fast_loop, noise_gain
 from adaptdrive.control.estimation import methods
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
+from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.supervision import supervisor
 from adaptdrive.control.supervision.state import SlowState
 from adaptdrive.control.vectors import Vector
@@ -26,8 +26,8 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
         state.supervisor, verdict, settings.supervision, periods, state.adaptive
     )
     if state.accepted or _is_recalled(settings, state, verdict):
-        _take_gains(settings.supervision, state, gains)
-        _take_loop(load, state, settings.supervision.gain_slew, sample.pole)
+        vectors.copy_into(state.adaptive_gains, gains)
+        _take_loop(load, state, sample.pole)
         _take_fast_law(settings, load, state, sample)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
         state.input_noise = _input_noise(settings, state, state.new_loop, thresholds.NOISE_FLOOR)
@@ -47,26 +47,11 @@ def _is_recalled(settings: ControllerSettings, state: SlowState, verdict: int) -
     return state.recalled
 
 
-def _take_gains(supervision: SupervisionLimits, state: SlowState, gains: Vector) -> None:
-    """New gains: those in force move towards them, those that only wait are replaced."""
-    share = supervision.gain_slew
-    if share >= 1.0 or not state.adaptive:
-        vectors.copy_into(state.adaptive_gains, gains)
-        return
-    for i in range(len(gains)):
-        state.adaptive_gains[i] += share * (gains[i] - state.adaptive_gains[i])
-
-
-def _take_loop(load: Load, state: SlowState, share: float, pole: float) -> None:
-    """Make the reference filter fit the gains; these are affine in A_c, so both move alike."""
+def _take_loop(load: Load, state: SlowState, pole: float) -> None:
+    """Make the reference filter fit the gains."""
     target = state.reference_filter
-    if not state.adaptive or vectors.total(target.loop) == 0.0:
-        share = 1.0
-    asked = pole_placement.asked_loop(state.model_b, load.order, pole)
-    for i in range(len(asked)):
-        target.asked[i] = asked[i]
-    for i in range(len(state.new_loop)):
-        target.loop[i] += share * (state.new_loop[i] - target.loop[i])
+    vectors.copy_into(target.asked, pole_placement.asked_loop(state.model_b, load.order, pole))
+    vectors.copy_into(target.loop, state.new_loop)
 
 
 def _take_fast_law(
