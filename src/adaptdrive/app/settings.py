@@ -204,7 +204,6 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
         resolution=configuration.load.resolution,
         charge=charges and physical,
         drifts=configuration.load.traits.drifts and directional,
-        damping_min=configuration.supervisor.damping_min,
     )
 
 

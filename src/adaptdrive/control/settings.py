@@ -85,7 +85,6 @@ class EstimatorSettings:
         charge: Whether a disturbance in proportion to the integral of the output is estimated too:
             the EMF of a battery rises with its charge.
         drifts: Whether the bias moves by itself: the inflow of a bath changes its temperature.
-        damping_min: Smallest damping of a load of second order that an alarm may be explained by.
     """
 
     method: str
@@ -106,7 +105,6 @@ class EstimatorSettings:
     resolution: float = 0.0
     charge: bool = False
     drifts: bool = False
-    damping_min: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

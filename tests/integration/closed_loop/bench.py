@@ -83,7 +83,6 @@ SCALED_LEARNING = replace(
     output_scale=3.0,
     input_scale=280.0,
     start_at_nominal=True,
-    damping_min=0.9,
 )
 JACKET = SupervisionLimits(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=30)
 EXACT = ControllerSettings(

@@ -99,12 +99,6 @@ def test_rho_left_out_is_that_of_the_design_and_of_the_load() -> None:
     assert forgetting("bath.toml", design="paper") == 0.99
 
 
-def test_one_smallest_damping_holds_for_estimates_and_for_explanations() -> None:
-    for text, expected in (("0.9", 0.9), ("0.5", 0.5), ("0", 0.0)):
-        settings = controller_settings(parse(supervisor__damping_min=text))
-        assert settings.supervision.damping_min == settings.learning.damping_min == expected
-
-
 @pytest.mark.parametrize(
     ("clock_ticks", "timeout_s", "longest_s"),
     [("1", "5.0", 5.0), ("1", "0.1", 2.0), ("60", "5.0", 11.0)],
