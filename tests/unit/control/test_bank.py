@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 from scipy.signal import lsim
+from scipy.stats import norm
 
+from adaptdrive.control.estimation import bank, regression, uncertainty
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import regression, uncertainty
+from adaptdrive.control.estimation.branch import Observation, predict_sample
+from adaptdrive.control.estimation.change import ChangeDetector
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import theta_of
 from tests.integration.closed_loop.bench import MOTOR, SCALED_LEARNING
@@ -181,3 +186,57 @@ def test_what_a_change_leaves_follows_from_the_change(
     left = -(plain[change] @ step + h * (lowered[change] @ step)) * np.exp(-h)
     assert np.max(np.abs(left)) > 0.002
     np.testing.assert_allclose((y - plain @ new)[change:], left, atol=2e-5)
+
+
+def two_branches(outputs: tuple[float, float]) -> tuple[bank.Bank, ChangeDetector, Observation]:
+    """A settled bank of two branches that predict these outputs, the first with the smaller P."""
+    learning = replace(LEARNING, gate=0.0)
+    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
+    branches, detector, sample = state.bank, state.detector, state.sample
+    detector.samples, detector.power = 100, 4e-6
+    branches.branches.append(copy.deepcopy(branches.estimate))
+    sample.regressor[-1] = 1.0
+    for one, output, variance in zip(branches.branches, outputs, (0.5, 40.0), strict=True):
+        one.theta[:], one.diagonal[:], one.age = [0.0] * 5 + [output], [variance] * 6, 20
+    return branches, detector, sample
+
+
+@pytest.mark.parametrize("output", [0.0, 0.001, -0.003, 0.008])
+def test_branches_are_weighed_by_the_densities_of_their_predictions(output: float) -> None:
+    """With P in σ², what is predicted has the variance σ² (ρ + rᵀPr)/ρ of a forgetting filter."""
+    branches, detector, sample = two_branches((0.0, 0.001))
+    sample.target = output
+    first, second = branches.branches
+    rho, power = LEARNING.forgetting, detector.power
+    predict_sample(first, LEARNING, MOTOR, sample)
+    length = float(np.dot(sample.regressor, sample.regressor))
+    bank.learn_branches(branches, detector, LEARNING, MOTOR, sample)
+    deviations = [math.sqrt(power * (rho + variance * length) / rho) for variance in (0.5, 40.0)]
+    expected = norm.logpdf(output, 0.001, deviations[1]) - norm.logpdf(output, 0.0, deviations[0])
+    assert second.score - first.score == pytest.approx(expected, abs=1e-9)
+
+
+def test_however_many_alarms_there_are_the_bank_keeps_its_size_and_its_estimate() -> None:
+    branches, detector, sample = two_branches((0.0, 0.001))
+    random = np.random.default_rng(3)
+    for second in range(60):
+        sample.time_s, sample.target = float(second), float(random.normal())
+        predict_sample(branches.estimate, LEARNING, MOTOR, sample)
+        bank.learn_branches(branches, detector, LEARNING, MOTOR, sample)
+        assert 1 <= len(branches.branches) <= 12
+        assert any(one is branches.estimate for one in branches.branches)
+        assert max(one.score for one in branches.branches) == 0.0
+    assert detector.alarms > 3
+
+
+def test_a_branch_ends_when_it_is_improbable_and_not_before_ten_samples() -> None:
+    branches, detector, sample = two_branches((0.0, 0.02))
+    second = branches.branches[1]
+    second.diagonal[:], second.age = [0.5] * 6, 0
+    lengths = []
+    for _ in range(12):
+        predict_sample(branches.estimate, LEARNING, MOTOR, sample)
+        sample.regressor[-1], second.theta[-1] = 1.0, 0.02
+        bank.learn_branches(branches, detector, LEARNING, MOTOR, sample)
+        lengths.append(len(branches.branches))
+    assert lengths == [2] * 10 + [1] * 2

@@ -51,7 +51,7 @@ from adaptdrive.control.settings import EstimatorSettings
 # The bank: branches that split at an alarm.
 
 _ROOM = 12
-"""Most branches: three alarms in a row, none of them decided yet."""
+"""Most branches that are followed: those of three alarms in a row, none of them decided yet."""
 
 _OUTLIER = 30.0
 """Largest z² that counts, 5.5 σ: a sample that is worse than that is bad for every branch."""
@@ -91,7 +91,7 @@ def learn_branches(
     """Let every branch predict and learn a sample.
 
     Args:
-        bank: Overwritten.
+        bank: Overwritten; its estimate has predicted the sample.
         detector: Overwritten.
         learning: Scales, forgetting and gate.
         load: Order and structure.
@@ -102,7 +102,8 @@ def learn_branches(
     """
     power = change.noise_power(detector, sample.rounding)
     for one in bank.branches:
-        predict_sample(one, learning, load, sample)
+        if one is not bank.estimate:
+            predict_sample(one, learning, load, sample)
         one.score += _likelihood(one, power, learning.forgetting)
         one.age += 1
     best = _most_probable(bank)
@@ -165,7 +166,7 @@ def _choose(bank: Bank) -> bool:
         one.score -= top
     bank.branches = [one for one in bank.branches if one is bank.estimate or _is_possible(one)]
     while len(bank.branches) > _ROOM:
-        bank.branches.remove(_least_probable(bank))
+        _drop_least_probable(bank)
     return bank.estimate is not believed
 
 
@@ -176,13 +177,10 @@ def _is_possible(branch: Branch) -> bool:
     return branch.score > -thresholds.CLEAR and branch.age <= thresholds.LIFE
 
 
-def _least_probable(bank: Bank) -> Branch:
-    worst: Branch | None = None
-    for one in bank.branches:
-        if one is not bank.estimate and (worst is None or one.score < worst.score):
-            worst = one
-    assert worst is not None  # noqa: S101 - there are more branches than the estimate
-    return worst
+def _drop_least_probable(bank: Bank) -> None:
+    others = [one for one in bank.branches if one is not bank.estimate]
+    worst = min(others, key=lambda one: one.score)
+    bank.branches = [one for one in bank.branches if one is not worst]
 
 
 def is_contested(bank: Bank) -> bool:
