@@ -54,7 +54,7 @@ _MEDIAN = 0.455
 """Median over mean of the square of Gaussian noise (χ² with one degree of freedom)."""
 
 LEAST_NOISE = 1e-2 * thresholds.NOISE_FLOOR
-"""Least mean square of noise that is followed: a tenth of the deviation that explanations count."""
+"""Least mean square of noise that is followed: a tenth of the deviation that the bank counts."""
 
 
 @dataclass(slots=True)

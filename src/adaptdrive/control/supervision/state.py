@@ -80,7 +80,7 @@ class SlowState:
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
         sent: The input in force, within its limits.
-        input_noise: σ_u of the quiet law, with the noise that explanations count at the least.
+        input_noise: σ_u of the quiet law, with the noise that is counted at the least.
         fast_noise: σ_u of the law that acts.
         watch: The watch over the adaptive law.
         unresponsive: Whether the load has stopped to answer.
