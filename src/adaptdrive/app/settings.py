@@ -198,7 +198,6 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
         output_scale=load.gain * middle,
         input_scale=middle,
         start_at_nominal=True,
-        covariance_max=0.0 if directional else estimator.covariance_max,
         short_lag_s=loads.short_lag_s(configuration),
         bias=estimator.bias or charges,
         resolution=configuration.load.resolution,

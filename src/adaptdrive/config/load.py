@@ -256,9 +256,6 @@ class Estimator(section.Section):
     with `lm-rls`, else the paper's 1e4"""
     gate: float = section.key(1.2, ge=0.0)
     """learn only from samples with rᵀPr above this multiple of 1 - ρ (`exact` only)"""
-    covariance_max: float = section.key(1.0e6, ge=0.0)
-    """bound of P by exponential resetting; 0: plain forgetting (`exact` only; unused by `lm-rls`
-    with `alert`)"""
     alert: bool = True
     """relearn quickly after an abrupt change of the load: the covariance is raised (`exact`
     only)"""

@@ -76,7 +76,6 @@ class EstimatorSettings:
         output_scale: Output of order one, for the conditioning of P.
         input_scale: Input of order one.
         start_at_nominal: Whether θ starts at the nominal model, else at 0.
-        covariance_max: Bound of P for exponential resetting; 0 for plain forgetting.
         alert: Whether an abrupt change opens the estimator up.
         short_lag_s: Time constant of a lag that is too short to be learnt; 0 where there is none.
         bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
@@ -97,7 +96,6 @@ class EstimatorSettings:
     output_scale: float = 1.0
     input_scale: float = 1.0
     start_at_nominal: bool = False
-    covariance_max: float = 0.0
     alert: bool = False
     short_lag_s: float = 0.0
     bias: bool = False

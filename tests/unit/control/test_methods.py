@@ -101,19 +101,6 @@ def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
     assert state.estimate.diagonal[-1] == pytest.approx(variance, rel=1e-12)
 
 
-@pytest.mark.parametrize("ceiling", [0.0, 0.5])
-def test_a_ceiling_of_the_covariance_adds_its_information_to_each_sample(ceiling: float) -> None:
-    learning = replace(SCALED_LEARNING, forgetting=0.9, covariance_max=ceiling)
-    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
-    state.sample.regressor[:] = [-1.0, -0.9, 1.1]
-    before = np.linalg.inv(covariance(state))
-    est.update_estimate(state, learning, MOTOR, 3.0, usable=True)
-    information = 0.9 * before + np.outer(state.sample.regressor, state.sample.regressor)
-    if ceiling > 0.0:
-        information += 0.1 / ceiling * np.eye(3)
-    np.testing.assert_allclose(np.linalg.inv(covariance(state)), information, rtol=1e-6, atol=1e-6)
-
-
 DIRECT = replace(
     SCALED_LEARNING, method="rls", start_at_nominal=False, gate=0.0, bias=True,
     initial_covariance=1e6,

@@ -242,8 +242,6 @@ def take_in(state: EstimatorState, learning: EstimatorSettings) -> None:
         return
     theta, upper, diagonal = own.theta, own.upper, own.diagonal
     rls.update(theta, upper, diagonal, sample.regressor, sample.target, rho)
-    if learning.covariance_max > 0.0:
-        rls.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
     remember_residual(state, own, rho)
 
 

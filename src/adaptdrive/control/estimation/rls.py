@@ -14,7 +14,7 @@ finite without excitation.
 
 import math
 
-from adaptdrive.control.vectors import Vector, copy_into, dot, identity, lacks, unit
+from adaptdrive.control.vectors import Vector, copy_into, dot, identity, unit
 
 # A covariance P in the factored form U D Uᵀ, and what is done to it in that form.
 
@@ -137,20 +137,6 @@ def absorb(upper: Vector, diagonal: Vector, regressor: Vector, noise: float, gai
             gain[i] += old * v
         scale = grown
     return scale
-
-
-def bound(upper: Vector, diagonal: Vector, information: float) -> None:
-    """P⁻¹ <- P⁻¹ + information · I: keeps P bounded where nothing excites it.
-
-    With information = (1 - ρ)/p after every update by forgetting ρ this is exponential resetting:
-    P stays below p · I for ever (Salgado, Goodwin and Middleton, Int. J. Control 47, 1988).
-    """
-    if lacks(information, 0.0):
-        return
-    size = len(diagonal)
-    gain = [0.0] * size
-    for i in range(size):
-        absorb(upper, diagonal, unit(size, i), 1.0 / information, gain)
 
 
 def transform(upper: Vector, diagonal: Vector, matrix: Vector) -> None:
