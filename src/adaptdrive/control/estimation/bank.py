@@ -148,6 +148,7 @@ def _split(
     before = parent.score - _likelihood(parent, power, rho)
     for kind, odds in change.ODDS_AGAINST.items():
         child = new_branch(len(parent.theta))
+        child.kind = kind
         copy_estimate(child, parent)
         change.restart_past(child, learning, load, bank.point.time_s)
         change.widen(child, kind, learning, load, bank.point)
@@ -234,6 +235,13 @@ def applies(learning: EstimatorSettings) -> bool:
     return learning.bias and not learning.charge
 
 
+def restart(incremental: IncrementalModel) -> None:
+    """Begin at the estimate whose bias rests, and compare anew."""
+    incremental.samples = 0
+    incremental.lead = incremental.residual_power = incremental.residual_weight = 0.0
+    incremental.in_force = False
+
+
 def follow_incremental(
     incremental: IncrementalModel,
     learning: EstimatorSettings,
@@ -275,6 +283,17 @@ def follow_incremental(
     widen_last(branch, _WALK * _WALK)
     incremental.residual_power = rho * incremental.residual_power + own
     incremental.residual_weight = rho * incremental.residual_weight + 1.0
+
+
+def charge_disturbance(incremental: IncrementalModel, estimate: Branch) -> None:
+    """Charge a bias that rests for a disturbance that it had to assume: it is as rare as its odds.
+
+    Args:
+        incremental: Λ is overwritten.
+        estimate: The branch that has just become the estimate.
+    """
+    if estimate.kind == change.DISTURBANCE:
+        incremental.lead += thresholds.RARE
 
 
 def _follow_noise(incremental: IncrementalModel, own: float, squared: float) -> None:

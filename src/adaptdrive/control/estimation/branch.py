@@ -49,6 +49,7 @@ class Branch:
         origin_s: Since when the functions of the initial state are counted.
         score: Logarithm of its probability over that of the most probable branch.
         age: Samples since it was split off.
+        kind: Kind of change that it assumes (`change`), 0 for none.
         innovation: ε of the last sample, scaled.
         excitation: rᵀPr of the last sample.
     """
@@ -59,6 +60,7 @@ class Branch:
     origin_s: float = 0.0
     score: float = 0.0
     age: int = 0
+    kind: int = 0
     innovation: float = 0.0
     excitation: float = 0.0
 

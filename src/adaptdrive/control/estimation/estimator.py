@@ -12,7 +12,14 @@ from typing import Protocol
 
 from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import change, regression, rls
-from adaptdrive.control.estimation.bank import Bank, IncrementalModel, learn_branches, new_bank
+from adaptdrive.control.estimation.bank import (
+    Bank,
+    IncrementalModel,
+    charge_disturbance,
+    learn_branches,
+    new_bank,
+    restart,
+)
 from adaptdrive.control.estimation.branch import (
     Branch,
     Observation,
@@ -112,6 +119,7 @@ class EstimatorState:
         innovation: ε of the last sample, in the unit of the output.
         excitation: rᵀPr of the last sample.
         periods: Slow periods since start.
+        lost_periods: Slow periods in a row in which no load can be as `estimate` has it.
         charge: Integral of the output since start over τ_λ, scaled.
         detector: Detector of abrupt changes.
         bank: The branches; `estimate` is the most probable of them.
@@ -133,6 +141,7 @@ class EstimatorState:
     innovation: float = math.nan
     excitation: float = 0.0
     periods: int = 0
+    lost_periods: int = 0
     charge: float = 0.0
     unseen_periods: int = 0
 
@@ -180,6 +189,27 @@ def _open(estimate: Branch, learning: EstimatorSettings) -> None:
     if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
         expected = change.DISTURBANCE_SHARE * change.DISTURBANCE_SHARE / thresholds.NOISE_FLOOR
         diagonal[len(diagonal) - 1] = min(diagonal[len(diagonal) - 1], expected)
+
+
+def begin_anew(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
+    """Start from the nominal model again: an estimate that no load can have has lost its way.
+
+    It learnt a disturbance as dynamics before the load was known, and what surprises it is
+    explained by other disturbances ever since.
+
+    Args:
+        state: Overwritten; an incremental model that is in force goes on.
+        learning: Scales.
+        load: The nominal model.
+    """
+    own, numerator, denominator = state.estimate, list(load.numerator), list(load.denominator)
+    _open(own, learning)
+    vectors.copy_into(own.theta, state.method.theta_of(learning, load, numerator, denominator))
+    own.origin_s, own.score = state.sample.time_s, 0.0
+    state.bank.branches = [own]
+    state.detector.sum = 0.0
+    if not state.incremental.in_force:
+        restart(state.incremental)
 
 
 def start_from(
@@ -258,7 +288,9 @@ def learn_in_bank(state: EstimatorState, learning: EstimatorSettings, load: Load
     own = state.estimate = state.bank.estimate
     state.excitation = own.excitation
     state.innovation = own.innovation * learning.output_scale
-    if another:  # what the one before could not explain is no noise
+    if another:
+        charge_disturbance(state.incremental, own)
+        # what the one before could not explain is no noise
         usual = change.noise_power(detector, state.sample.rounding) * state.residual_weight
         state.residual_power = min(state.residual_power, usual)
     if own.excitation > learning.gate * (1.0 - rho):

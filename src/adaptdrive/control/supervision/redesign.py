@@ -8,7 +8,8 @@ import math
 from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.design import pole_placement
 from adaptdrive.control.design.noise import detuned_loop, fast_loop, noise_gain
-from adaptdrive.control.estimation import methods
+from adaptdrive.control.estimation import methods, regression
+from adaptdrive.control.estimation.estimator import begin_anew
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
@@ -21,6 +22,7 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
     """Judge the estimate and, if it is trusted, make gains of it."""
     gains = [0.0] * len(state.adaptive_gains)
     verdict = _redesign(settings, load, state, sample, gains)
+    _look_for_a_way_back(settings, load, state)
     periods = state.estimator.periods
     state.accepted = supervisor.take_verdict(
         state.supervisor, verdict, settings.supervision, periods, state.adaptive
@@ -45,6 +47,21 @@ def _is_recalled(settings: ControllerSettings, state: SlowState, verdict: int) -
     state.recalled = state.recalled and unchanged and possible
     state.supervisor.trusted = state.supervisor.trusted or state.recalled
     return state.recalled
+
+
+def _look_for_a_way_back(settings: ControllerSettings, load: Load, state: SlowState) -> None:
+    """Let an estimate that cannot be right for as long as it remembers begin anew."""
+    estimator, learning = state.estimator, settings.learning
+    if not (learning.alert and estimator.method.physical):
+        return
+    numerator, denominator = regression.filtered_model(estimator.estimate.theta, learning, load)
+    values = load.physical(numerator, denominator)
+    limits = settings.supervision
+    possible = supervisor.is_possible(values, state.nominal, denominator, limits)
+    estimator.lost_periods = 0 if possible else estimator.lost_periods + 1
+    if estimator.lost_periods > thresholds.MEMORY:
+        estimator.lost_periods = 0
+        begin_anew(estimator, learning, load)
 
 
 def _take_loop(load: Load, state: SlowState, pole: float) -> None:
