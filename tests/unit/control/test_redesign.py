@@ -141,6 +141,43 @@ def test_noise_of_the_output_makes_the_poles_slower(noise: float, rounding: floa
     assert distance(found, expected.tolist()) < 0.02
 
 
+def lost(state: SlowState, periods: int) -> list[int]:
+    """Count of the periods in which the estimate was none of a load."""
+    counts = []
+    for _ in range(periods):
+        adapted(state)
+        counts.append(state.estimator.lost_periods)
+    return counts
+
+
+@pytest.mark.parametrize("swings", [False, True])
+def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods(swings: bool) -> None:
+    """An incremental model that is in force goes on; one that is not begins with the estimate."""
+    state = known(30.0)
+    estimator = state.estimator
+    estimator.sample.time_s, estimator.estimate.theta[5] = 500.0, 0.7
+    estimator.detector.sum, estimator.incremental.samples = 3.0, 9
+    estimator.incremental.in_force = swings
+    estimator.incremental.branch.theta[:] = known(2.0).estimator.estimate.theta
+    before = list(estimator.estimate.theta)
+    assert lost(state, 60) == list(range(1, 61))
+    assert estimator.estimate.theta == before
+    assert lost(state, 1) == [0]
+    assert estimator.estimate.theta == pytest.approx([*state.nominal_theta])
+    assert estimator.estimate.diagonal == [LEARNING.initial_covariance] * 6
+    assert estimator.estimate.origin_s == 500.0
+    assert estimator.bank.branches == [estimator.estimate]
+    assert estimator.detector.sum == 0.0
+    assert estimator.incremental.samples == (9 if swings else 0)
+
+
+def test_only_periods_in_a_row_with_an_impossible_load_count() -> None:
+    state = known(30.0)
+    lost(state, 30)
+    state.estimator.estimate.theta[:] = known(2.0).estimator.estimate.theta
+    assert lost(state, 1) == [0]
+
+
 def test_a_loop_that_is_asked_to_grow_is_refused() -> None:
     state = known()
     redesign.adapt(CAREFUL, MOTOR, state, replace(AT_REST, pole=1.02))

@@ -26,7 +26,8 @@ rests. Which of the two describes the drive is seen from how well they predict:
     Λ <- (1 - 1/60) Λ + l - l_w      l = 1/2 (ln s² + min(ε²/s², 12))
 
 with s² = σ² (1 + rᵀPr/ρ) and σ² from the median of ε² ρ/(ρ + rᵀPr), so that a sudden change, which
-the bank deals with, counts little. The incremental model is in force from Λ > 20 to Λ < 0.
+the bank deals with, counts little. A bias that rests pays the odds against each disturbance that
+the bank has to assume. The incremental model is in force from Λ > 20 to Λ < 0.
 """
 
 import math
