@@ -41,6 +41,12 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
+def test_a_number_that_nobody_could_write_out_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = written(tmp_path, SOUND + 'BA_DEF_ SG_ "Start" INT 0 -1e999100;\n')
+    with pytest.raises(ConfigurationError, match="line 5: -1e999100 is too large a number"):
+        read_dbc(path)
+
+
 @pytest.mark.parametrize("flaw", FLAWS)
 def test_a_flaw_of_a_dbc_is_a_remark_with_its_line(tmp_path: Path, flaw: str) -> None:
     database, remarks = read_dbc(written(tmp_path, SOUND + FLAWS[flaw]))

@@ -23,6 +23,8 @@ from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 _NIBBLE_BITS = 4
 
 _UNREADABLE = re.compile(r"Invalid syntax at line (\d+)")
+_ENDLESS = re.compile(r"(?<![\w.])-?[\d.]+[eE][+-]?\d{4,}(?!\w)")
+"""A number beyond any float: the parser would write a whole one out, digit by digit."""
 _MOST_LEFT_OUT = 20
 """Lines that cannot be read, of a file that is a DBC nevertheless."""
 
@@ -116,6 +118,9 @@ def _ranged(
 def _described(text: str) -> Description:
     """Return what the parser finds; a line that it cannot read is left out."""
     whole = layout.mended(text)
+    for index, content in enumerate(whole.lines):
+        if endless := _ENDLESS.search(content):
+            raise ValueError(f"line {index + 1}: {endless[0]} is too large a number")
     for _ in range(_MOST_LEFT_OUT):
         database = Database(strict=False)
         try:
