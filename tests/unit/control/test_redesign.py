@@ -171,6 +171,13 @@ def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods(swing
     assert estimator.incremental.samples == (9 if swings else 0)
 
 
+def test_an_estimate_without_a_gain_at_rest_is_none_of_a_load() -> None:
+    """1 + α_1 + α_2 = 0 is a pole at s = 0: there are no parameters to compare."""
+    state = known()
+    state.estimator.estimate.theta[0], state.estimator.estimate.theta[1] = -1.0, 0.0
+    assert lost(state, 2) == [1, 2]
+
+
 def test_only_periods_in_a_row_with_an_impossible_load_count() -> None:
     state = known(30.0)
     lost(state, 30)

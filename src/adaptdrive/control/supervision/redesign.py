@@ -54,10 +54,11 @@ def _look_for_a_way_back(settings: ControllerSettings, load: Load, state: SlowSt
     estimator, learning = state.estimator, settings.learning
     if not (learning.alert and estimator.method.physical):
         return
-    numerator, denominator = regression.filtered_model(estimator.estimate.theta, learning, load)
-    values = load.physical(numerator, denominator)
-    limits = settings.supervision
-    possible = supervisor.is_possible(values, state.nominal, denominator, limits)
+    model = regression.filtered_model(estimator.estimate.theta, learning, load)
+    verdict = _judge_parameters(
+        settings, load, state.nominal, model, list(state.values), supervisor.SupervisorState()
+    )
+    possible = verdict == supervisor.Verdict.TRUSTED
     estimator.lost_periods = 0 if possible else estimator.lost_periods + 1
     if estimator.lost_periods > thresholds.MEMORY:
         estimator.lost_periods = 0
@@ -158,6 +159,35 @@ def _spread(load: Load, state: SlowState, gains: Vector, loop: Vector, pole: flo
     )
 
 
+def _judge_parameters(
+    settings: ControllerSettings,
+    load: Load,
+    nominal: Vector,
+    model: tuple[Vector, Vector],
+    values: Vector,
+    memory: supervisor.SupervisorState,
+) -> int:
+    """Check whether a load can have a model in s: with a dc gain, within its bounds, damped.
+
+    Args:
+        settings: Limits of the supervisor.
+        load: The meaning of the parameters.
+        nominal: Nominal parameters.
+        model: Numerator and denominator, highest power first.
+        values: Parameters of the model, overwritten where it has a dc gain.
+        memory: Index of the parameter that is out of bounds, overwritten.
+    """
+    numerator, denominator = model
+    verdict = supervisor.judge_model(numerator, denominator)
+    if verdict != supervisor.Verdict.TRUSTED:
+        return verdict
+    vectors.copy_into(values, load.physical(numerator, denominator))
+    verdict = supervisor.judge_bounds(values, nominal, settings.supervision, memory)
+    if verdict != supervisor.Verdict.TRUSTED:
+        return verdict
+    return supervisor.judge_damping(denominator, settings.supervision)
+
+
 def judge_physical(
     settings: ControllerSettings,
     load: Load,
@@ -179,15 +209,10 @@ def judge_physical(
     Returns:
         A and B of the discrete model, and the verdict; the polynomials count only if trusted.
     """
-    verdict = supervisor.judge_model(numerator, denominator)
-    if verdict != supervisor.Verdict.TRUSTED:
-        return denominator, numerator, verdict
-    vectors.copy_into(state.values, load.physical(numerator, denominator))
-    verdict = supervisor.judge_bounds(
-        state.values, state.nominal, settings.supervision, state.supervisor
+    model = numerator, denominator
+    verdict = _judge_parameters(
+        settings, load, state.nominal, model, state.values, state.supervisor
     )
-    if verdict == supervisor.Verdict.TRUSTED:
-        verdict = supervisor.judge_damping(denominator, settings.supervision)
     if verdict == supervisor.Verdict.TRUSTED:
         verdict = supervisor.judge_residual(state.supervisor, settings.supervision)
     if verdict != supervisor.Verdict.TRUSTED:

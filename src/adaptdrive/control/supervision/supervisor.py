@@ -97,22 +97,6 @@ def judge_damping(denominator: Vector, supervision: SupervisionLimits) -> int:
     return Verdict.TRUSTED if damped else Verdict.UNDERDAMPED
 
 
-def is_possible(
-    values: Vector, nominal: Vector, denominator: Vector, supervision: SupervisionLimits
-) -> bool:
-    """Return whether a load can be like this: within its bounds, and damped.
-
-    Args:
-        values: Physical parameters.
-        nominal: Nominal ones.
-        denominator: Of the model in s.
-        supervision: Limits.
-    """
-    low, high = supervision.ratio_min, supervision.ratio_max
-    within = all(low <= values[i] / nominal[i] <= high for i in range(len(values)))
-    return within and judge_damping(denominator, supervision) == Verdict.TRUSTED
-
-
 def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
     """Remember how well the estimate and the nominal model predicted this sample.
 
