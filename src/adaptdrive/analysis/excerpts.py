@@ -260,6 +260,3 @@ def disturbed_plant(load: IdentifiedLoad, structure: Load, stretch: Stretch) -> 
     simulated = [plant.step(volt, stretch.period_s)[0] for volt in means.tolist()]
     made.disturbance = output - np.array(simulated)
     return made
-
-
-# Quality of control over a record: steps of the set-point, error, effort.

@@ -67,6 +67,16 @@ def fill_sample(
     regression.fill_lowered_regressor(state.sample.lowered, learning, load, y, outputs, inputs)
 
 
+WATCHED = replace(
+    SCALED_LEARNING,
+    forgetting=0.985,
+    initial_covariance=1e8,
+    bias=True,
+    alert=True,
+    initial_state=True,
+)
+"""A motor whose abrupt changes are explained."""
+
 R, TAU_s = 0.021, 500.0
 BATH = bath_load(R, TAU_s, 0.25, 1.0, 7.87)
 BATH_TICK_s, BATH_TICKS = 0.5, 40

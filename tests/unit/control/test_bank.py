@@ -17,19 +17,11 @@ from adaptdrive.control.estimation.branch import Observation, predict_sample
 from adaptdrive.control.estimation.change import ChangeDetector
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import theta_of
-from tests.integration.closed_loop.bench import MOTOR, SCALED_LEARNING
-from tests.unit.control.learning import fill_sample
+from tests.integration.closed_loop.bench import MOTOR
+from tests.unit.control.learning import WATCHED, fill_sample
 from tests.unit.control.systems import Array
 
-LEARNING = replace(
-    SCALED_LEARNING,
-    forgetting=0.985,
-    initial_covariance=1e8,
-    bias=True,
-    alert=True,
-    initial_state=True,
-    settle_periods=5,
-)
+LEARNING = replace(WATCHED, settle_periods=5)
 STEP_s, TAU_s, STEPS = 0.02, 10.0, 50
 CHANGE_s, END_s = 200, 320
 NOISE = 3e-4

@@ -13,19 +13,11 @@ from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.uncertainty import is_doubtful
 from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from tests.integration.closed_loop.bench import MOTOR, SCALED_LEARNING, TICKS, TICK_s
-from tests.unit.control.learning import learn_course
+from tests.integration.closed_loop.bench import MOTOR, TICKS, TICK_s
+from tests.unit.control.learning import WATCHED, learn_course
 from tests.unit.control.systems import Array
 
-LEARNING = replace(
-    SCALED_LEARNING,
-    forgetting=0.985,
-    initial_covariance=1e8,
-    bias=True,
-    alert=True,
-    initial_state=True,
-    settle_periods=30,
-)
+LEARNING = replace(WATCHED, settle_periods=30)
 TURNS, DROOP_Ohm = 0.25, 1.0
 CHANGE_s, REST_s = 330, 420
 TRUTH = {1: (0.011, 21.7, 117.0), 3: (0.011, 45.1, 351.0)}

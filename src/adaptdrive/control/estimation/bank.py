@@ -43,6 +43,7 @@ from adaptdrive.control.estimation.branch import (
     new_branch,
     predict_sample,
     squared_error,
+    teaches,
     widen_last,
 )
 from adaptdrive.control.estimation.regression import fill_initial_state
@@ -108,11 +109,11 @@ def learn_branches(
         one.score += _likelihood(one, power, learning.forgetting)
         one.age += 1
     best = _most_probable(bank)
-    if change.is_change(detector, squared_error(best, learning.forgetting), sample.rounding):
+    if change.is_change(detector, squared_error(best, learning.forgetting), power):
         bank.point.power, bank.point.gap_s = power, sample.time_s - bank.point.time_s
         _split(bank, best, learning, load, sample)
     for one in bank.branches:
-        if _teaches(one, learning):
+        if teaches(one, learning):
             fill_initial_state(sample.regressor, learning, load, sample.time_s - one.origin_s)
             learn_sample(one, sample, learning, learning.gate)
     another = _choose(bank)
@@ -126,11 +127,6 @@ def _likelihood(branch: Branch, power: float, forgetting: float) -> float:
     """Return the logarithm of the likelihood of the last prediction, up to a constant."""
     squared = squared_error(branch, forgetting) / power
     return -0.5 * (math.log(1.0 + branch.excitation / forgetting) + min(squared, _OUTLIER))
-
-
-def _teaches(branch: Branch, learning: EstimatorSettings) -> bool:
-    """Return whether a sample shows more than what is forgotten with it."""
-    return branch.excitation > learning.gate * (1.0 - learning.forgetting)
 
 
 def _most_probable(bank: Bank) -> Branch:
@@ -267,9 +263,8 @@ def follow_incremental(
     squared = rls.normalised(estimate.excitation, estimate.innovation, rho)
     predict_sample(branch, learning, load, sample)
     own = squared_error(branch, rho)
-    least = max(
-        thresholds.NOISE_FLOOR, sample.rounding**2
-    )  # below it better predictions show nothing
+    # below it better predictions show nothing
+    least = max(thresholds.NOISE_FLOOR, sample.rounding**2)
     incremental.samples += 1
     if incremental.samples > thresholds.WINDOW:
         gain = _loss(squared, estimate.excitation / rho, incremental.other, least)
@@ -311,6 +306,5 @@ def _loss(squared: float, excitation: float, power: float, least: float) -> floa
     """Return l: minus the logarithm of the likelihood of a sample, up to a constant."""
     spread = 1.0 + excitation
     variance = max(least, power * spread)
-    return 0.5 * (
-        math.log(variance) + min(squared * spread / variance, change.DRIFT + change.THRESHOLD)
-    )
+    ratio = min(squared * spread / variance, change.DRIFT + change.THRESHOLD)
+    return 0.5 * (math.log(variance) + ratio)

@@ -105,6 +105,11 @@ def squared_error(branch: Branch, forgetting: float) -> float:
     return branch.innovation * branch.innovation * (forgetting / (forgetting + branch.excitation))
 
 
+def teaches(branch: Branch, learning: settings.EstimatorSettings) -> bool:
+    """Return whether the last predicted sample shows more than what is forgotten with it."""
+    return branch.excitation > learning.gate * (1.0 - learning.forgetting)
+
+
 def widen_last(branch: Branch, variance: float) -> None:
     """Widen P along the last parameter, the bias."""
     direction = vectors.unit(len(branch.theta), len(branch.theta) - 1)

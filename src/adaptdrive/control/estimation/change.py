@@ -85,19 +85,19 @@ def noise_power(state: ChangeDetector, rounding: float) -> float:
     return max(thresholds.NOISE_FLOOR, state.power, rounding * rounding)
 
 
-def is_change(state: ChangeDetector, squared: float, rounding: float) -> bool:
+def is_change(state: ChangeDetector, squared: float, power: float) -> bool:
     """Return whether the load has just changed.
 
     Args:
         state: Overwritten.
         squared: ε² ρ / (ρ + rᵀPr), scaled.
-        rounding: Standard deviation of the rounding error of the output, scaled.
+        power: σ² of this sample, from `noise_power`.
     """
     state.samples += 1
     if state.samples <= thresholds.WINDOW:
         state.power = max(thresholds.NOISE_FLOOR, state.noise)
         return False
-    ratio = squared / noise_power(state, rounding)
+    ratio = squared / power
     state.power = max(thresholds.NOISE_FLOOR, move_median(state.power, squared, _SLOW_RATE))
     state.sum = max(0.0, state.sum + ratio - DRIFT)
     if state.sum <= THRESHOLD:

@@ -25,6 +25,7 @@ from adaptdrive.control.estimation.branch import (
     Observation,
     new_branch,
     predict,
+    teaches,
 )
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
@@ -109,7 +110,6 @@ class EstimatorState:
 
     Attributes:
         method: What is learnt, and from which signals.
-        estimate: θ and P, of a bias that rests.
         opened: The estimate in force, with what the load may have become.
         sample: The last sample.
         residual_power: Forgetting sum of squared normalised innovations.
@@ -122,13 +122,12 @@ class EstimatorState:
         lost_periods: Slow periods in a row in which no load can be as `estimate` has it.
         charge: Integral of the output since start over τ_λ, scaled.
         detector: Detector of abrupt changes.
-        bank: The branches; `estimate` is the most probable of them.
+        bank: The branches, of a bias that rests.
         unseen_periods: Slow periods since a sample that would have shown another load.
         incremental: A second estimate, whose bias walks.
     """
 
     method: Method
-    estimate: Branch
     opened: Branch
     sample: Observation
     detector: change.ChangeDetector
@@ -145,20 +144,23 @@ class EstimatorState:
     charge: float = 0.0
     unseen_periods: int = 0
 
+    @property
+    def estimate(self) -> Branch:
+        """Return θ and P of a bias that rests: the branch of the bank that is believed."""
+        return self.bank.estimate
+
 
 def new_estimator(
     method: Method, learning: EstimatorSettings, load: Load, taps: int
 ) -> EstimatorState:
     """Return an estimator without data, which starts from zero or from the nominal model."""
     count = method.parameter_count(learning, load, taps)
-    bank = new_bank(count)
     state = EstimatorState(
         method,
-        bank.estimate,
         new_branch(count),
         Observation([0.0] * count, [0.0] * count),
         change.ChangeDetector(),
-        bank,
+        new_bank(count),
         IncrementalModel(new_branch(count)),
     )
     _open(state.estimate, learning)
@@ -268,7 +270,7 @@ def take_in(state: EstimatorState, learning: EstimatorSettings) -> None:
         learning: Forgetting and gates.
     """
     own, sample, rho = state.estimate, state.sample, learning.forgetting
-    if vectors.lacks(own.excitation, learning.gate * (1.0 - rho)):
+    if not teaches(own, learning):
         return
     theta, upper, diagonal = own.theta, own.upper, own.diagonal
     rls.update(theta, upper, diagonal, sample.regressor, sample.target, rho)
@@ -285,7 +287,7 @@ def learn_in_bank(state: EstimatorState, learning: EstimatorSettings, load: Load
     """
     detector, rho = state.detector, learning.forgetting
     another = learn_branches(state.bank, detector, learning, load, state.sample)
-    own = state.estimate = state.bank.estimate
+    own = state.estimate
     state.excitation = own.excitation
     state.innovation = own.innovation * learning.output_scale
     if another:
@@ -293,7 +295,7 @@ def learn_in_bank(state: EstimatorState, learning: EstimatorSettings, load: Load
         # what the one before could not explain is no noise
         usual = change.noise_power(detector, state.sample.rounding) * state.residual_weight
         state.residual_power = min(state.residual_power, usual)
-    if own.excitation > learning.gate * (1.0 - rho):
+    if teaches(own, learning):
         remember_residual(state, own, rho)
 
 

@@ -273,7 +273,8 @@ def _open_up(state: EstimatorState, learning: EstimatorSettings) -> None:
     """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
     own = state.estimate
     squared = rls.normalised(own.excitation, own.innovation, learning.forgetting)
-    if not change.is_change(state.detector, squared, state.sample.rounding):
+    power = change.noise_power(state.detector, state.sample.rounding)
+    if not change.is_change(state.detector, squared, power):
         return
     rls.open_up(own.upper, own.diagonal, learning.initial_covariance)
     branch.predict(own, state.sample)

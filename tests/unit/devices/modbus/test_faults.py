@@ -211,17 +211,17 @@ async def test_a_reply_that_repeats_another_write_confirms_no_stop(
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])
 async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(kind: str) -> None:
     async with watched(kind) as one:
-        complaints: list[str | None] = []
+        causes: list[str | None] = []
 
         def in_turn(pdu: bytes) -> bytes:
             if pdu[0] != 16:
                 return pdu
-            complaints.append(one.port.trip_cause)
-            return busy(pdu) if len(complaints) % 2 == 1 else nothing_written(pdu)
+            causes.append(one.port.trip_cause)
+            return busy(pdu) if len(causes) % 2 == 1 else nothing_written(pdu)
 
         one.peer.answer = in_turn
         await one.runs_until(lambda: one.port.trip_cause is not None)
-        assert complaints.count(None) <= 6
+        assert causes.count(None) <= 6
         make(one.peer, HEALTHY)
         await one.runs_until(lambda: one.port.trip_cause is None)
 
