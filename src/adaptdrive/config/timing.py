@@ -85,17 +85,17 @@ class Timing:
         """Time in which a drive that nobody watches cannot have stopped by its own time-out."""
         return min(_SHORTEST_TIMEOUT_S, self.certain_s)
 
-    def hidden_s(self, lag_s: float) -> float:
+    def hidden_s(self, cycle_s: float) -> float:
         """Return how late a command may reach the bus without hiding a stop of the drive.
 
         Reports that come with each reading, and wait meanwhile, show a stop that was not due to the
         drive's own time-out; that time-out must be known.
 
         Args:
-            lag_s: Longest time from the report of the bridge to a reading with it, infinite where
-                no report waits.
+            cycle_s: Time from one report of the bridge to the next, infinite where it is not known
+                or no report waits.
         """
-        shown = self.command_timeout_s is not None and lag_s <= _LOST_READINGS * self.reading_s
+        shown = self.command_timeout_s is not None and cycle_s <= _LOST_READINGS * self.reading_s
         return self.certain_s if shown else self.unseen_s
 
     @property

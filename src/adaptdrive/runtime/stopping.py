@@ -35,8 +35,7 @@ class BridgeWatch:
         self._reading_s = timing.reading_s
         self._grace_s = timing.switched_on_s
         self._on_s = timing.unseen_s
-        self._hidden_s, self._queued = timing.hidden_s, queued
-        self._lag_s = 0.0
+        self._hidden_s = timing.hidden_s(cycle_s if queued else math.inf)
         self._gap_limit_s = timing.unwatched_s
         self._silent_limit_s = timing.silent_s
         self._mute_limit_s = timing.unreported_s(cycle_s)
@@ -74,7 +73,6 @@ class BridgeWatch:
         if unwatched_s > self._gap_limit_s:
             self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
         self._note_silence(reading, now_s)
-        self._lag_s = max(self._lag_s, reading.arrival_s - _bridge_report_s(reading))
         self._due_s = min(self._due_s, now_s) if commanded and due else math.inf
         if not commanded:
             self._rest(bridge=reading.bridge)
@@ -108,15 +106,14 @@ class BridgeWatch:
         Args:
             unwatched_s: Time from the last look until after that command.
         """
-        lag_s = self._lag_s if self._queued else math.inf
-        return self.must_report(unwatched_s) and unwatched_s > self._hidden_s(lag_s)
+        return self.must_report(unwatched_s) and unwatched_s > self._hidden_s
 
     def _rest(self, *, bridge: bool) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
         self._off_s, self._been_on, self._lingers = None, False, bridge
         self._bounced_s = None
         self._commanded_s = math.inf
-        self._gap_s = self._silent_s = self._lag_s = 0.0
+        self._gap_s = self._silent_s = 0.0
 
     def _note_on(self, reading: Reading) -> None:
         """Note a bridge that is on, by this command unless it still is by the one before."""

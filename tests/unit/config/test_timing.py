@@ -62,7 +62,7 @@ def test_how_long_the_report_of_the_bridge_may_be_missing(
 
 
 @pytest.mark.parametrize(
-    ("timeout_s", "lag_s", "limit_s"),
+    ("timeout_s", "cycle_s", "limit_s"),
     [
         (None, 0.0, 0.08),
         (1.0, 0.0, 0.8),
@@ -73,9 +73,9 @@ def test_how_long_the_report_of_the_bridge_may_be_missing(
     ],
 )
 def test_how_late_a_command_may_be_without_hiding_a_stop(
-    timeout_s: float | None, lag_s: float, limit_s: float
+    timeout_s: float | None, cycle_s: float, limit_s: float
 ) -> None:
-    assert replace(EACH, command_timeout_s=timeout_s).hidden_s(lag_s) == about(limit_s)
+    assert replace(EACH, command_timeout_s=timeout_s).hidden_s(cycle_s) == about(limit_s)
 
 
 @pytest.mark.parametrize(

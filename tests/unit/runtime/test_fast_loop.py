@@ -312,6 +312,15 @@ async def test_reports_that_waited_show_whether_a_drive_stopped_before_a_late_co
         assert bench.sent[-1].bridge is not (trips or stopped)
 
 
+async def test_a_report_that_came_late_once_does_not_void_those_that_wait() -> None:
+    async with running_bench(timed(stale_s=0.5, command_timeout_s=1.0), frames=10) as bench:
+        bench.frame(bridge=True, bridge_s=bench.around.now - 2.0 * TICK_S)
+        bench.frame(bridge=True)
+        bench.stand_still_in_next_command(0.4)
+        bench.frame()
+        assert bench.machine.energised
+
+
 async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
     """Its own cable was out for longer than its time-out; what clocks the readings still came."""
     async with running_bench(timed(stale_s=0.5), frames=10) as bench:
