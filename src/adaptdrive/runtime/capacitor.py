@@ -16,8 +16,9 @@ A command that was computed from frame n acts from frame n+1 to n+2. Three rules
   loses a share of it. More than that asks the report, and so does all of it where the report has
   stood still until the capacitor could be at its limit: the capacitor gets less than the load
   takes, and a report that does not move when it has to fall, or within 1 s, is frozen. It trips a
-  drive that runs. One that starts may not charge yet: it gets a small share of the energy up to the
-  limit in each half cycle, until the report rises or its time to start is over.
+  drive that runs. At the peak of the line v_bst cannot fall, and a drive that starts may not charge
+  yet: there a small share of the energy up to the limit in each half cycle asks the report, until
+  it rises, 1 s has passed, or the time to start is over.
 """
 
 import math
@@ -51,8 +52,11 @@ _VISIBLE_SHARE: Final = 0.02
 _PATIENCE_TICKS: Final = 120
 """Half cycles for a report that is asked while the load takes too little for that fall."""
 
+_AT_PEAK: Final = 2.0 * 1.02**2
+"""v_bst² over V_rms² up to which the rectifier may hold it at the peak of the line."""
+
 _TRICKLE_SHARE: Final = 0.005
-"""Share of the energy up to the limit that a drive which starts gets when it is asked."""
+"""Share of the energy up to the limit that a drive gets when it is asked for a rise."""
 
 _CYCLE_TICKS: Final = 3
 """Longest cycle of a report of v_bst; a slower one cannot close the voltage loop."""
@@ -157,9 +161,13 @@ class CapacitorBalance:
 
     def _asked_W(self) -> float:
         """Return the power that feeds the capacitor while the report is asked."""
-        if self._runs:
+        if self._has_to_fall():
             return _FED_SHARE * self._load_W
         return self._load_W + _TRICKLE_SHARE * self._standing_room_V2() / self._per_W
+
+    def _has_to_fall(self) -> bool:
+        """Return whether v_bst falls where the capacitor gets less than the load takes."""
+        return self._runs and self._reported_V2 > _AT_PEAK * self._line_V2
 
     def _standing_room_V2(self) -> float:
         """Return the rise up to the limit that is left if the report stands still wrongly."""
@@ -198,17 +206,16 @@ class CapacitorBalance:
         """Return the cause of a trip where a report that is asked does not move."""
         if math.isnan(self._asked_V2):
             return None
-        if not self._runs:
-            if self._reported_V2 > self._asked_V2:
-                self._asked_V2, self._unseen_V2 = math.nan, 0.0
-            else:
-                self._asked_V2 = self._reported_V2
-            return None
-        self._asked_ticks += ticks
-        self._fall_V2 += ticks * self._per_W * (1.0 - _FED_SHARE) * max(self._load_W, 0.0)
+        self._asked_ticks = self._asked_ticks + ticks if self._runs else 0
+        if self._has_to_fall():
+            self._fall_V2 += ticks * self._per_W * (1.0 - _FED_SHARE) * max(self._load_W, 0.0)
+            moved = abs(self._asked_V2 - self._reported_V2) > _MOVED_SHARE * self._fall_V2
+        else:
+            moved = self._reported_V2 > self._asked_V2
+            self._asked_V2 = self._reported_V2
         visible_V2 = 2.0 * _VISIBLE_SHARE * self._limits.highest_V * math.sqrt(self._asked_V2)
         patience = _ASKED_TICKS if self._fall_V2 > visible_V2 else _PATIENCE_TICKS
-        if abs(self._asked_V2 - self._reported_V2) > _MOVED_SHARE * self._fall_V2:
+        if moved:
             self._asked_V2, self._unseen_V2 = math.nan, 0.0
         elif self._asked_ticks >= patience:
             return (

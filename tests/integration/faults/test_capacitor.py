@@ -177,3 +177,29 @@ def test_a_drive_that_comes_on_late_is_charged_and_runs(late_ticks: int) -> None
 
     course.drive.world.step = late  # type: ignore[method-assign]
     assert course.begin(), course.daemon.trip
+
+
+@pytest.mark.parametrize("lost_ticks", [5, 20, 40, 80])
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_a_capacitor_that_has_fallen_to_the_peak_of_the_line_is_charged_again(
+    lost_ticks: int, share: float
+) -> None:
+    """There v_bst cannot fall any further, whatever asks its report."""
+    course = Course("motor, CAN", 1)
+    course.drive.world.boost.settle(170.0, 0.0)
+    assert course.begin(), course.daemon.trip
+    low, high = course.reach
+    course.daemon.accepts(SetSetpoint(low + share * (high - low)))
+    step, left = course.drive.world.step, [lost_ticks]
+
+    def lost(_: float, bridge: bool) -> Sample:
+        left[0] -= 1
+        return step(0.0, bridge)
+
+    course.drive.world.step = lost  # type: ignore[method-assign]
+    while left[0] > 0:
+        course.half_cycle()
+    course.drive.world.step = step  # type: ignore[method-assign]
+    course.run(5.0)
+    assert course.daemon.state is State.RUNNING, course.daemon.trip
+    assert course.drive.world.boost.voltage_V > 200.0
