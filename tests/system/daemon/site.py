@@ -51,6 +51,7 @@ PATIENT = {
     "interlocks.stop_s": "5.0",
     "interlocks.precharge_timeout_s": "60.0",
     "bus.command_timeout_s": "5.0",
+    "voltage_loop.where": '"drive"',
 }
 """The longest limits that a file may state: a machine that is busy with others trips no drive."""
 
@@ -60,6 +61,7 @@ QUICK_MOTOR = {
     "load.model.tau_motor_s": "2.925",
     "load.model.tau_filter_s": "2.5",
     "estimator.tau_lambda_s": "2.5",
+    "estimator.settle_s": "7.5",
 }
 """The motor of the example with a quarter of its inertia, controlled four times as fast."""
 

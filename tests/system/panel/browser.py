@@ -17,12 +17,14 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from tests.support import MosquittoLauncher, free_port
 from tests.system.access.broker import PEOPLE, SHIPPED, password
-from tests.system.daemon.site import PATIENT, Site
+from tests.system.daemon.site import PATIENT, QUICK_MOTOR, Site
 
 PANEL = Path(__file__).parents[3] / "src" / "adaptdrive" / "panel"
 PATIENCE_MS = 120_000
 SETTINGS = {
     **PATIENT,
+    **QUICK_MOTOR,
+    "estimator.settle_s": "1.0",
     "supervisor.warm_up_s": "4.0",
     "supervisor.dwell_periods": "1",
 }
