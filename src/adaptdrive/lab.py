@@ -224,9 +224,9 @@ class Drive:
         return await self.command("pole", pole)
 
     async def set_waveform(
-        self, shape: str, low: float, high: float, period_s: float, *, preview: bool = False
+        self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
     ) -> Reply:
-        """Follow a periodic set-point."""
+        """Follow a periodic set-point; V_c moves before edges beyond its limits with `preview`."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
         return await self.command("waveform", value, preview=preview)
 

@@ -39,7 +39,7 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     period: Number | None = None,
     /,
     *,
-    preview: bool = False,
+    preview: bool = True,
     contact: Contact = _HERE,
 ) -> int:
     """Follow a periodic set-point, or stop following it.

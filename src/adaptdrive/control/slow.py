@@ -121,8 +121,9 @@ def _look_ahead(
 ) -> float:
     """Return m[k] of the preview, NaN for that of the law.
 
-    There is none without knowledge of what comes, without the adaptive law alone in force, with the
-    paper's design, and with a battery, whose set-point is a limit.
+    There is none without knowledge of what comes, without the adaptive law alone in force, while
+    the present estimate is refused (its samples contradict the model that would look ahead), with
+    the paper's design, and with a battery, whose set-point is a limit.
 
     Args:
         settings: The design, and the limits of the law.
@@ -133,7 +134,8 @@ def _look_ahead(
         lead: d.
     """
     alone = state.blend >= 1.0 and sample.adaptive and load.charging is None
-    if len(sample.upcoming) == 0 or not (alone and settings.exact):
+    known = len(sample.upcoming) > 0 and state.supervisor.verdict == supervisor.Verdict.TRUSTED
+    if not (known and alone and settings.exact):
         rest(state.preview, state.reference_filter.course)
         return math.nan
     references = led_references(reference, state.reference, sample.upcoming, lead)

@@ -36,12 +36,12 @@ class SetWaveform(Request):
 
     Attributes:
         value: The set-point.
-        preview: Whether the controller may know what comes.
+        preview: Whether the controller may move before what comes.
     """
 
     verb = "waveform"
     value: Waveform | None
-    preview: bool = False
+    preview: bool = True
 
 
 @dataclass(frozen=True, slots=True)
