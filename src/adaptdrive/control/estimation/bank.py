@@ -260,7 +260,7 @@ def follow_incremental(
     branch, rho = incremental.branch, learning.forgetting
     if incremental.samples == 0:
         copy_estimate(branch, estimate)
-    squared = rls.normalised(estimate.excitation, estimate.innovation, rho)
+    squared = squared_error(estimate, rho)
     predict_sample(branch, learning, load, sample)
     own = squared_error(branch, rho)
     # below it better predictions show nothing

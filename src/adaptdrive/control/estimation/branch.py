@@ -101,7 +101,7 @@ def predict_sample(
 
 
 def squared_error(branch: Branch, forgetting: float) -> float:
-    """Return ε² ρ/(ρ + rᵀPr) of the last prediction."""
+    """Return ε² ρ/(ρ + rᵀPr): ε² of the last prediction less what the uncertainty of θ adds."""
     return branch.innovation * branch.innovation * (forgetting / (forgetting + branch.excitation))
 
 

@@ -25,6 +25,7 @@ from adaptdrive.control.estimation.branch import (
     Observation,
     new_branch,
     predict,
+    squared_error,
     teaches,
 )
 from adaptdrive.control.loads.load import Load
@@ -325,7 +326,7 @@ def _wander(branch: Branch, rise: float, bias: float) -> None:
 
 def remember_residual(state: EstimatorState, branch: Branch, forgetting: float) -> None:
     """Add the innovation of a branch to the forgetting sums from which σ follows."""
-    power = rls.normalised(branch.excitation, branch.innovation, forgetting)
+    power = squared_error(branch, forgetting)
     state.residual_power = forgetting * state.residual_power + power
     state.residual_weight = forgetting * state.residual_weight + 1.0
     own = math.copysign(math.sqrt(max(0.0, power)), branch.innovation)

@@ -272,7 +272,7 @@ def _input_count(parameters: Vector, learning: EstimatorSettings, load: Load) ->
 def _open_up(state: EstimatorState, learning: EstimatorSettings) -> None:
     """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
     own = state.estimate
-    squared = rls.normalised(own.excitation, own.innovation, learning.forgetting)
+    squared = branch.squared_error(own, learning.forgetting)
     power = change.noise_power(state.detector, state.sample.rounding)
     if not change.is_change(state.detector, squared, power):
         return

@@ -12,8 +12,6 @@ with P kept as U D Uᵀ (`ud_factors`). Forgetting stops to inflate D at a ceili
 finite without excitation.
 """
 
-import math
-
 from adaptdrive.control.vectors import Vector, copy_into, dot, identity, unit
 
 # A covariance P in the factored form U D Uᵀ, and what is done to it in that form.
@@ -196,18 +194,6 @@ def covariance(upper: Vector, diagonal: Vector) -> Vector:
     return result
 
 
-def standard_deviation(jacobian: Vector, upper: Vector, diagonal: Vector, noise: float) -> float:
-    """Standard deviation of a quantity that depends on θ: sqrt(σ² Jᵀ P J).
-
-    Args:
-        jacobian: Derivatives of the quantity by each parameter.
-        upper: U.
-        diagonal: D.
-        noise: σ, standard deviation of the innovation of a settled estimate.
-    """
-    return noise * math.sqrt(max(0.0, excitation(upper, diagonal, jacobian)))
-
-
 # Recursive least squares with exponential forgetting, in factored form.
 
 COVARIANCE_CEILING = 1.0e12
@@ -230,11 +216,6 @@ def reset(theta: Vector, upper: Vector, diagonal: Vector, covariance: float) -> 
 def predict(theta: Vector, regressor: Vector) -> float:
     """rᵀθ."""
     return dot(theta, regressor)
-
-
-def normalised(excitation: float, innovation: float, forgetting: float) -> float:
-    """Return ε² ρ/(ρ + rᵀPr): ε² without the share that the uncertainty of θ has in it."""
-    return innovation * innovation * forgetting / (forgetting + excitation)
 
 
 def update(

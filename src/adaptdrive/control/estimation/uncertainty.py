@@ -13,7 +13,7 @@ import math
 
 from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import bank, change, regression, rls
-from adaptdrive.control.estimation.branch import Branch, copy_estimate
+from adaptdrive.control.estimation.branch import Branch, copy_estimate, squared_error
 from adaptdrive.control.estimation.estimator import EstimatorState
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
@@ -36,8 +36,7 @@ def in_force(state: EstimatorState) -> Branch:
 
 def own_residual(state: EstimatorState, learning: EstimatorSettings) -> float:
     """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
-    innovation = state.innovation / learning.output_scale
-    return rls.normalised(state.excitation, innovation, learning.forgetting)
+    return squared_error(in_force(state), learning.forgetting)
 
 
 def residual_noise(state: EstimatorState) -> float:
@@ -103,14 +102,8 @@ def deviations_of(
         load: Names and meaning of the parameters.
         values: The parameters at θ.
     """
-    count, rows = len(branch.theta), _jacobian(branch.theta, learning, load, values)
-    deviations = [math.nan] * len(values)
-    if not math.isfinite(rows[0]):
-        return deviations
-    for i in range(len(values)):
-        row = rows[i * count : (i + 1) * count]
-        deviations[i] = rls.standard_deviation(row, branch.upper, branch.diagonal, noise)
-    return deviations
+    size, root = len(values), root_of(branch, noise, learning, load, values)
+    return [math.hypot(*root[i * size : (i + 1) * size]) for i in range(size)]
 
 
 def root_of(
