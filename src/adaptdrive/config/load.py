@@ -286,7 +286,7 @@ class Supervisor(section.Section):
     """largest prediction error over the nominal model's; 0: any"""
     confidence: section.NonNegativeFloat = 2.0
     """standard deviations of an estimate within which its gains must keep the loop stable; 0: not
-    checked, nor with the last trusted estimate"""
+    checked"""
     dwell_periods: int = section.key(7, span=(1, 10_000))
     """good estimates in a row before the first goes live"""
     patience_periods: int = section.key(0, span=(0, 10_000))

@@ -129,7 +129,7 @@ class SupervisionLimits:
         noise_max: Largest standard deviation of the input that noise of the output may cause, in
             the unit of the input.
         confidence: Standard deviations by which the estimate may be wrong without new gains
-            becoming unstable; with 0 the last trusted model is not tried either.
+            becoming unstable.
     """
 
     warm_up_periods: int

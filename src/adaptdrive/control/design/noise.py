@@ -21,7 +21,7 @@ Control Theory, 1970, section 5.2): with a, b of degree n, the recursion
 adds b_k β to it in each step, and b_0²/a_0 at the end, for a_0 = 1 at the start.
 
 The response to the reference is that of the poles asked for, whatever the poles of the feedback are
-(`reference_model`). These decide how soon a disturbance is corrected, and at what cost: noise of
+(`reference`). These decide how soon a disturbance is corrected, and at what cost: noise of
 the output reaches the input through the loop, and a wrong model makes a fast loop unstable sooner
 than a slow one. Two laws share one history of inputs, outputs and course:
 
@@ -56,7 +56,7 @@ _BOTH = 2.0
 """Slowness at which the observer poles and the asked poles are at their limits."""
 
 _HALVINGS = 6
-"""Halvings of the way to the slowest poles, until the observer pole is found within 0.03."""
+"""Halvings of the way to the slowest poles, and to the fastest: found within 0.03 and 0.01."""
 
 
 def detuned_loop(
@@ -168,9 +168,6 @@ _FREQUENCIES = 40
 
 _NEXT = 0.875
 """Each frequency over the one before."""
-
-
-"""Halvings of the way to half the pole asked for, until the fastest is found within 0.01."""
 
 
 def fast_loop(

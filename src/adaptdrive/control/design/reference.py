@@ -19,7 +19,7 @@ by the method of active limits (J. Nocedal and S. J. Wright, Numerical Optimizat
 first limit. Where they have reached it, the one that pulls most from its limit is let go. Each step
 is exact, and none leaves the limits or makes the function larger; the steps are bounded.
 
-The response asked for is B/B(1) m*, m* = A_m(1)/A_m r' (`reference_model`). It needs the input
+The response asked for is B/B(1) m*, m* = A_m(1)/A_m r'. It needs the input
 
     u* = A/B(1) m* + f        f: what the feedback adds, for a load torque or an error of the model
 
@@ -72,7 +72,7 @@ def filter_reference(state: ReferenceFilter, reference: float, planned: float = 
     Args:
         state: Overwritten.
         reference: r'[k].
-        planned: m[k] where it is planned (`preview`), else NaN.
+        planned: m[k] where it is planned (`plan`), else NaN.
     """
     if vectors.total(state.loop) == 0.0 or not vectors.all_finite(state.course):
         vectors.copy_into(state.course, [reference] * len(state.course))

@@ -8,7 +8,7 @@ The algorithm (3),
 
     ε = y - rᵀθ        g = P r / (ρ + rᵀ P r)        θ <- θ + g ε        P <- (P - g rᵀ P) / ρ
 
-with P kept as U D Uᵀ (`ud_factors`). Forgetting stops to inflate D at a ceiling, so that P stays
+with P kept as U D Uᵀ. Forgetting stops to inflate D at a ceiling, so that P stays
 finite without excitation.
 """
 
@@ -297,7 +297,7 @@ def update_beside(
     others, d. What the sample says of d is forgotten directionally in the density of d alone, and
     that of w for a given d stays: with C the covariance of w for a given d and c = r_wᵀ C r_w, P
     is widened along P r - C r_w so that x = rᵀPr - c becomes x/ρ. A sample with
-    x ≤ gate · (1 - ρ) (1 + c), which hardly shows d, moves w alone.
+    x ≤ min(1/2, gate · (1 - ρ)) (1 + c), which hardly shows d, moves w alone.
 
     Args:
         theta: θ, n entries, overwritten.

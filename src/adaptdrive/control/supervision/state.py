@@ -65,7 +65,7 @@ class SlowState:
         charge: The charger of a battery.
         reference: r[k-1].
         nominal_theta: θ of the nominal model.
-        possible: Models within the covariance of the estimate (`robustness`).
+        possible: Models within the covariance of the estimate (`pole_placement`).
         spread: How far the response may be off within the covariance, as a share of a step.
         model_a: A of this period's estimate.
         model_b: B of it.
