@@ -196,7 +196,8 @@ class Motion:
         drive.carry_out(SetSetpoint(self.low))
         wait(drive, 20.0)
         if self.high != self.low:
-            drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, self.low, self.high, CYCLE_S)))
+            wave = Waveform(Shape.SQUARE, self.low, self.high, CYCLE_S)
+            drive.carry_out(SetWaveform(wave, preview=False))
         rows, began_s = Rows(), drive.time_s
         for _ in periods(drive, self.duration_s):
             if event is not None:

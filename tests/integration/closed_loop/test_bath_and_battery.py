@@ -28,7 +28,8 @@ def overshoots(mode: Mode) -> list[float]:
     plant = load_world(bath, 0.02)  # in a fifth of the samples of a slow period
     plant.settle(plant.boost_voltage_for(10.0))
     drive = started("bath", plant, mode, SMALL_BATH)
-    drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 10.0, 13.0, 2 * HALF_s)))
+    wave = Waveform(Shape.SQUARE, 10.0, 13.0, 2 * HALF_s)
+    drive.carry_out(SetWaveform(wave, preview=False))
     found = []
     for half in range(5):
         if half == 2:
