@@ -199,8 +199,7 @@ def _take_sample(
     )
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
     usable = moved and sample.held_share <= _HELD_SHARE
-    target = estimator.method.target(learning, sample)
-    update_estimate(estimator, learning, load, target, usable)
+    update_estimate(estimator, learning, load, sample.output, usable)
     if estimator.method.physical:
         learnt = estimator.sample
         fixed = learnt.target - predict(state.nominal_theta, learnt.regressor)

@@ -128,7 +128,7 @@ def learnt(
         sample = replace(AT_REST, output=y + noise * random.normal())
         estimator, past = state.estimator, (state.outputs, state.inputs)
         estimator.method.fill_regressor(estimator, learning, MOTOR, sample, past)
-        target = estimator.method.target(learning, sample)
+        target = sample.output
         est.update_estimate(estimator, learning, MOTOR, target, usable=True)
         innovations.append(state.estimator.innovation)
         shift_in(state.outputs, sample.output)

@@ -80,9 +80,6 @@ class Method(Protocol):
     ) -> None:
         """Overwrite r by that of a slow sample; `past` are y and u of the periods before it."""
 
-    def target(self, learning: EstimatorSettings, sample: regression.SlowSample) -> float:
-        """Return the value that r predicts, in the unit of the output."""
-
     def take_in(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Update θ and P by the last sample, which the estimate has predicted."""
 
@@ -244,7 +241,7 @@ def update_estimate(
         state: Overwritten.
         learning: Forgetting and gates.
         load: What an abrupt change leaves as it was.
-        output: What r predicts, as `Method.target` returns it.
+        output: y[k], which r predicts.
         usable: False for a sample that must not teach: its innovation is still computed.
     """
     own, sample = state.estimate, state.sample

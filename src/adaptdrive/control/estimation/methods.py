@@ -79,10 +79,6 @@ class LambdaMethod:
         regression.fill_lowered_regressor(lowered, learning, load, output, y, u)
         regression.fill_charge(lowered, learning, state.charge + output / learning.output_scale)
 
-    def target(self, learning: EstimatorSettings, sample: SlowSample) -> float:
-        """Return y[k]."""
-        return sample.output
-
     def take_in(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Update θ and P; branches explain an abrupt change where `alert` is set."""
         own, sample = state.estimate, state.sample
@@ -196,10 +192,6 @@ class DirectMethod:
         """Overwrite r by the past outputs and inputs."""
         outputs, inputs = past
         fill_direct_regressor(state.sample.regressor, learning, load, outputs, inputs)
-
-    def target(self, learning: EstimatorSettings, sample: SlowSample) -> float:
-        """Return y[k]."""
-        return sample.output
 
     def take_in(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
         """Update θ and P; an abrupt change opens P where `alert` is set."""
