@@ -20,7 +20,7 @@ from adaptdrive.util.errors import RefusedError
 
 if TYPE_CHECKING:  # they need libraries that `Drive` does without
     from adaptdrive.analysis.closed_loop import Plant, Simulation
-    from adaptdrive.analysis.record_load import RecordLoad
+    from adaptdrive.analysis.record import RecordLoad
     from adaptdrive.commissioning.evaluation import Commissioned
 
 
@@ -107,8 +107,10 @@ def identify(
         AdaptdriveError: The record cannot be read, or does not show its load.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.analysis.record import RecordView  # noqa: PLC0415 - `Drive` needs none
-    from adaptdrive.analysis.record_load import identify_source  # noqa: PLC0415
+    from adaptdrive.analysis.record import (  # noqa: PLC0415 - `Drive` needs none
+        RecordView,
+        identify_source,
+    )
 
     view = RecordView(begin_s=begin_s, end_s=end_s, **options)
     return identify_source(source.path if isinstance(source, Tables) else source, view)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.analysis import style
 from adaptdrive.analysis.figure import as_png
-from adaptdrive.analysis.record_load import RecordLoad
+from adaptdrive.analysis.record import RecordLoad
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.result import IdentifiedLoad
 

@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis import closed_loop, curves, excerpts, record_load, style
+from adaptdrive.analysis import closed_loop, curves, excerpts, style
 from adaptdrive.analysis.figure import as_png
+from adaptdrive.analysis.record import SessionLoad, identify_session
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
@@ -59,7 +60,7 @@ class Comparison:
         idle: Settings without an effect on the loop.
     """
 
-    found: record_load.SessionLoad
+    found: SessionLoad
     recorded: LoopCourse
     repeated: LoopCourse
     changed: LoopCourse
@@ -86,7 +87,7 @@ def what_if(
     """
     source = path / "config.toml"
     changed = _changed(read_session(path).config_text, source, settings)
-    found = record_load.identify_session(path, begin_s, end_s)
+    found = identify_session(path, begin_s, end_s)
     part = max(found.stretches, key=_controlled)
     if not _controlled(part)[0]:
         raise IdentificationError(f"{path}: V_c was set by hand: no controller was in force then")
@@ -132,7 +133,7 @@ def _acting(configuration: Configuration) -> tuple[object, ...]:
 
 
 def _acting_with(
-    found: record_load.SessionLoad, source: Path, settings: Sequence[str], one: str
+    found: SessionLoad, source: Path, settings: Sequence[str], one: str
 ) -> tuple[object, ...] | None:
     """Return the same with one setting; None where it is valid only with the others."""
     try:
@@ -144,7 +145,7 @@ def _acting_with(
 
 
 def _simulated(
-    found: record_load.SessionLoad,
+    found: SessionLoad,
     stretch: excerpts.Stretch,
     configuration: Configuration,
     begin_s: float,
@@ -171,7 +172,7 @@ def _simulated(
     return _course(found, stretch, (series[0], series[1], series[2]), begin_s, record.fault)
 
 
-def _start(found: record_load.SessionLoad, stretch: excerpts.Stretch) -> closed_loop.LoopStart:
+def _start(found: SessionLoad, stretch: excerpts.Stretch) -> closed_loop.LoopStart:
     """Return v_bst at the start of a run of the drive, and what the daemon had trusted by then."""
     volts, prior = float(stretch.columns["boost_voltage_V"][0]), found.session.info.prior
     if stretch.begin_s <= found.configuration.load.period_s:
@@ -185,7 +186,7 @@ def _start(found: record_load.SessionLoad, stretch: excerpts.Stretch) -> closed_
 
 
 def _course(
-    found: record_load.SessionLoad,
+    found: SessionLoad,
     stretch: excerpts.Stretch,
     series: tuple[Array, Array, Array],
     begin_s: float,

@@ -125,11 +125,10 @@ def identify(
     """
     with options.needing("analysis"):
         from adaptdrive.analysis import load_report, record  # noqa: PLC0415 - they are large
-        from adaptdrive.analysis.record_load import identify_source  # noqa: PLC0415
     path = Path(source) if source is not None and Path(source).is_file() else _find(source)
     figure = view.folder(path.parent if path.is_file() else path) / "load.png"
     wanted = record.RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
-    found = identify_source(path, wanted)
+    found = record.identify_source(path, wanted)
     replace_result(figure, load_report.draw_load(found))
     text = f"{load_report.as_text(found)}\n\n{figure}"
     return view.present(text, load_report.as_json(found), figure)

@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.analysis.excerpts import read_stretches
 from adaptdrive.analysis.load_report import as_json, as_text
-from adaptdrive.analysis.record_load import SessionLoad, identify_session
+from adaptdrive.analysis.record import SessionLoad, identify_session
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session
