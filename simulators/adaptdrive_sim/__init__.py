@@ -3,9 +3,9 @@
 `ADAPTDRIVE_PURE=1` in the environment imports the sources of compiled modules, as in `adaptdrive`.
 """
 
-import os as _os
+import os
 
-if _os.environ.get("ADAPTDRIVE_PURE", "0") != "0":
-    from adaptdrive import pure as _pure
+import adaptdrive
 
-    _pure.import_sources(__path__[0])
+if os.environ.get("ADAPTDRIVE_PURE", "0") != "0":
+    adaptdrive.import_sources(__path__[0])

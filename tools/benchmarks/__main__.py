@@ -16,8 +16,8 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from adaptdrive import build_name
 from adaptdrive.app.process import NAMESPACE
-from adaptdrive.pure import build_name
 from tools.benchmarks.rows import Extent, Row, table, write_json
 
 PARTS = (

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from adaptdrive.pure import build_name
+from adaptdrive import build_name
 from tools.benchmarks.daemons import Census, measure
 from tools.benchmarks.rows import Extent, Row
 from tools.benchmarks.site import broker, start_daemon

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
 
-from adaptdrive.pure import build_name
+from adaptdrive import build_name
 from tools.builds.run import PURE
 from tools.pages.constants_page import Constant, constants, following, module_name, value_of
 

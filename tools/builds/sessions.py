@@ -11,10 +11,10 @@ from pathlib import Path
 
 import msgspec
 
+from adaptdrive import build_name
 from adaptdrive.cli.sessions import replay
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Shape, Waveform
-from adaptdrive.pure import build_name
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, State, TickReport

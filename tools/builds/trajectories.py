@@ -11,8 +11,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from adaptdrive import build_name
 from adaptdrive.control.signals import Mode
-from adaptdrive.pure import build_name
 from adaptdrive_sim.campaign.motors import Stand, draw
 from adaptdrive_sim.campaign.settings import read_campaign
 

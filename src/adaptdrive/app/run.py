@@ -26,14 +26,13 @@ from typing import Any, TextIO, cast
 
 import msgspec
 
-from adaptdrive import __version__
+from adaptdrive import __version__, build_name
 from adaptdrive.app import examine, loads, ports, process, recording, reload
 from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.mqtt.service import MqttService, OperatorLog
-from adaptdrive.pure import build_name
 from adaptdrive.recording import journal_files, records
 from adaptdrive.recording.journal_files import recall as recall_log
 from adaptdrive.recording.recorder import Recorder

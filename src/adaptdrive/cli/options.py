@@ -22,7 +22,7 @@ from cyclopts import (
     convert,
 )
 
-from adaptdrive import __version__
+from adaptdrive import __version__, build_name
 from adaptdrive.cli import UNUSABLE, print_error
 from adaptdrive.runtime.requests import REQUESTS
 from adaptdrive.util.errors import ConfigurationError, Flaw
@@ -93,8 +93,6 @@ def _usage_error(program: str, problem: CycloptsError) -> str:
 
 
 def _version() -> str:
-    from adaptdrive.pure import build_name  # noqa: PLC0415 - it imports the controller
-
     return f"{__version__} ({build_name()})"
 
 

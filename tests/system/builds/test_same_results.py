@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.pure import build_name
+from adaptdrive import build_name
 from tools.builds.run import BUILDS, COMPILED, PURE, run_with
 
 pytestmark = pytest.mark.usefixtures("outside")

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[3]
 SOURCES = (ROOT / "src" / "adaptdrive", ROOT / "simulators" / "adaptdrive_sim")
 MODULES = ("adaptdrive/control/controller", "adaptdrive_sim/wire")
-SHOW = "from adaptdrive.pure import build_name; import {}; print(build_name())"
+SHOW = "from adaptdrive import build_name; import {}; print(build_name())"
 
 
 @pytest.fixture
