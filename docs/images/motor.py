@@ -24,7 +24,7 @@ from adaptdrive_sim.experiments.case import (
 )
 from adaptdrive_sim.experiments.experiment import MOTOR
 from adaptdrive_sim.experiments.figure import save
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 
 FIRST_min, LAST_min = 8.0, 20.0
 

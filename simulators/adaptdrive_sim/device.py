@@ -18,14 +18,12 @@ from adaptdrive.cli.options import Integer, read_address
 from adaptdrive.config import file, root, services
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
 from adaptdrive.util.log import configured, log
-from adaptdrive_sim import wire
 from adaptdrive_sim.devices import can, canopen, disturbances, modbus, scpi
 from adaptdrive_sim.devices import drive as drives
 from adaptdrive_sim.devices.sensors import CanSensors, ModbusSensors, check_names
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters, HeldOutput, LineParameters
-from adaptdrive_sim.plants.load import coupling_of, load_of
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters, coupling_of, load_of
 
 # Command-line settings of a simulated drive.
 
@@ -241,7 +239,7 @@ def build_world(configuration: root.Configuration, settings: DeviceSettings) -> 
     )
     bidirectional = drive.kind == "bidirectional"
     boost = BoostParameters(drive.boost_capacitance_F, bidirectional=bidirectional)
-    noise = wire.NoiseParameters(sigma=settings.noise_V)
+    noise = NoiseParameters(sigma=settings.noise_V)
     stage = coupling_of(configuration)
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
     world = World(load_of(configuration, settings.disks), parameters)

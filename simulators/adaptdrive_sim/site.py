@@ -19,9 +19,8 @@ from adaptdrive.runtime import reports, requests, state_machine
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.course import PERIODS, Course, Run
 from adaptdrive_sim.plants.boost import Sample
-from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.wire import CONTROL_FAULT, Wire, find_cause, received, rounded
-from adaptdrive_sim.world import World
+from adaptdrive_sim.world import SimulatedLoad, World
 
 # A controller in front of a plant, and the runs of both over a course.
 

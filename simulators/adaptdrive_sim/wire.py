@@ -1,25 +1,15 @@
-"""Between the plant and its controller: noise, rounding, a late sensor, interlocks.
+"""Between the drive and its controller: rounding, a late sensor, interlocks.
 
 Numbers on a bus are whole multiples of a quantum. The regulated output may come from a separate
 sensor, some half cycles older than the drive's frame.
-
-Random numbers are drawn in blocks and handed out one by one as plain floats: a separate draw
-for each sample would cost more than the plant.
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Self
-
-import numpy as np
+from dataclasses import dataclass
 
 from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector, shift_in
-from adaptdrive_sim.parameters import check_quantities, quantity
 from adaptdrive_sim.plants.boost import Sample
-
-# Connection between the drive and its controller: rounding, a late sensor, interlocks.
 
 _WHOLE = 1.5 * 2.0**52
 """So large that a sum with it is a whole number: cheaper than `floor`."""
@@ -77,39 +67,3 @@ def find_cause(measurement: Measurement, voltage_max_V: float, output_max: float
     if not math.isfinite(measurement.boost_voltage_V + measurement.output):
         return NOT_FINITE
     return 0
-
-
-# Measurement noise on the output: brush noise and spikes.
-
-_BLOCK = 4096
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseParameters:
-    """Noise of each fast sample, in the unit of the output."""
-
-    sigma: float = quantity(0.0, "", "standard deviation of every sample", 0.0, 1e6)
-    spike_share: float = quantity(0.0, "", "share of samples that carry a spike", 0.0, 1.0)
-    spike_sigma: float = quantity(0.0, "", "standard deviation of the spikes", 0.0, 1e6)
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
-
-    @property
-    def silent(self) -> bool:
-        """True if no sample is ever disturbed."""
-        return self.sigma == 0.0 and (self.spike_share == 0.0 or self.spike_sigma == 0.0)
-
-    def scaled(self, step: float) -> Self:
-        """Return the noise in the unit of the output, of one that is relative to a step."""
-        return replace(self, sigma=self.sigma * step, spike_sigma=self.spike_sigma * step)
-
-
-def samples(parameters: NoiseParameters, generator: np.random.Generator) -> Iterator[float]:
-    """Yield the disturbance of one sample after the other, for ever."""
-    while True:
-        block = parameters.sigma * generator.standard_normal(_BLOCK)
-        if parameters.spike_share > 0.0:
-            struck = generator.random(_BLOCK) < parameters.spike_share
-            block += struck * parameters.spike_sigma * generator.standard_normal(_BLOCK)
-        yield from block.tolist()

@@ -1,20 +1,198 @@
-"""The simulated plant as a whole, stepped by one half line cycle at a time.
+"""The simulated plant: its load, its noise, and the whole, stepped by half line cycles.
 
 Between the frames n and n+1 the world runs one interval. `step` takes the command that was
 computed from frame n, runs that interval under the command *before* it, and returns frame n+1:
 the drive latches a command at the end of the half cycle in which it arrives. This is the one
 half cycle of delay between a frame and the command's effect, and it exists nowhere else.
+
+Seen from the secondary of the dc/dc stage a load is an electromotive force behind a resistance;
+what happens behind them (a turning shaft, warming water, a filling battery) is its own affair.
+The boost stage needs only those two numbers, and the load needs only the source that feeds it.
+
+Its linear model is that of `[load.model]`. What a model leaves open, such as the resistance of a
+motor's armature, is that of the reference load, or is named in `[simulation.parameters]`.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from adaptdrive_sim import wire
-from adaptdrive_sim.parameters import SEED_MAX, ParameterError, check_range
-from adaptdrive_sim.plants import boost as stage
-from adaptdrive_sim.plants.boost import Sample
-from adaptdrive_sim.plants.load import SimulatedLoad
+from adaptdrive.config import Configuration
+from adaptdrive.config.load import BathModel, BathSection, BatterySection, MotorModel, MotorSection
+from adaptdrive.util.errors import RefusedError
+from adaptdrive_sim.parameters import (
+    SEED_MAX,
+    ParameterError,
+    check_quantities,
+    check_range,
+    quantity,
+)
+from adaptdrive_sim.plants import bath, battery, motor
+from adaptdrive_sim.plants.boost import (
+    Boost,
+    BoostParameters,
+    CouplingParameters,
+    Line,
+    LineParameters,
+    Sample,
+)
+
+# The shape that every simulated load shares, and the one that a configuration describes.
+
+SimulatedLoad = motor.Motor | bath.Bath | battery.Battery
+"""One simulated load, stepped by whole half line cycles.
+
+Each has `emf_V` (terminal voltage without current) and `resistance_Ohm`, the regulated `output`
+without noise, `drive` and `coast` (advance with a source, and without current), `settle` and
+`source_for` (rest under a source, and the source for an output), `model` (the linear model from
+boost voltage to output), `state`, and `resize` and `disturb`, which change it.
+"""
+
+Parameters = TypeVar("Parameters", bound=Any)
+
+_WHOLE = {"int": int, "bool": bool}
+
+_CELL_MAX_V = 4.10
+"""Highest voltage to which a cell is charged."""
+
+
+def load_of(configuration: Configuration, disks: int | None = None) -> SimulatedLoad:
+    """Build the load of a configuration.
+
+    Args:
+        configuration: `[load]` and `[simulation]`.
+        disks: Disks on the shaft of a motor, None for one.
+
+    Raises:
+        ParameterError: A parameter lies outside its range.
+        RefusedError: `[simulation.parameters]` or the number of disks does not fit the load.
+    """
+    section, stage = configuration.load, coupling_of(configuration)
+    given = _split(configuration.simulation.parameters)[1]
+    if disks is not None and not isinstance(section, MotorSection):
+        raise RefusedError(f"--disks {disks}: a {section.type} has no shaft")
+    match section:
+        case MotorSection(model=model):
+            known = _motor(_with(motor.MotorParameters(), given), model, stage)
+            return motor.Motor(_with(known, given), 1 if disks is None else disks)
+        case BathSection(model=model):
+            return bath.Bath(_with(_bath(model), given))
+        case BatterySection():
+            return battery.Battery(_with(_battery(section), given))
+
+
+def coupling_of(configuration: Configuration) -> CouplingParameters:
+    """Build the dc/dc stage of a configuration.
+
+    Raises:
+        ParameterError: A parameter lies outside its range.
+    """
+    section, given = configuration.load, _split(configuration.simulation.parameters)[0]
+    if isinstance(section, MotorSection):
+        return _with(CouplingParameters(), given)
+    model = section.model
+    return _with(CouplingParameters(model.turns_ratio, model.droop_Ohm), given)
+
+
+def _motor(
+    known: motor.MotorParameters, model: MotorModel, stage: CouplingParameters
+) -> motor.MotorParameters:
+    """Return a motor with the inertia, tachometer and filter that a model needs."""
+    total_Ohm, constant_Vs = stage.droop_Ohm + known.resistance_Ohm, known.constant_Vs
+    damping_Nms = known.friction_Nms + constant_Vs**2 / total_Ohm
+    return replace(
+        known,
+        disk_kgm2=model.tau_motor_s * damping_Nms,
+        tachometer_Vs=model.gain * damping_Nms * total_Ohm / (stage.ratio * constant_Vs),
+        filter_s=model.tau_filter_s,
+    )
+
+
+def _bath(model: BathModel) -> bath.BathParameters:
+    """Return a bath with the inflow and the volume that a model needs."""
+    heat_W_per_K = 1.0 / model.resistance_K_per_W
+    return bath.BathParameters(
+        heater_Ohm=model.heater_Ohm,
+        inflow_L_per_min=60.0 * heat_W_per_K / bath.HEAT_J_per_kgK,
+        volume_gal=model.tau_s * heat_W_per_K / bath.HEAT_J_per_kgK / bath.GALLON_kg,
+    )
+
+
+def _battery(section: BatterySection) -> battery.BatteryParameters:
+    """Return a battery with the resistances of a model, and cells for its highest voltage."""
+    model = section.model
+    return battery.BatteryParameters(
+        cells=max(1, round(section.charge.voltage_max_V / _CELL_MAX_V)),
+        series_Ohm=model.internal_Ohm,
+        relaxation_Ohm=model.relaxation_Ohm,
+        relaxation_s=model.relaxation_s,
+    )
+
+
+def _split(given: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the values for the dc/dc stage, and those for the load."""
+    names = {field.name for field in fields(CouplingParameters)}
+    stage = {name: value for name, value in given.items() if name in names}
+    return stage, {name: value for name, value in given.items() if name not in names}
+
+
+def _with(parameters: Parameters, given: Mapping[str, float]) -> Parameters:
+    """Return parameters with some of them replaced.
+
+    Raises:
+        RefusedError: A name is none of theirs.
+    """
+    types = {field.name: field.type for field in fields(parameters)}
+    for name in given:
+        if name not in types:
+            near = get_close_matches(name, types, 1) or [", ".join(types)]
+            raise RefusedError(f"simulation.parameters.{name}: is not known; {near[0]}?")
+    whole = {n: _WHOLE.get(str(types[n]), float)(v) for n, v in given.items()}
+    made: Parameters = replace(parameters, **whole)
+    return made
+
+
+# Measurement noise on the output: brush noise and spikes.
+
+_BLOCK = 4096
+"""Random numbers drawn at once: one draw for each sample would cost more than the plant."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseParameters:
+    """Noise of each fast sample, in the unit of the output."""
+
+    sigma: float = quantity(0.0, "", "standard deviation of every sample", 0.0, 1e6)
+    spike_share: float = quantity(0.0, "", "share of samples that carry a spike", 0.0, 1.0)
+    spike_sigma: float = quantity(0.0, "", "standard deviation of the spikes", 0.0, 1e6)
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+
+    @property
+    def silent(self) -> bool:
+        """True if no sample is ever disturbed."""
+        return self.sigma == 0.0 and (self.spike_share == 0.0 or self.spike_sigma == 0.0)
+
+    def scaled(self, step: float) -> Self:
+        """Return the noise in the unit of the output, of one that is relative to a step."""
+        return replace(self, sigma=self.sigma * step, spike_sigma=self.spike_sigma * step)
+
+
+def samples(parameters: NoiseParameters, generator: np.random.Generator) -> Iterator[float]:
+    """Yield the disturbance of one sample after the other, for ever."""
+    while True:
+        block = parameters.sigma * generator.standard_normal(_BLOCK)
+        if parameters.spike_share > 0.0:
+            struck = generator.random(_BLOCK) < parameters.spike_share
+            block += struck * parameters.spike_sigma * generator.standard_normal(_BLOCK)
+        yield from block.tolist()
+
+
+# The plant as a whole.
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +209,10 @@ class WorldParameters:
         seed: Seed of the noise.
     """
 
-    line: stage.LineParameters = field(default_factory=stage.LineParameters)
-    boost: stage.BoostParameters = field(default_factory=stage.BoostParameters)
-    coupling: stage.CouplingParameters = field(default_factory=stage.CouplingParameters)
-    noise: wire.NoiseParameters = field(default_factory=wire.NoiseParameters)
+    line: LineParameters = field(default_factory=LineParameters)
+    boost: BoostParameters = field(default_factory=BoostParameters)
+    coupling: CouplingParameters = field(default_factory=CouplingParameters)
+    noise: NoiseParameters = field(default_factory=NoiseParameters)
     sampling_phase_rad: float = 0.0
     seed: int = 0
 
@@ -54,9 +232,9 @@ class World:
         """
         self.parameters = parameters or WorldParameters()
         self.load = load
-        self.line = stage.Line(self.parameters.line)
+        self.line = Line(self.parameters.line)
         self.coupling = self.parameters.coupling
-        self.boost = stage.Boost(self.parameters.boost, self.parameters.line.voltage_V * 2.0**0.5)
+        self.boost = Boost(self.parameters.boost, self.parameters.line.voltage_V * 2.0**0.5)
         self.tick = 0
         self.load_current_A = 0.0
         self.current_scale_S = 0.0
@@ -66,14 +244,14 @@ class World:
         self.noise = self.parameters.noise
 
     @property
-    def noise(self) -> wire.NoiseParameters:
+    def noise(self) -> NoiseParameters:
         """Measurement noise of the output; may be changed at any time."""
         return self._noise
 
     @noise.setter
-    def noise(self, noise: wire.NoiseParameters) -> None:
+    def noise(self, noise: NoiseParameters) -> None:
         self._noise = noise
-        self._draws = None if noise.silent else wire.samples(noise, self._generator)
+        self._draws = None if noise.silent else samples(noise, self._generator)
 
     @property
     def true_output(self) -> float:

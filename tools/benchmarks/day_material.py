@@ -20,10 +20,8 @@ from adaptdrive.control.signals import Command, Measurement, Mode, Order, Shape,
 from adaptdrive.recording.records import EventRow, Ticks
 from adaptdrive.runtime.reports import MONOTONIC, LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
-from adaptdrive_sim.plants.load import load_of
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters, load_of
 from tests.unit.recording.material import Batch, make_batch
 
 CONFIG = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"

@@ -21,8 +21,7 @@ from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.plants.boost import BoostParameters, LineParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
 from tests.integration.closed_loop.life import (
     CYCLE_S,
     HIGH,

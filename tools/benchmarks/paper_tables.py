@@ -25,7 +25,7 @@ from adaptdrive_sim.experiments.case import (
     run_case,
 )
 from adaptdrive_sim.experiments.experiment import DROPPED
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.unit.simulators.experiments.cases import make_case
 
 ROOT = Path(__file__).parents[2]

@@ -19,10 +19,8 @@ from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetVoltage, SetWaveform
-from adaptdrive_sim.plants.load import load_of
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters, load_of
 from tests.unit.recording.material import INFO, make_batch, record_messages
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"

@@ -29,9 +29,8 @@ from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.world import World
+from adaptdrive_sim.world import SimulatedLoad, World
 from tests.loopback_port import LoopbackPort, Quiet
 
 LOADS = ("motor", "bath", "battery")

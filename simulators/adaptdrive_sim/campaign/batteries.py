@@ -14,13 +14,13 @@ from pydantic import Field
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim import course, site, wire
+from adaptdrive_sim import course, site
 from adaptdrive_sim.campaign.drawn import Row, Trial, columns_of, each, uniform
 from adaptdrive_sim.campaign.settings import CampaignFile, CampaignTable, LineRanges, Range, within
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.boost import CouplingParameters, LineParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
 
 _BEGINS_s = 60.0
 _NEAR_LIMIT = 0.99
@@ -171,7 +171,7 @@ class BatteryScenario:
         line = LineParameters.steady(self.line_voltage, self.frequency_Hz)
         droop_Ohm = nominal.droop_Ohm * self.scale**2
         stage = CouplingParameters(nominal.ratio * self.scale, droop_Ohm)
-        noise = wire.NoiseParameters(sigma=self.noise * self.largest_A)
+        noise = NoiseParameters(sigma=self.noise * self.largest_A)
         return WorldParameters(line, coupling=stage, noise=noise, seed=self.seed)
 
     def configuration(self) -> Configuration:

@@ -46,8 +46,7 @@ from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensors import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants import bath, battery, motor
-from adaptdrive_sim.plants.load import SimulatedLoad
-from adaptdrive_sim.world import World
+from adaptdrive_sim.world import SimulatedLoad, World
 
 Plant = TypeVar("Plant")
 Drive = SimulatedDrive | None

@@ -32,7 +32,7 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.vectors import Vector
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim import parameters, wire, world
+from adaptdrive_sim import parameters, world
 from adaptdrive_sim.course import Array, Course, Run
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 from adaptdrive_sim.parameters import EXAMPLES
@@ -44,7 +44,7 @@ Design = Literal["paper", "exact"]
 Variant = Literal["fixed", "adaptive", "direct_rls", "lm_rls"]
 
 
-def disturbance_of(noise: float, spikes: str) -> wire.NoiseParameters:
+def disturbance_of(noise: float, spikes: str) -> world.NoiseParameters:
     """Return the measurement noise that a command line requests, as fractions of the step.
 
     Args:
@@ -62,7 +62,7 @@ def disturbance_of(noise: float, spikes: str) -> wire.NoiseParameters:
     parameters.check_range("noise", noise, 0.0, 10.0, "of the step")
     parameters.check_range("share of spikes", share, 0.0, 1.0, "")
     parameters.check_range("noise of spikes", sigma, 0.0, 10.0, "of the step")
-    return wire.NoiseParameters(noise, share, sigma)
+    return world.NoiseParameters(noise, share, sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Case:
     experiment: Experiment
     variant: Variant
     settings: ControllerSettings
-    disturbance: wire.NoiseParameters
+    disturbance: world.NoiseParameters
     seed: int
 
 
@@ -113,7 +113,7 @@ class ReproduceRequest:
 
     experiment: Experiment
     design: Design
-    disturbance: wire.NoiseParameters
+    disturbance: world.NoiseParameters
     seed: int
 
     def __post_init__(self) -> None:
@@ -128,7 +128,7 @@ class ReproduceRequest:
         """The run on which other settings of the estimator are tried; there always is noise."""
         settings, disturbance = case_settings(self.experiment, "fixed", "paper"), self.disturbance
         if disturbance.silent:
-            disturbance = wire.NoiseParameters(self.experiment.noise)
+            disturbance = world.NoiseParameters(self.experiment.noise)
         return Case(self.experiment, "fixed", settings, disturbance, self.seed)
 
 
@@ -192,7 +192,7 @@ def _course(case: Case) -> Course:
     ticks = len(times_s) * case.settings.rates.ticks_per_period
     noise, disturbances = case.disturbance.scaled(experiment.step), np.zeros(ticks + 1)
     if not noise.silent:
-        drawn = wire.samples(noise, np.random.default_rng(case.seed))
+        drawn = world.samples(noise, np.random.default_rng(case.seed))
         disturbances = np.fromiter(drawn, np.float64, ticks + 1)
     return Course(
         references=np.array([experiment.reference.value(time_s) for time_s in times_s]),

@@ -23,8 +23,8 @@ from adaptdrive_sim.course import Array, moving
 from adaptdrive_sim.parameters import example_tables
 from adaptdrive_sim.plants import boost
 from adaptdrive_sim.plants.bath import Bath, BathParameters
-from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.world import SimulatedLoad
 
 # An experiment as data: a load that changes, a reference, and the paper's settings for it.
 

@@ -21,7 +21,7 @@ from adaptdrive.control.vectors import Vector, shift_in
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments import case as cases
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.wire import samples
+from adaptdrive_sim.world import samples
 
 # Speed and noise of the estimator, for other ρ and τ_λ than the paper's.
 

@@ -23,7 +23,7 @@ from adaptdrive_sim.experiments import case
 from adaptdrive_sim.experiments import outcome as outcomes
 from adaptdrive_sim.experiments.experiment import BATH, DROPPED, MOTOR, Experiment
 from adaptdrive_sim.experiments.outcome import Outcome
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 
 _VERDICTS = {True: "holds", False: "FAILS", None: "not judged"}
 

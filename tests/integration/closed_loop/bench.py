@@ -23,8 +23,7 @@ from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Ord
 from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
 from tests.unit.control.systems import Array, held_polynomials, motor_system
 
 MOTOR: Load = motor_load(0.011, 11.7, 10.0)

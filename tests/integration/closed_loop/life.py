@@ -17,11 +17,9 @@ from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.boost import Sample
-from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, SimulatedLoad, World, WorldParameters
 
 LOW, HIGH, CYCLE_S = 3.0, 3.2, 120.0
 STEP = HIGH - LOW

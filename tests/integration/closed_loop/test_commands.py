@@ -19,8 +19,8 @@ from adaptdrive.runtime.requests import (
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.world import SimulatedLoad
 from tests.integration.closed_loop.life import load_world, periods, started, wait
 from tests.support import sample
 

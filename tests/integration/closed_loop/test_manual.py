@@ -10,11 +10,9 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.requests import SetMode, SetSetpoint, SetVoltage
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, SimulatedLoad, World, WorldParameters
 from tests.integration.closed_loop.bench import TICK_s
 from tests.integration.closed_loop.life import started, wait
 from tests.support import sample

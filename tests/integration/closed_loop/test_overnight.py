@@ -12,7 +12,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.control.estimation import rls
 from adaptdrive.control.signals import Measurement, Mode
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import HIGH, LOW, STEP, Bench, CYCLE_s, order, square_wave
 from tests.support import sample
 

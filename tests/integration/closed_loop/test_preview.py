@@ -20,8 +20,7 @@ from adaptdrive.recording.replay import replay
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
 from tests.integration.closed_loop.life import wait
 from tests.integration.closed_loop.test_probing import RecordedDrive
 

@@ -33,8 +33,7 @@ from adaptdrive.runtime.requests import (
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
 from tests.integration.closed_loop.life import CYCLE_S, HIGH, LOW, STEP, periods, started, wait
 from tests.support import sample
 from tests.unit.recording.material import INFO, make_batch, record_messages

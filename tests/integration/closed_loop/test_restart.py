@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode, Stage
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import STEP, Bench, order
 from tests.integration.closed_loop.test_overnight import DAEMON
 from tests.support import sample

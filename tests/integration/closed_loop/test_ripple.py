@@ -12,8 +12,7 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.requests import SetSetpoint
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
 from tests.integration.closed_loop.life import periods, started
 
 CURRENT_A = 12.0

@@ -16,7 +16,7 @@ from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session, read_info, write_info
 from adaptdrive.runtime.reports import LoadReport, TickReport
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import STEP, Bench, order, square_wave
 from tests.unit.recording.material import INFO, make_batch, record_messages
 

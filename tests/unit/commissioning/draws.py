@@ -20,8 +20,8 @@ from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.world import SimulatedLoad
 
 Random = np.random.Generator
 

@@ -22,7 +22,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.control.voltage_loop import LAG_TICKS
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import (
     EXACT,
     MOTOR,

@@ -13,7 +13,7 @@ from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Measurement, Mode, Order, Snapshot, Stage
 from adaptdrive.control.voltage_loop import LAG_TICKS
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import (
     EXACT,
     MOTOR,

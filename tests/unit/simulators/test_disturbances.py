@@ -16,9 +16,8 @@ from adaptdrive_sim.devices.disturbances import Remote, from_words, parse_reques
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.world import World
+from adaptdrive_sim.world import SimulatedLoad, World
 from tools.pages.asyncapi import schema
 from tools.pages.topic_table import simulator_topics
 

@@ -16,7 +16,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim import cli
 from adaptdrive_sim.device import DeviceSettings, build_world
-from adaptdrive_sim.plants.load import load_of
+from adaptdrive_sim.world import load_of
 from tests.unit.devices.bench import EXAMPLES
 
 MODELS: dict[str, dict[str, float]] = {

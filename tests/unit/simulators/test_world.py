@@ -9,8 +9,7 @@ from scipy.integrate import solve_ivp
 
 from adaptdrive_sim.plants.boost import LineParameters, Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.wire import NoiseParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
 
 ROUGH = WorldParameters(
     line=LineParameters(drift_Hz=0.1, wander=0.1, drift_period_s=5.0, wander_period_s=3.0),

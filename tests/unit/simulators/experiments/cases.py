@@ -14,7 +14,7 @@ from adaptdrive_sim.experiments.case import (
 )
 from adaptdrive_sim.experiments.experiment import MOTOR, Experiment, LoadChange
 from adaptdrive_sim.experiments.outcome import Outcome, judge
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 
 SEEDS = range(20)
 SHORT_MOTOR = replace(

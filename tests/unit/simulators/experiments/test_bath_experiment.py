@@ -4,7 +4,7 @@ import pytest
 
 from adaptdrive_sim.experiments.case import convergence_cycles, cycles, run_case
 from adaptdrive_sim.experiments.experiment import BATH
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.unit.simulators.experiments.cases import SEEDS, make_case, outcome
 
 AFTER = slice(2, None)

@@ -9,7 +9,7 @@ import pytest
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import convergence_cycles, cycles, run_case
 from adaptdrive_sim.experiments.experiment import MOTOR
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.unit.simulators.experiments.cases import SHORT_LAST_CYCLES, SHORT_MOTOR, make_case
 
 ORACLE = 0.030

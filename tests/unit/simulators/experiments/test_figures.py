@@ -15,7 +15,7 @@ from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
 from adaptdrive_sim.experiments.experiment import DROPPED, LoadChange
 from adaptdrive_sim.experiments.figure import experiment_figure
 from adaptdrive_sim.experiments.outcome import Outcome, judge
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.unit.simulators.experiments.cases import make_case
 
 SHORT = dataclasses.replace(

@@ -14,7 +14,7 @@ from adaptdrive_sim.experiments.case import (
 from adaptdrive_sim.experiments.experiment import MOTOR
 from adaptdrive_sim.experiments.outcome import Outcome
 from adaptdrive_sim.experiments.reproduce import NOISY
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.unit.simulators.experiments.cases import (
     SEEDS,
     SHORT_LAST_CYCLES,

@@ -12,7 +12,7 @@ import pytest
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.experiments.case import disturbance_of
 from adaptdrive_sim.parameters import ParameterError
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 
 NAMES = ("direct_rls.parquet", "figure.png", "fixed.parquet", "sweep.png", "adaptive.parquet")
 

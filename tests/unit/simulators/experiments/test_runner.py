@@ -7,7 +7,7 @@ import pytest
 
 from adaptdrive_sim.experiments.case import run_case
 from adaptdrive_sim.experiments.experiment import MOTOR, Experiment, LoadChange
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.unit.simulators.experiments.cases import make_case
 
 SHORT: Experiment = dataclasses.replace(

@@ -15,7 +15,7 @@ from adaptdrive_sim.experiments.outcome import (
     setting,
     try_settings,
 )
-from adaptdrive_sim.wire import NoiseParameters
+from adaptdrive_sim.world import NoiseParameters
 from tests.unit.simulators.experiments.cases import make_case
 
 SILENT = NoiseParameters(0.0)
