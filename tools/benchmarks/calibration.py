@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.motors import Stand, draw
 from adaptdrive_sim.campaign.settings import read_campaign
+from adaptdrive_sim.campaign.stands import Stand, draw
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -19,11 +19,11 @@ from pathlib import Path
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.util.errors import AdaptdriveError
-from adaptdrive_sim.campaign import motors
+from adaptdrive_sim.campaign import stands
 from adaptdrive_sim.campaign.drawn import Row
-from adaptdrive_sim.campaign.motors import draw
 from adaptdrive_sim.campaign.report import WORSE, judge
 from adaptdrive_sim.campaign.settings import read_campaign
+from adaptdrive_sim.campaign.stands import draw
 from adaptdrive_sim.course import Run
 from tools.benchmarks.dials import DIALS, Dial, Number, turn
 from tools.pages.constants_effects import CHANGES, COLUMNS, SEEDS
@@ -104,12 +104,12 @@ def _run(dial: Dial, value: Number, place: Place) -> Row:
     fixed = _fixed(place)
     turn(dial, value)
     try:
-        motors.deployed.cache_clear()  # settings hold some of the constants
+        stands.deployed.cache_clear()  # settings hold some of the constants
         stand = _stand(place)
         return judge(stand, fixed, stand.run(Mode.ADAPTIVE))
     finally:
         turn(dial, dial.value)
-        motors.deployed.cache_clear()
+        stands.deployed.cache_clear()
 
 
 @cache
@@ -117,9 +117,9 @@ def _fixed(place: Place) -> Run:
     return _stand(place).run(Mode.FIXED)
 
 
-def _stand(place: Place) -> motors.Stand:
+def _stand(place: Place) -> stands.Stand:
     name, seed = place
-    return motors.Stand(draw(read_campaign(Path(name)), seed))
+    return stands.Stand(draw(read_campaign(Path(name)), seed))
 
 
 def _line(known: tuple[str, ...], found: Effect | None, before: Effect) -> str:

@@ -26,9 +26,9 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.vectors import Vector
-from adaptdrive_sim.campaign.motors import Stand, draw
 from adaptdrive_sim.campaign.report import judge
 from adaptdrive_sim.campaign.settings import read_campaign
+from adaptdrive_sim.campaign.stands import Stand, draw
 
 WIDE = Path(__file__).parents[2] / "simulators/adaptdrive_sim/campaign/wide.toml"
 WORSE, MUCH_WORSE = 1.05, 1.5

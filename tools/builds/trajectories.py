@@ -13,8 +13,8 @@ from pathlib import Path
 
 from adaptdrive import build_name
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.motors import Stand, draw
 from adaptdrive_sim.campaign.settings import read_campaign
+from adaptdrive_sim.campaign.stands import Stand, draw
 
 
 def digests(seeds: range, duration_s: float) -> Iterator[str]:

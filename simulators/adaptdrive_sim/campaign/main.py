@@ -16,15 +16,15 @@ from rich.console import Console
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.util.errors import AdaptdriveError
-from adaptdrive_sim.campaign import baths, batteries, drawn, motors, report, settings
+from adaptdrive_sim.campaign import batteries, drawn, report, settings, stands
 from adaptdrive_sim.course import processes, progress
 from adaptdrive_sim.parameters import SEED_MAX, check_range
 
 AnyCampaign = settings.Campaign | settings.BathCampaign | batteries.BatteryCampaign
 
 _TYPES: dict[str, tuple[type[AnyCampaign], type[drawn.Trial], Callable[[Any, int], Any]]] = {
-    "motor": (settings.Campaign, motors.Stand, motors.draw),
-    "bath": (settings.BathCampaign, baths.BathStand, baths.draw_bath),
+    "motor": (settings.Campaign, stands.Stand, stands.draw),
+    "bath": (settings.BathCampaign, stands.BathStand, stands.draw_bath),
     "battery": (batteries.BatteryCampaign, batteries.BatteryTrial, batteries.draw_battery),
 }
 """Contents of a file, a run of it, and the function that draws the scenario of a run."""

@@ -10,9 +10,9 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.main import repeat_run, run_campaign, run_seed, workers
-from adaptdrive_sim.campaign.motors import Stand, deployed, draw
 from adaptdrive_sim.campaign.report import claims, failures, judge, shared_failures
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign
+from adaptdrive_sim.campaign.stands import Stand, deployed, draw
 
 STANDARD = Path("standard.toml")
 

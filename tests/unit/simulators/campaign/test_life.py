@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.motors import Life, Scenario, Stand, draw, volt_Nm
 from adaptdrive_sim.campaign.settings import LifeRanges, read_campaign
+from adaptdrive_sim.campaign.stands import Life, Scenario, Stand, draw, volt_Nm
 from adaptdrive_sim.plants.motor import Motor
 
 SEEDS = range(210_001, 210_101)

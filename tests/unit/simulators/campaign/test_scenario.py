@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptdrive_sim.campaign.motors import Scenario, draw
 from adaptdrive_sim.campaign.settings import Campaign, read_campaign
+from adaptdrive_sim.campaign.stands import Scenario, draw
 
 
 @pytest.fixture(scope="module")
