@@ -20,7 +20,7 @@ from adaptdrive.util.errors import escaped
 NO_FIGURE = "--no-figure"
 """Word of the command line without which the figure of a trip is drawn."""
 
-_FIGURE_MODULE = "adaptdrive.analysis"
+_PLOT = ("-m", "adaptdrive.cli", "plot")
 _FIGURE_PATIENCE_S = 120.0
 
 
@@ -43,7 +43,7 @@ def report(severity: Severity, detail: str) -> None:
 
 def draw(directory: Path) -> bool:
     """Draw the figure of a trip, where the libraries for that are installed."""
-    command = [sys.executable, "-P", "-m", _FIGURE_MODULE, str(directory)]
+    command = [sys.executable, "-P", *_PLOT, str(directory)]
     try:
         drawn = subprocess.run(  # noqa: S603 - this program itself
             command, capture_output=True, timeout=_FIGURE_PATIENCE_S, check=False

@@ -6,8 +6,10 @@ import base64
 import re
 import shutil
 import struct
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,9 @@ from pyarrow import parquet as pq
 
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figure import draw_session, plot
+from adaptdrive.cli import main
 from adaptdrive.control.signals import Mode
+from adaptdrive.recording.archiver import draw
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import RecordingError
@@ -47,6 +51,20 @@ def test_a_part_without_ticks_is_refused(session_path: Path) -> None:
     session = read_session(session_path)
     with pytest.raises(RecordingError, match="none of them in there"):
         find_window(session, SECONDS + 10.0, None)
+
+
+def test_the_archiver_draws_a_figure(
+    session_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(command: list[str], **_: object) -> subprocess.CompletedProcess[bytes]:
+        package, *words = command[command.index("-m") + 1 :]
+        assert find_spec(f"{package}.__main__")
+        return subprocess.CompletedProcess(command, main(words))
+
+    monkeypatch.setattr(subprocess, "run", run)
+    trip = Path(shutil.copytree(session_path, tmp_path / "trip"))
+    assert draw(trip)
+    assert (trip / "figure.png").read_bytes()[:4] == b"\x89PNG"
 
 
 class Page(HTMLParser):
