@@ -22,6 +22,7 @@ from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
 from adaptdrive.devices.faults import FaultWord
+from adaptdrive.devices.field import Sink
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Process data objects: packing entries into frames, and the codec of each frame.
@@ -116,7 +117,7 @@ def _signal(entry: Entry, start: int) -> Signal:
 
 # Mapping of objects to quantities: checks the configuration against its EDS.
 
-Bound = TypeVar("Bound", description.Source[Entry], description.Sink[Entry])
+Bound = TypeVar("Bound", description.Source[Entry], Sink[Entry])
 
 _OPTIONAL = (
     dictionary.SYNC_ID,
@@ -159,7 +160,7 @@ class CommandPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sinks: tuple[description.Sink[Entry], ...]
+    sinks: tuple[Sink[Entry], ...]
 
     def encode(self, command: Command, word: int) -> tuple[int, bytes]:
         """Return the id and the bytes of its frame.
