@@ -186,10 +186,6 @@ def kernel_synchronisation() -> contract.Synchronisation:
     return contract.Synchronisation.SYNCHRONISED
 
 
-async def _wait_for_nothing(_patience_s: float) -> None:
-    pass
-
-
 @dataclass(frozen=True, slots=True)
 class OperatorLog:
     """The log as the service sees it, by default one that keeps nothing, and clocks and chance.
@@ -212,7 +208,7 @@ class OperatorLog:
     trip: tuple[datetime, str] | None = None
     note_reply: Callable[[str, bytes], None] = lambda _identity, _body: None
     note_sent: Callable[[], None] = lambda: None
-    kept: Callable[[float], Awaitable[None]] = _wait_for_nothing
+    kept: Callable[[float], Awaitable[None]] = reports.wait_for_nothing
     wall: Callable[[], datetime] = lambda: datetime.now(UTC)
     monotonic: Callable[[], float] = time.monotonic
     synchronisation: Callable[[], contract.Synchronisation] = kernel_synchronisation

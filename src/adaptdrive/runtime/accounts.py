@@ -323,18 +323,18 @@ class Announcer:
         self._warning, self._warned_s = "", -math.inf
         self.decision: Decision | None = None
         self.shutting_down = False
-        self.published = state_report(machine, None, fast.stop)
+        self.published = state_report(machine, None, fast.stopping.status)
 
     @property
     def outdated(self) -> bool:
         """True if the state, or the confirmation of a stop, is another than the published one."""
-        stop = self._fast.stop if self._machine.commanded_off else None
+        stop = self._fast.stopping.status if self._machine.commanded_off else None
         return self._machine.state is not self.published.state or stop is not self.published.stop
 
     def publish_state(self) -> None:
         """Publish the state if it has changed, and the event of its change."""
         last = self.published
-        ends, stop = self.shutting_down, self._fast.stop
+        ends, stop = self.shutting_down, self._fast.stopping.status
         report = state_report(self._machine, self.decision, stop, shutting_down=ends)
         if report == last:
             return

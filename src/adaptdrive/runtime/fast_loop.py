@@ -66,6 +66,7 @@ class FastLoop:
 
     Attributes:
         tick: Latest tick, -1 before the first.
+        stopping: A stop on its way, and its confirmation by the drive.
         stop_limit_s: Longest time from a stop to its confirmation.
         reading: Latest reading.
         measurement: That of the latest tick.
@@ -112,14 +113,14 @@ class FastLoop:
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
         self._interlocks = interlocks.InterlockBoard(settings, port, self._half_cycles)
-        self._stopping = stopping.Stopping(port, timing, machine, surroundings.not_stopped)
+        self.stopping = stopping.Stopping(port, timing, machine, surroundings.not_stopped)
         self._order: signals.Order | None = None
         self._wanted = signals.SAFE_COMMAND
         self._waits = False
         self._sequence = 0
         self._deadline_s = math.inf
         self.tick = -1
-        self.stop_limit_s: Final = self._stopping.watch.limit_s
+        self.stop_limit_s: Final = self.stopping.watch.limit_s
         self.reading: Reading | None = None
         self.measurement: signals.Measurement | None = None
         self.command = signals.SAFE_COMMAND
@@ -223,15 +224,10 @@ class FastLoop:
     def send_safe(self) -> None:
         """Send the safe command now, outside any tick, to a drive that is commanded off."""
         if self.command.bridge:  # the last tick may have been the first to command it on
-            self._stopping.release(self.reading, bridge=True)
+            self.stopping.release(self.reading, bridge=True)
         self.command = self.guard.check(signals.SAFE_COMMAND)
         self._port.send(self.command)
-        self._stopping.judge(self.reading, self._surroundings.now_s())
-
-    @property
-    def stop(self) -> reports.StopWord:
-        """Confirmation of the stop by the drive."""
-        return self._stopping.status
+        self.stopping.judge(self.reading, self._surroundings.now_s())
 
     def _send(self, command: signals.Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
@@ -316,9 +312,9 @@ class FastLoop:
         machine, reading, board = self._machine, self.reading, self._interlocks
         stage = machine.stage
         if stage is _OFF or (stage is _PRECHARGE and not self.command.bridge):
-            self._stopping.judge(reading, now_s)
+            self.stopping.judge(reading, now_s)
         else:
-            self._stopping.release(reading, bridge=self.command.bridge)
+            self.stopping.release(reading, bridge=self.command.bridge)
         if not machine.energised:
             board.look(now_s)
             return
@@ -326,13 +322,13 @@ class FastLoop:
         cause = board.running_cause(reading, now_s, running=running, bridge=bridge)
         if cause is not None:
             machine.latch(cause)
-            self._stopping.watch.command(now_s)
+            self.stopping.watch.command(now_s)
         else:
             unknown_rate = board.unknown_rate(now_s)
             voltage_V = math.nan if reading is None else reading.boost_voltage_V
             machine.advance(self.tick, voltage_V, unknown_rate=unknown_rate, now_s=now_s)
             if stage is _OFF and machine.stage is not _OFF:
-                self._stopping.start()
+                self.stopping.start()
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._machine.order(tick)

@@ -359,8 +359,8 @@ Keep = Callable[[], Awaitable[None]]
 """Waits until all that was published is in a file, for a short bounded time at most."""
 
 
-async def _wait_for_nothing() -> None:
-    pass
+async def wait_for_nothing(_patience_s: float = 0.0) -> None:
+    """Return at once, where nothing is kept."""
 
 
 class Hub:
@@ -375,7 +375,7 @@ class Hub:
 
     def __init__(self) -> None:
         self._queues: dict[type[Report], list[Subscription]] = {}
-        self.kept: Keep = _wait_for_nothing
+        self.kept: Keep = wait_for_nothing
 
     def subscribe(self, *kinds: type[Report], size: int) -> Subscription:
         """Open a queue for the given kinds of report.

@@ -140,7 +140,7 @@ class MachineLimits:
 
         Arguments as of `require_reference`.
         """
-        if not self.govern:
+        if not (self.govern or reach.holds(value)):
             unit, why = f" {self.output_unit}", f", which {self.given.symbol} can hold"
             _require(what, value, reach.low, reach.high, unit, why)
 

@@ -166,7 +166,7 @@ async def test_coasting_from_a_run_must_be_confirmed_by_the_drive() -> None:
         bench.ask(SetSetpoint(0.0))
         bench.frames(LONG_FRAMES)
         assert bench.sent[-1] == SAFE_COMMAND
-        assert (bench.machine.trip, bench.loop.stop) == (None, StopWord.CONFIRMED)
+        assert (bench.machine.trip, bench.loop.stopping.status) == (None, StopWord.CONFIRMED)
         bench.ask(SetSetpoint(3.0))
         bench.frames(LONG_FRAMES)
         assert bench.state() is State.RUNNING
@@ -180,7 +180,7 @@ async def test_enabled_at_rest_it_coasts_until_a_set_point_starts_it() -> None:
         bench.frames(LONG_FRAMES, output=0.0)
         assert set(bench.sent) == {SAFE_COMMAND}
         assert (bench.state(), bench.machine.trip) == (State.RUNNING, None)
-        assert bench.loop.stop is StopWord.CONFIRMED
+        assert bench.loop.stopping.status is StopWord.CONFIRMED
         bench.sent.clear()
         bench.ask(SetSetpoint(3.0))
         bench.frames(4)

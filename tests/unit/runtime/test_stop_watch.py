@@ -43,11 +43,11 @@ def disable(bench: FastBench) -> None:
 
 async def test_a_stop_is_complete_with_the_drives_word(running: FastBench) -> None:
     disable(running)
-    assert (running.state(), running.loop.stop) == (State.STOPPING, StopWord.AWAITED)
+    assert (running.state(), running.loop.stopping.status) == (State.STOPPING, StopWord.AWAITED)
     running.frame(bridge=True)
     assert running.state() is State.STOPPING
     running.frame(bridge=False)
-    assert (running.state(), running.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+    assert (running.state(), running.loop.stopping.status) == (State.STANDBY, StopWord.CONFIRMED)
 
 
 @pytest.mark.parametrize("ticks_on", [0, 1])
@@ -65,9 +65,9 @@ async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(
         disable(bench)
         for on in [*[0] * 5, *comes, *[0] * (STOP_TICKS // 2 - 5 - len(comes))]:
             bench.frame(bridge=bool(on))
-            assert (bench.state(), bench.loop.stop) == (State.STOPPING, StopWord.AWAITED)
+            assert (bench.state(), bench.loop.stopping.status) == (State.STOPPING, StopWord.AWAITED)
         bench.frame(bridge=False)
-        assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+        assert (bench.state(), bench.loop.stopping.status) == (State.STANDBY, StopWord.CONFIRMED)
 
 
 async def test_a_bridge_that_stays_on_is_an_alarm(running: FastBench) -> None:
@@ -78,7 +78,7 @@ async def test_a_bridge_that_stays_on_is_an_alarm(running: FastBench) -> None:
     with pytest.raises(RefusedError, match="has not confirmed its stop"):
         running.ask(Enable())
     running.frames(3, bridge=True)
-    assert (running.state(), running.loop.stop) == (State.TRIPPED, StopWord.MISSING)
+    assert (running.state(), running.loop.stopping.status) == (State.TRIPPED, StopWord.MISSING)
     assert running.trip.startswith("the drive does not stop: its bridge is still on 5")
     with pytest.raises(RefusedError, match="bridge is on although it is commanded off"):
         running.ask(Reset())
@@ -101,11 +101,11 @@ async def test_a_drive_that_falls_silent_after_its_stop_confirms_it_no_longer(
     disable(running)
     running.frame(bridge=False)
     running.wait(FAST.timing.stop_s)
-    assert running.loop.stop is StopWord.CONFIRMED
+    assert running.loop.stopping.status is StopWord.CONFIRMED
     running.wait(3 * TICK_S)
-    assert (running.state(), running.loop.stop) == (State.STANDBY, StopWord.AWAITED)
+    assert (running.state(), running.loop.stopping.status) == (State.STANDBY, StopWord.AWAITED)
     running.frame(bridge=False)
-    assert running.loop.stop is StopWord.CONFIRMED
+    assert running.loop.stopping.status is StopWord.CONFIRMED
 
 
 async def test_a_stop_that_no_bus_takes_is_an_alarm(
@@ -157,7 +157,7 @@ async def test_a_bridge_switched_on_by_others_in_the_precharge_is_an_alarm() -> 
             "the drive's bridge is on although this daemon did not command it"
         )
         assert bench.sent[-1] == SAFE_COMMAND
-        assert bench.loop.stop is StopWord.MISSING
+        assert bench.loop.stopping.status is StopWord.MISSING
 
 
 async def test_a_bridge_that_is_still_on_in_the_precharge_is_a_missing_stop() -> None:
@@ -191,7 +191,7 @@ async def test_after_another_source_switched_it_on_a_reset_awaits_the_drives_wor
         said_s = bench.around.now
         bench.frame(bridge=True)
         bench.wait(4 * TICK_S)  # one reading that is looked at again and again is one flicker
-        assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+        assert (bench.state(), bench.loop.stopping.status) == (State.STANDBY, StopWord.CONFIRMED)
         bench.frame(bridge=True)
         assert bench.trip.startswith(
             "the drive's bridge is on although this daemon did not command it"
@@ -208,7 +208,7 @@ def chatter(bench: FastBench, frames: int) -> set[StopWord]:
     words = set()
     for number in range(frames):
         bench.frame(bridge=(frames - number) % 3 != 0)
-        words.add(bench.loop.stop)
+        words.add(bench.loop.stopping.status)
     return words
 
 
@@ -220,7 +220,7 @@ async def test_a_bridge_that_chatters_after_a_trip_is_one_alarm(
     running.frames(STOP_TICKS)
     alarms = running.around.not_stops
     for number in (1, 2):
-        assert running.loop.stop is StopWord.CONFIRMED
+        assert running.loop.stopping.status is StopWord.CONFIRMED
         chatter(running, 3)
         assert chatter(running, frames) == {StopWord.MISSING}
         assert len(alarms) == number
@@ -228,7 +228,7 @@ async def test_a_bridge_that_chatters_after_a_trip_is_one_alarm(
         words = set()
         for _ in range(STOP_TICKS - 1):
             running.frame(bridge=False)
-            words.add(running.loop.stop)
+            words.add(running.loop.stopping.status)
         assert words == {StopWord.MISSING}
         running.frames(3)
     assert running.machine.trip == "drive fault: word 0x4"
@@ -239,7 +239,7 @@ async def test_a_drive_whose_last_word_is_that_its_bridge_is_on_is_no_stopped_on
         bench.frames(20)
         bench.frame(bridge=True)
         bench.wait(FAST.timing.stop_s + 10 * TICK_S)
-        assert (bench.state(), bench.loop.stop) == (State.TRIPPED, StopWord.MISSING)
+        assert (bench.state(), bench.loop.stopping.status) == (State.TRIPPED, StopWord.MISSING)
 
 
 @pytest.mark.parametrize("stays", [False, True])
@@ -247,7 +247,7 @@ async def test_a_drive_found_on_at_start_must_stop(*, stays: bool) -> None:
     async with fast_bench() as bench:
         bench.wait(10.0)
         assert bench.state() is State.STANDBY
-        assert bench.loop.stop is StopWord.AWAITED
+        assert bench.loop.stopping.status is StopWord.AWAITED
         for _ in range(STOP_TICKS - 2):
             bench.frame(bridge=True)
             assert bench.state() is State.STOPPING
@@ -376,7 +376,7 @@ async def test_the_word_of_the_stop_before_is_void_in_the_tick_of_a_trip(
     for bridge in (True, True, False):
         running.frame(bridge=bridge, fault=4)
         assert running.state() is State.TRIPPED
-        words.append(running.loop.stop)
+        words.append(running.loop.stopping.status)
     assert words == [StopWord.AWAITED, StopWord.AWAITED, StopWord.CONFIRMED]
 
 
