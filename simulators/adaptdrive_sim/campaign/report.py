@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from adaptdrive.analysis import style
+from adaptdrive.analysis import figures
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun, Row, Trial
 from adaptdrive_sim.course import Array, Run
@@ -183,9 +183,9 @@ _INFLUENCES: tuple[dict[str, str], ...] = (
 def write_results(rows: list[Row], output: Path) -> None:
     """Write results.parquet and the pictures."""
     pq.write_table(pa.Table.from_pylist(rows), output / "results.parquet")
-    with style.journal():
-        costs(rows).savefig(output / "costs.png", dpi=style.DPI)
-        influences(rows).savefig(output / "influences.png", dpi=style.DPI)
+    with figures.journal():
+        costs(rows).savefig(output / "costs.png", dpi=figures.DPI)
+        influences(rows).savefig(output / "influences.png", dpi=figures.DPI)
 
 
 def print_results(rows: list[Row], seconds: float, campaign: Path, console: Console) -> None:
@@ -231,9 +231,9 @@ def _failure_table(found: list[Failure], heading: str, last: str, campaign: Path
 
 def costs(rows: list[Row]) -> Figure:
     """Cost of the adaptive controller over that of the fixed one, run by run."""
-    figure = Figure(figsize=(style.WIDTH_in, 3.6), layout="constrained")
+    figure = Figure(figsize=(figures.WIDTH_in, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    groups = (True, style.ADAPTIVE["color"], "changed"), (False, style.FIXED["color"], "same")
+    groups = (True, figures.ADAPTIVE["color"], "changed"), (False, figures.FIXED["color"], "same")
     for changed, colour, label in groups:
         group = [row for row in rows if bool(row["changes"]) is changed]
         fixed = [row["cost_fixed"] for row in group]
@@ -251,18 +251,18 @@ def costs(rows: list[Row]) -> Figure:
     right.set(xlabel="cost ratio, adaptive over fixed", ylabel="share of the runs below")
     for axes in (left, right):
         axes.legend()
-    style.letter(left, "a", "Cost of each run")
-    style.letter(right, "b", "Distribution of the cost ratio")
+    figures.letter(left, "a", "Cost of each run")
+    figures.letter(right, "b", "Distribution of the cost ratio")
     return figure
 
 
 def influences(rows: list[Row]) -> Figure:
     """Plot the cost ratio over the drawn values that matter most."""
     names = next(one for one in _INFLUENCES if set(one) <= set(rows[0]))
-    figure = Figure(figsize=(style.WIDTH_in, 4.6), layout="constrained")
+    figure = Figure(figsize=(figures.WIDTH_in, 4.6), layout="constrained")
     shapes = sorted({row["shape"] for row in rows})
     for axes, (name, label) in zip(figure.subplots(2, 3).flat, names.items(), strict=True):
-        for shape, colour in zip(shapes, cycle((*style.PARAMETERS, "0.5")), strict=False):
+        for shape, colour in zip(shapes, cycle((*figures.PARAMETERS, "0.5")), strict=False):
             chosen = [row for row in rows if row["shape"] == shape]
             values, ratios = ([row[one] for row in chosen] for one in (name, "ratio"))
             axes.semilogy(values, ratios, ".", ms=2.5, color=colour, label=shape)
@@ -292,7 +292,7 @@ def picture(stand: DrawnRun, fixed: Run, adaptive: Run) -> Figure:
     figure = Figure(figsize=(11, 8), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True)
     minutes = minutes_of(fixed)
-    top.plot(minutes, fixed["ideal"], label="as designed", **style.TRUTH)
+    top.plot(minutes, fixed["ideal"], label="as designed", **figures.TRUTH)
     for name, run in (("fixed", fixed), ("adaptive", adaptive)):
         label, look = CONTROLLERS[name]
         top.plot(minutes, run["output"], label=label, **look)
@@ -300,7 +300,7 @@ def picture(stand: DrawnRun, fixed: Run, adaptive: Run) -> Figure:
     truth = np.array([stand.truth_at(k) for k in range(minutes.size)])
     for i, name in enumerate(stand.own.load.names):
         estimates = adaptive[name] / truth[:, i]
-        bottom.plot(minutes, estimates, color=style.PARAMETERS[i], label=SYMBOLS[name])
+        bottom.plot(minutes, estimates, color=figures.PARAMETERS[i], label=SYMBOLS[name])
     mark_in_force(bottom, adaptive)
     top.set(ylabel="output", title=f"seed {stand.seed}")
     middle.set(ylabel="V_c, V")

@@ -292,7 +292,7 @@ def _figure(session: Path) -> tuple[Path, int] | None:
         The figure, and the second of the session from which on the drive was enabled.
     """
     try:
-        from adaptdrive.analysis.figure import plot as plot_session  # noqa: PLC0415 - it is large
+        from adaptdrive.analysis.figures import plot as plot_session  # noqa: PLC0415 - it is large
 
         read = read_session(session)
         first_s = read.ticks["monotonic_s"][0].as_py()

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from adaptdrive.analysis import style
+from adaptdrive.analysis import figures
 from adaptdrive.control.loads.load import to_input
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments import case
@@ -27,14 +27,14 @@ SYMBOLS = {
     "resistance_K_per_W": r"$\hat{R}_{cw}$",
     "tau_s": r"$\hat{R}_{cw}\hat{C}_{bck}$",
 }
-CONTROLLERS: dict[str, tuple[str, style.Look]] = {
-    "fixed": ("fixed", style.FIXED),
-    "adaptive": ("adaptive", style.ADAPTIVE),
-    "direct_rls": ("adaptive, direct RLS", style.DIRECT),
+CONTROLLERS: dict[str, tuple[str, figures.Look]] = {
+    "fixed": ("fixed", figures.FIXED),
+    "adaptive": ("adaptive", figures.ADAPTIVE),
+    "direct_rls": ("adaptive, direct RLS", figures.DIRECT),
 }
-MEASURED: style.Look = {"color": "0.80", "linewidth": 0.6, "zorder": 1}
-APPLIED: style.Look = {"color": "0.55", "linewidth": 0.6, "zorder": 1}
-WARM_UP: style.Look = {"color": "#f2e8d5", "linewidth": 0.0, "zorder": 0}
+MEASURED: figures.Look = {"color": "0.80", "linewidth": 0.6, "zorder": 1}
+APPLIED: figures.Look = {"color": "0.55", "linewidth": 0.6, "zorder": 1}
+WARM_UP: figures.Look = {"color": "#f2e8d5", "linewidth": 0.0, "zorder": 0}
 _MARGIN = 0.06
 
 
@@ -51,15 +51,15 @@ def describe(outcome: Outcome) -> str:
     return ", ".join(parts)
 
 
-def draw_output(axes: Axes, record: Run, label: str, look: style.Look) -> None:
+def draw_output(axes: Axes, record: Run, label: str, look: figures.Look) -> None:
     """Draw reference, measured and true output."""
     minutes = minutes_of(record)
-    axes.step(minutes, record["reference"], where="post", label="reference", **style.REFERENCE)
+    axes.step(minutes, record["reference"], where="post", label="reference", **figures.REFERENCE)
     axes.plot(minutes, record["measured"], label="measured", **MEASURED)
     axes.plot(minutes, record["output"], label=label, **look)
 
 
-def draw_voltage(axes: Axes, record: Run, look: style.Look) -> None:
+def draw_voltage(axes: Axes, record: Run, look: figures.Look) -> None:
     """Draw V_c as commanded, and the mean v_bst that was applied in each slow period."""
     minutes = minutes_of(record)
     applied = [*record["applied_V"][1:], record["applied_V"][-1]]
@@ -79,11 +79,13 @@ def draw_estimates(axes: Axes, outcome: Outcome, limits: tuple[float, float]) ->
     for i, name in enumerate(load.names):
         label = "truth" if i == len(load.names) - 1 else None
         estimated = record[name] / nominal[i]
-        axes.plot(minutes, estimated, color=style.PARAMETERS[i], linewidth=0.9, label=SYMBOLS[name])
-        axes.plot(minutes, truth[:, i], drawstyle=drawstyle, label=label, **style.TRUTH)
+        axes.plot(
+            minutes, estimated, color=figures.PARAMETERS[i], linewidth=0.9, label=SYMBOLS[name]
+        )
+        axes.plot(minutes, truth[:, i], drawstyle=drawstyle, label=label, **figures.TRUTH)
     axes.set_ylim(*limits)
     axes.set_ylabel("Over nominal")
-    style.legend_above(axes, len(load.names) + 1)
+    figures.legend_above(axes, len(load.names) + 1)
 
 
 def draw_model_errors(axes: Axes, outcome: Outcome) -> None:
@@ -98,7 +100,7 @@ def draw_model_errors(axes: Axes, outcome: Outcome) -> None:
     axes.set_yscale("log")
     axes.set_ylim(0.7 * min(found), 1.5 * max(found))
     axes.set_ylabel("rms (% of step)")
-    style.legend_above(axes, len(outcome.cycles))
+    figures.legend_above(axes, len(outcome.cycles))
 
 
 def show_whole(axes: Sequence[Axes], values: Iterable[Iterable[float]]) -> None:
@@ -120,7 +122,10 @@ def mark_warm_up(axes: Axes, outcome: Outcome, record: Run) -> None:
 def mark_in_force(axes: Axes, record: Run) -> None:
     """Draw a bar while the adaptive gains were in force."""
     minutes, in_force = minutes_of(record), record["adaptive"] > 0.0
-    look: style.Look = {"transform": axes.get_xaxis_transform(), "color": style.ADAPTIVE["color"]}
+    look: figures.Look = {
+        "transform": axes.get_xaxis_transform(),
+        "color": figures.ADAPTIVE["color"],
+    }
     look |= {"linewidth": 0.0, "label": "adaptive in force"}
     axes.fill_between(minutes, 0.0, 0.03, where=in_force.tolist(), step="post", **look)
 
@@ -170,19 +175,19 @@ def experiment_figure(outcome: Outcome) -> Figure:
 
 def draw(figure_of: Callable[[Outcome], Figure], outcome: Outcome, path: Path) -> None:
     """Draw a figure of an experiment as a PNG."""
-    with style.journal():
+    with figures.journal():
         save(figure_of(outcome), path)
 
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as a PNG, the same bytes each time."""
     FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=style.DPI, metadata={"Software": None})
+    figure.savefig(path, dpi=figures.DPI, metadata={"Software": None})
 
 
 def _draw_motor(outcome: Outcome) -> Figure:
     """Tachometer and drive voltage of each controller, as in Fig. 9; estimates; model errors."""
-    figure = Figure(figsize=(style.WIDTH_in, 11.4), layout="constrained")
+    figure = Figure(figsize=(figures.WIDTH_in, 11.4), layout="constrained")
     heights = (1.5, 0.8, 1.5, 0.8, 1.5, 0.8, 1.1, 0.9)
     axes = list(figure.subplots(8, 1, sharex=True, height_ratios=heights))
     speeds, voltages = axes[0:6:2], axes[1:6:2]
@@ -190,25 +195,25 @@ def _draw_motor(outcome: Outcome) -> Figure:
         record, look = outcome.records[variant], CONTROLLERS[variant][1]
         draw_output(speeds[i], record, "without noise", look)
         draw_voltage(voltages[i], record, look)
-        style.letter(speeds[i], "ace"[i], f"Speed, {title}")
-        style.letter(voltages[i], "bdf"[i], f"Drive voltage, {title}")
+        figures.letter(speeds[i], "ace"[i], f"Speed, {title}")
+        figures.letter(voltages[i], "bdf"[i], f"Drive voltage, {title}")
         if variant != "fixed":
             mark_warm_up(voltages[i], outcome, record)
-        style.legend_above(speeds[i], 3)
-        style.legend_above(voltages[i], 4)
+        figures.legend_above(speeds[i], 3)
+        figures.legend_above(voltages[i], 4)
         speeds[i].set_ylabel("Tachometer (V)")
         voltages[i].set_ylabel("Voltage (V)")
     show_whole(speeds, _outputs(outcome))
     show_whole(voltages, [one["applied_V"] for one in outcome.records.values()] + [[200, 400]])
-    style.letter(axes[6], "g", "Estimates (transients beyond the axis are cut)")
-    style.letter(axes[7], "h", "Deviation from the ideal closed loop")
+    figures.letter(axes[6], "g", "Estimates (transients beyond the axis are cut)")
+    figures.letter(axes[7], "h", "Deviation from the ideal closed loop")
     name_segments(speeds[0], outcome.experiment, ("1 disk", "2 disks", "3 disks"))
     return _finished(figure, outcome, (-0.5, 4.5), 2.0)
 
 
 def _draw_bath(outcome: Outcome) -> Figure:
     """Temperature and power of both controllers, as in Fig. 4; estimates; model errors."""
-    figure = Figure(figsize=(style.WIDTH_in, 8.2), layout="constrained")
+    figure = Figure(figsize=(figures.WIDTH_in, 8.2), layout="constrained")
     rows = figure.subplots(4, 1, sharex=True, height_ratios=(1.7, 1.2, 1.0, 0.9))
     response, power, estimates, errors = rows
     load = outcome.experiment.nominal()
@@ -225,13 +230,13 @@ def _draw_bath(outcome: Outcome) -> Figure:
     mark_warm_up(power, outcome, outcome.records["adaptive"])
     response.set_ylabel(r"$T_b$ above the inflow (K)")
     power.set_ylabel("Heater power (W)")
-    style.letter(response, "a", "Bath temperature")
-    style.letter(power, "b", "Commanded power")
-    style.legend_above(response, 4)
-    style.legend_above(power, 4)
+    figures.letter(response, "a", "Bath temperature")
+    figures.letter(power, "b", "Commanded power")
+    figures.legend_above(response, 4)
+    figures.legend_above(power, 4)
     show_whole([response], _outputs(outcome))
-    style.letter(estimates, "c", "Estimates of the adaptive controller")
-    style.letter(errors, "d", "Deviation from the ideal closed loop")
+    figures.letter(estimates, "c", "Estimates of the adaptive controller")
+    figures.letter(errors, "d", "Deviation from the ideal closed loop")
     name_segments(response, outcome.experiment, ("0.6 gal", "1.5 gal"))
     return _finished(figure, outcome, (0.0, 3.4), 20.0)
 
@@ -260,11 +265,11 @@ _DRAW = {"motor": _draw_motor, "bath": _draw_bath}
 # The second figure: speed of the estimator against its noise, over ρ and over τ_λ.
 
 _DOTS = {"markersize": 3.2}
-_LOOKS: dict[str, tuple[str, style.Look]] = {
-    "lm-rls": ("LM-RLS", {**style.ADAPTIVE, "marker": "o", **_DOTS}),
-    "rls": ("direct RLS", {**style.DIRECT, "marker": "s", **_DOTS}),
+_LOOKS: dict[str, tuple[str, figures.Look]] = {
+    "lm-rls": ("LM-RLS", {**figures.ADAPTIVE, "marker": "o", **_DOTS}),
+    "rls": ("direct RLS", {**figures.DIRECT, "marker": "s", **_DOTS}),
 }
-_PAPER: style.Look = {"color": "0.35", "linewidth": 0.6, "linestyle": ":", "zorder": 0}
+_PAPER: figures.Look = {"color": "0.35", "linewidth": 0.6, "linestyle": ":", "zorder": 0}
 _NEVER = 0.95
 _OPEN = {"o": 5.4, "s": 3.0}
 _CROWDED = (0.96, 0.985)
@@ -276,7 +281,7 @@ Position = Callable[[SweepPoint], float]
 
 def sweep_figure(outcome: Outcome) -> Figure:
     """Return the figure of other values of ρ and τ_λ."""
-    figure = Figure(figsize=(style.WIDTH_in, 6.6), layout="constrained")
+    figure = Figure(figsize=(figures.WIDTH_in, 6.6), layout="constrained")
     axes = figure.subplots(3, 2, sharex="col", sharey="row")
     _column(axes[:, 0], outcome.over_forgetting, lambda one: _memory(one.setting.forgetting))
     _column(axes[:, 1], outcome.over_tau_lambda, lambda one: one.setting.tau_lambda_s)
@@ -300,7 +305,11 @@ def _column(axes: Sequence[Axes], points: list[SweepPoint], position: Position) 
 
 
 def _curves(
-    axes: Sequence[Axes], points: list[SweepPoint], position: Position, label: str, look: style.Look
+    axes: Sequence[Axes],
+    points: list[SweepPoint],
+    position: Position,
+    label: str,
+    look: figures.Look,
 ) -> None:
     """Speed and noise of one estimator; open marks where it never follows."""
     speed, noise, transient = axes
@@ -320,14 +329,18 @@ def _curves(
 def _name(axes: Grid, experiment: Experiment) -> None:
     paper = experiment.paper
     (speed, speed_tau), (noise, noise_tau), (transient, transient_tau) = axes
-    style.letter(speed, "a", rf"Convergence over $\rho$, $\tau_\lambda$ = {paper.tau_lambda_s:g} s")
-    style.letter(speed_tau, "b", rf"Convergence over $\tau_\lambda$, $\rho$ = {paper.forgetting:g}")
-    style.letter(noise, "c", r"Noise over $\rho$")
-    style.letter(noise_tau, "d", r"Noise over $\tau_\lambda$")
+    figures.letter(
+        speed, "a", rf"Convergence over $\rho$, $\tau_\lambda$ = {paper.tau_lambda_s:g} s"
+    )
+    figures.letter(
+        speed_tau, "b", rf"Convergence over $\tau_\lambda$, $\rho$ = {paper.forgetting:g}"
+    )
+    figures.letter(noise, "c", r"Noise over $\rho$")
+    figures.letter(noise_tau, "d", r"Noise over $\tau_\lambda$")
     speed.set_ylabel("Cycles until within 5 %")
     noise.set_ylabel("Noise in the estimates (%)")
-    style.letter(transient, "e", r"Transient over $\rho$, without noise")
-    style.letter(transient_tau, "f", r"Transient over $\tau_\lambda$, without noise")
+    figures.letter(transient, "e", r"Transient over $\rho$, without noise")
+    figures.letter(transient_tau, "f", r"Transient over $\tau_\lambda$, without noise")
     transient.set_ylabel("Largest error (× truth)")
     transient.set_xlabel(r"Forgetting factor $\rho$, spaced by its memory $1/(1-\rho)$")
     transient_tau.set_xlabel(r"$\tau_\lambda$ (s)")

@@ -9,8 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis import style
-from adaptdrive.analysis.figure import as_png
+from adaptdrive.analysis import figures
 from adaptdrive.analysis.record import RecordLoad
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.result import IdentifiedLoad
@@ -133,8 +132,8 @@ def draw_load(found: RecordLoad) -> bytes:
     Returns:
         A PNG.
     """
-    with style.journal():
-        figure = Figure(figsize=(style.WIDTH_in, 5.6), layout="constrained")
+    with figures.journal():
+        figure = Figure(figsize=(figures.WIDTH_in, 5.6), layout="constrained")
         output, residual, correlation = figure.subplots(3, 1, height_ratios=(1.6, 1.0, 1.0))
         residual.sharex(output)
         unit = found.unit
@@ -142,7 +141,7 @@ def draw_load(found: RecordLoad) -> bytes:
         _draw_residuals(residual, found, f"residual ({unit})" if unit else "residual")
         _draw_correlation(correlation, found.load)
         figure.align_ylabels([output, residual, correlation])
-        return as_png(figure)
+        return figures.as_png(figure)
 
 
 def _times_s(found: RecordLoad) -> list[Array]:
@@ -158,18 +157,18 @@ def _draw_output(axes: Axes, found: RecordLoad, label: str) -> None:
     parts = zip(_times_s(found), found.load.simulated, found.load.residuals, strict=True)
     for number, (time_s, simulated, residual) in enumerate(parts):
         names = ("measured", "simulated") if number == 0 else ("", "")
-        axes.plot(time_s, simulated + residual, label=names[0], **style.REFERENCE)
-        axes.plot(time_s, simulated, label=names[1], **style.ADAPTIVE)
+        axes.plot(time_s, simulated + residual, label=names[0], **figures.REFERENCE)
+        axes.plot(time_s, simulated, label=names[1], **figures.ADAPTIVE)
     fit = f", fit {100.0 * found.load.fit:.1f} %" if math.isfinite(found.load.fit) else ""
     axes.set_title(f"{found.name}: measured and simulated output{fit}")
     axes.set_ylabel(label)
-    style.legend_above(axes, columns=2)
+    figures.legend_above(axes, columns=2)
 
 
 def _draw_residuals(axes: Axes, found: RecordLoad, label: str) -> None:
     for time_s, residual in zip(_times_s(found), found.load.residuals, strict=True):
-        axes.plot(time_s, residual, **(style.FIXED | {"linewidth": 0.5}))
-    axes.axhline(0.0, **style.TRUTH)
+        axes.plot(time_s, residual, **(figures.FIXED | {"linewidth": 0.5}))
+    axes.axhline(0.0, **figures.TRUTH)
     axes.set_title("Measured less simulated")
     axes.set_xlabel("time since the start of the record (s)")
     axes.set_ylabel(label)
@@ -181,7 +180,7 @@ def _draw_correlation(axes: Axes, load: IdentifiedLoad) -> None:
     power = float(errors @ errors) or 1.0
     axes.bar(lags, [float(errors[lag:] @ errors[:-lag]) / power for lag in lags], color="0.4")
     band = _WHITE_BAND / math.sqrt(len(errors))
-    axes.axhspan(-band, band, color=style.ADAPTIVE["color"], alpha=0.15, linewidth=0)
+    axes.axhspan(-band, band, color=figures.ADAPTIVE["color"], alpha=0.15, linewidth=0)
     axes.set_title(f"Autocorrelation of the prediction errors, p = {load.whiteness:.2g}")
     axes.set_xlabel(f"lag (blocks of {load.block_s:.4g} s)")
     axes.set_ylabel("correlation")

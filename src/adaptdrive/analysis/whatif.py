@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis import closed_loop, curves, excerpts, style
-from adaptdrive.analysis.figure import as_png
+from adaptdrive.analysis import closed_loop, curves, excerpts, figures
 from adaptdrive.analysis.record import SessionLoad, identify_session
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
@@ -278,8 +277,8 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
     Returns:
         A PNG.
     """
-    with style.journal():
-        figure = Figure(figsize=(style.WIDTH_in, 4.6), layout="constrained")
+    with figures.journal():
+        figure = Figure(figsize=(figures.WIDTH_in, 4.6), layout="constrained")
         output, volts = figure.subplots(2, 1, sharex=True, height_ratios=(1.4, 1.0))
         _draw(output, comparison, "output")
         output.plot(
@@ -287,7 +286,7 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
             comparison.recorded.reference,
             drawstyle="steps-post",
             label="set-point",
-            **style.TRUTH,
+            **figures.TRUTH,
         )
         _draw(volts, comparison, "boost_voltage_V")
         info = comparison.found.session.info
@@ -297,16 +296,16 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
         volts.set_title(f"{given.name}, means over slow periods")
         volts.set_ylabel(given.axis)
         volts.set_xlabel("time since the first tick (s)")
-        style.legend_above(output, columns=4)
+        figures.legend_above(output, columns=4)
         figure.align_ylabels([output, volts])
-        return as_png(figure)
+        return figures.as_png(figure)
 
 
 def _draw(axes: Axes, comparison: Comparison, name: str) -> None:
     courses = (
-        ("recorded", comparison.recorded, style.REFERENCE),
-        ("simulated", comparison.repeated, style.FIXED),
-        ("changed", comparison.changed, style.ADAPTIVE),
+        ("recorded", comparison.recorded, figures.REFERENCE),
+        ("simulated", comparison.repeated, figures.FIXED),
+        ("changed", comparison.changed, figures.ADAPTIVE),
     )
     for label, one, look in courses:
         axes.plot(one.time_s, getattr(one, name), label=label, **look)

@@ -70,7 +70,7 @@ def plot(session: str | None = None, /, *, view: SessionView = _WHOLE) -> int:
         view: Part of the session, and the form of the result.
     """
     with options.needing("analysis"):
-        from adaptdrive.analysis.figure import plot as plot_session  # noqa: PLC0415 - it is large
+        from adaptdrive.analysis.figures import plot as plot_session  # noqa: PLC0415 - it is large
     path = _find(session)
     figure, report = plot_session(path, view.begin, view.end, view.folder(path))
     files = {"figure": str(figure), "report": str(report)}

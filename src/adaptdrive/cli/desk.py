@@ -368,7 +368,7 @@ def last_report(drive: str) -> bytes:
         AdaptdriveError: There is none, or it cannot be read.
         OSError: As above.
     """
-    from adaptdrive.analysis.figure import plot  # noqa: PLC0415 - it is large
+    from adaptdrive.analysis.figures import plot  # noqa: PLC0415 - it is large
 
     with TemporaryDirectory() as folder:
         _, report = plot(_last_session(drive), into=Path(folder))

@@ -12,11 +12,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis import load_report, style
+from adaptdrive.analysis import figures, load_report
 from adaptdrive.analysis.closed_loop import run_loop
 from adaptdrive.analysis.curves import Quality, period_means, quality_of
 from adaptdrive.analysis.excerpts import IdentifiedPlant
-from adaptdrive.analysis.figure import as_png
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.commissioning.course import Outcome, Samples
 from adaptdrive.commissioning.experiment import LoadExperiment
@@ -338,24 +337,24 @@ def draw(found: Commissioned) -> bytes:
     """Return a PNG of the test with the simulated output, and of the predicted response."""
     load, prediction = found.load, found.prediction
     label = f"{found.before.load.output_name} ({found.before.load.output_unit or '1'})"
-    with style.journal():
-        figure = Figure(figsize=(style.WIDTH_in, 5.6), layout="constrained")
+    with figures.journal():
+        figure = Figure(figsize=(figures.WIDTH_in, 5.6), layout="constrained")
         test, response, volts = figure.subplots(3, 1, height_ratios=(1.4, 1.0, 0.8))
         simulated = np.concatenate(load.simulated)
         time_s = load.block_s * np.arange(len(simulated))
         measured = simulated + np.concatenate(load.residuals)
-        test.plot(time_s, measured, label="measured", **style.REFERENCE)
-        test.plot(time_s, simulated, label="identified load", **style.ADAPTIVE)
+        test.plot(time_s, measured, label="measured", **figures.REFERENCE)
+        test.plot(time_s, simulated, label="identified load", **figures.ADAPTIVE)
         test.set_ylabel(label)
         test.set_xlabel("time in the experiment (s)")
-        style.legend_above(test, columns=2)
-        response.plot(prediction.time_s, prediction.output, **style.ADAPTIVE)
+        figures.legend_above(test, columns=2)
+        response.plot(prediction.time_s, prediction.output, **figures.ADAPTIVE)
         response.set_title("predicted response of the fixed controller to a step")
         response.set_ylabel(label)
-        volts.plot(prediction.time_s, prediction.boost_voltage_V, **style.ADAPTIVE)
+        volts.plot(prediction.time_s, prediction.boost_voltage_V, **figures.ADAPTIVE)
         volts.set_ylabel(found.before.drive.given.axis)
         volts.set_xlabel("time since the step (s)")
-        return as_png(figure)
+        return figures.as_png(figure)
 
 
 def judged(

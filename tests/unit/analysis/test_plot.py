@@ -18,7 +18,7 @@ import pytest
 from pyarrow import parquet as pq
 
 from adaptdrive.analysis.curves import find_window, read_curves
-from adaptdrive.analysis.figure import draw_session, plot
+from adaptdrive.analysis.figures import draw_session, plot
 from adaptdrive.cli import main
 from adaptdrive.control.signals import Mode
 from adaptdrive.recording.archiver import draw

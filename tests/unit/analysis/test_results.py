@@ -19,7 +19,7 @@ from tests.unit.app.test_replay import EXAMPLE, PRIOR, lived
 from tests.unit.recording.material import INFO, make_batch, record_messages
 
 COMPUTATIONS = {
-    "plot": "adaptdrive.analysis.figure.draw_session",
+    "plot": "adaptdrive.analysis.figures.draw_session",
     "identify": "adaptdrive.identification.identify.identify_any",
     "whatif": "adaptdrive.identification.identify.identify_any",
 }

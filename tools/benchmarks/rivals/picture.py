@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
-from adaptdrive.analysis.figure import as_png
+from adaptdrive.analysis.figures import as_png
 from tools.benchmarks.rivals.cases import CASES, MOTORS
 from tools.benchmarks.rivals.runs import run_of
 

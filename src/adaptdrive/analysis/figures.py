@@ -1,19 +1,21 @@
-"""Figure and report of a session: output, voltages, estimates, and the controller in force."""
+"""Figures: their style, and figure and report of a session."""
 
 import base64
 import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptdrive.analysis import style
 from adaptdrive.analysis.curves import Curves, find_window, read_curves
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
@@ -22,20 +24,88 @@ from adaptdrive.recording.session import read_marks
 from adaptdrive.util import files, quantity
 from adaptdrive.util.errors import escaped
 
+# Style of all figures: one typeface, few colours, no unnecessary frames.
+
+Look = dict[str, Any]
+
+WIDTH_in = 7.16
+"""Both columns of a journal page."""
+
+DPI = 300
+
+REFERENCE: Look = {"color": "0.62", "linewidth": 1.0}
+FIXED: Look = {"color": "#b4472e", "linewidth": 0.9}
+ADAPTIVE: Look = {"color": "#1d4e79", "linewidth": 0.9}
+DIRECT: Look = {"color": "#c79a2b", "linewidth": 0.9}
+TRUTH: Look = {"color": "0.25", "linewidth": 0.8, "linestyle": (0, (4, 2))}
+PARAMETERS = ("#1d4e79", "#b4472e", "#4c8b57")
+
+_STYLE: Any = {
+    "font.family": "STIXGeneral",
+    "mathtext.fontset": "stix",
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 4.0,
+    "axes.axisbelow": True,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "legend.frameon": False,
+    "legend.borderaxespad": 0.2,
+    "legend.handlelength": 1.8,
+    "legend.columnspacing": 1.4,
+    "lines.solid_capstyle": "butt",
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.03,
+}
+
+
+def journal() -> AbstractContextManager[None]:
+    """Within this context figures look as they should."""
+    return rc_context(_STYLE)
+
+
+def letter(axes: Axes, name: str, title: str) -> None:
+    """Name a panel."""
+    axes.set_title(rf"$\mathbf{{({name})}}$  {title}")
+
+
+def legend_above(axes: Axes, columns: int) -> None:
+    """Put the legend next to the panel's title, where it hides no data."""
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=columns,
+        borderpad=0.0,
+        borderaxespad=0.1,
+    )
+
+
 # The figure of a session: output, voltages, estimates, and which controller was in force.
 
-_TRIP: style.Look = {"color": "#c1121f", "linewidth": 1.0}
-_DONE: style.Look = {"color": "#7b2d8b", "linewidth": 0.9, "linestyle": "--"}
-_CHANGE: style.Look = {"color": "0.4", "linewidth": 0.7, "linestyle": ":"}
+_TRIP: Look = {"color": "#c1121f", "linewidth": 1.0}
+_DONE: Look = {"color": "#7b2d8b", "linewidth": 0.9, "linestyle": "--"}
+_CHANGE: Look = {"color": "0.4", "linewidth": 0.7, "linestyle": ":"}
 _CHANGES = {"mode", "controller", "fallback"}
 _MOST_LABELS = 6
 _MOST_CHANGES = 100
 """Changes of mode that are marked across the curves; more would hide them."""
 
 _SHADES = {
-    "adaptive": style.ADAPTIVE["color"],
-    "manual": style.DIRECT["color"],
-    "fixed": style.FIXED["color"],
+    "adaptive": ADAPTIVE["color"],
+    "manual": DIRECT["color"],
+    "fixed": FIXED["color"],
     "accepted": "#4c8b57",
     "not accepted": "0.85",
 }
@@ -65,8 +135,8 @@ def draw_session(session: reader.Session, configuration: Configuration, curves: 
     Returns:
         A PNG.
     """
-    with style.journal():
-        figure = Figure(figsize=(style.WIDTH_in, 6.4), layout="constrained")
+    with journal():
+        figure = Figure(figsize=(WIDTH_in, 6.4), layout="constrained")
         axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.5, 1.2, 1.2, 0.45))
         span_s = curves.window.end_s - curves.window.begin_s
         scale_s, unit = next((s, u) for most, s, u in _UNITS_OF_TIME if span_s <= most)
@@ -90,7 +160,7 @@ def as_png(figure: Figure) -> bytes:
 
 
 def _draw_output(axes: Axes, session: reader.Session, curves: Curves, scale_s: float) -> None:
-    looks = {"reference": style.REFERENCE, "output": style.ADAPTIVE}
+    looks = {"reference": REFERENCE, "output": ADAPTIVE}
     for name, look in looks.items():
         time_s, values = curves.ticks[name]
         axes.plot(time_s / scale_s, values, label=name, **look)
@@ -98,21 +168,21 @@ def _draw_output(axes: Axes, session: reader.Session, curves: Curves, scale_s: f
     axes.set_ylabel(
         f"output ({session.info.output_unit})" if session.info.output_unit else "output"
     )
-    style.legend_above(axes, columns=2)
+    legend_above(axes, columns=2)
 
 
 def _draw_given(axes: Axes, given: quantity.Given, curves: Curves, scale_s: float) -> None:
     time_s, boost_V = curves.ticks["boost_voltage_V"]
-    axes.plot(time_s / scale_s, boost_V, label=given.name, **(style.FIXED | {"linewidth": 0.6}))
+    axes.plot(time_s / scale_s, boost_V, label=given.name, **(FIXED | {"linewidth": 0.6}))
     if len(curves.slow_s):
         slow = curves.broken(curves.slow_s / scale_s)
         asked = curves.broken(curves.slow["boost_reference_V"])
         applied = curves.broken(curves.slow["applied_V"])
-        axes.step(slow, asked, where="post", label=given.asked, **style.REFERENCE)
-        axes.plot(slow, applied, label="applied, mean", **style.ADAPTIVE)
+        axes.step(slow, asked, where="post", label=given.asked, **REFERENCE)
+        axes.plot(slow, applied, label="applied, mean", **ADAPTIVE)
     axes.set_title(f"{given.title.capitalize()} of the drive")
     axes.set_ylabel(given.axis)
-    style.legend_above(axes, columns=3)
+    legend_above(axes, columns=3)
 
 
 def _draw_estimates(
@@ -121,21 +191,21 @@ def _draw_estimates(
     load = build_load(configuration)
     nominal = load.physical(list(load.numerator), list(load.denominator))
     time = curves.broken(curves.slow_s / scale_s)
-    for name, usual, colour in zip(load.names, nominal, style.PARAMETERS, strict=False):
+    for name, usual, colour in zip(load.names, nominal, PARAMETERS, strict=False):
         if name not in curves.estimates:
             continue
         value, std = (curves.broken(series) / usual for series in curves.estimates[name])
         axes.plot(time, value, color=colour, linewidth=0.9, label=_SYMBOLS.get(name, name))
         band = _SIGMAS * np.abs(std)
         axes.fill_between(time, value - band, value + band, color=colour, alpha=0.15, linewidth=0)
-    axes.axhline(1.0, **style.TRUTH)
+    axes.axhline(1.0, **TRUTH)
     usuals = zip(load.names, nominal, strict=True)
     known = [curves.estimates[n][0] / usual for n, usual in usuals if n in curves.estimates]
     axes.set_ylim(*_limits(known))
     axes.set_title(f"Estimates over nominal, with bands of {_SIGMAS:g} standard deviations")
     axes.set_ylabel("ratio")
     if curves.estimates:
-        style.legend_above(axes, columns=3)
+        legend_above(axes, columns=3)
 
 
 def _limits(series: list[NDArray[np.float64]]) -> tuple[float, float]:
@@ -163,7 +233,7 @@ def _draw_strip(axes: Axes, curves: Curves, scale_s: float) -> None:
     for what in ("adaptive", "fixed", "manual", "accepted", "not accepted"):
         axes.fill_between([], [], color=_SHADES[what], label=what, linewidth=0)
     axes.set_title("In force")
-    style.legend_above(axes, columns=5)
+    legend_above(axes, columns=5)
 
 
 def _runs(values: list[str], breaks: NDArray[np.int64]) -> Iterator[tuple[int, int, str]]:
@@ -235,24 +305,6 @@ pre {{ background: #f5f5f2; padding: 1em; overflow-x: auto; font-size: 0.85em; }
 </body></html>
 """
 _MOST_ROWS = 1000
-
-
-def report_page(session: reader.Session, curves: Curves, png: bytes) -> str:
-    """Return the report of a session as HTML.
-
-    Args:
-        session: The session.
-        curves: What its figure shows.
-        png: The figure.
-    """
-    return _PAGE.format(
-        title=escape(f"{session.info.drive}, {curves.window.started:%Y-%m-%d %H:%M:%S} UTC"),
-        facts=_facts(session, curves),
-        png=base64.b64encode(png).decode(),
-        events=_events(session, curves),
-        commands=_commands(session),
-        config=escape(session.config_text),
-    )
 
 
 def _facts(session: reader.Session, curves: Curves) -> str:
@@ -332,7 +384,14 @@ def plot(
     png = draw_session(session, configuration, curves)
     folder = path if into is None else into
     figure, report = folder / "figure.png", folder / "report.html"
-    page = report_page(session, curves, png)
+    page = _PAGE.format(
+        title=escape(f"{session.info.drive}, {curves.window.started:%Y-%m-%d %H:%M:%S} UTC"),
+        facts=_facts(session, curves),
+        png=base64.b64encode(png).decode(),
+        events=_events(session, curves),
+        commands=_commands(session),
+        config=escape(session.config_text),
+    )
     files.replace_result(figure, png)
     files.replace_result(report, escaped(page).encode())
     return figure, report
