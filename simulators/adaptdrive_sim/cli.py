@@ -152,7 +152,7 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
         runs: Number of runs instead of the file's.
         only: Seed of one run to repeat, recorded and drawn.
     """
-    from adaptdrive_sim.campaign.main import repeat_run, run_campaign  # noqa: PLC0415
+    from adaptdrive_sim.campaign import repeat_run, run_campaign  # noqa: PLC0415
 
     if only is not None:
         repeat_run(file, only, output)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from adaptdrive_sim.campaign.main import run_seed, workers
+from adaptdrive_sim.campaign import run_seed, workers
 from adaptdrive_sim.campaign.settings import Campaign, read_campaign
 
 COUNTS = (1, 2)

@@ -86,7 +86,7 @@ DEVICES: dict[str, tuple[str, ...]] = {
         "tests/unit/devices/canopen/test_frames.py",
         "tests/unit/devices/canopen/test_unseen.py",
     ),
-    "adaptdrive.devices.modbus.port": (*_MODBUS, "tests/unit/devices/modbus/test_sensors.py"),
+    "adaptdrive.devices.modbus": (*_MODBUS, "tests/unit/devices/modbus/test_sensors.py"),
     "adaptdrive.devices.modbus.frames": (*_MODBUS, "tests/unit/devices/modbus/test_functions.py"),
     "adaptdrive.devices.polled.commander": (
         "tests/unit/devices/test_commander.py",

@@ -19,7 +19,7 @@ from adaptdrive.control.loads import motor
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification import identify
+from adaptdrive.identification import identify_any, proposed_model, time_constants
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.reader import Session, read_session
@@ -254,7 +254,7 @@ def _used(parts: list[Part], load: IdentifiedLoad, block: int) -> tuple[tuple[fl
 def _of_drive(name: str, parts: list[Part], block: int, configuration: Configuration) -> RecordLoad:
     """Return the load between the boost voltage and the output of a drive."""
     structure, excerpts = build_load(configuration), [one for _, one in parts]
-    load = identify.identify_any(excerpts, candidate_loads(configuration), block=block)
+    load = identify_any(excerpts, candidate_loads(configuration), block=block)
     ends_s, left_out = _used(parts, load, block)
     nominal = structure.physical(list(structure.numerator), list(structure.denominator))
     return RecordLoad(
@@ -264,7 +264,7 @@ def _of_drive(name: str, parts: list[Part], block: int, configuration: Configura
         load=load,
         online={},
         nominal=dict(zip(structure.names, nominal, strict=True)),
-        model=identify.proposed_model(load, configuration.load),
+        model=proposed_model(load, configuration.load),
         left_out=left_out,
     )
 
@@ -386,9 +386,9 @@ def _identify(columns: Columns, name: str, view: RecordView) -> RecordLoad:
 def _of_any(name: str, parts: list[Part], block: int, lags: int | None) -> RecordLoad:
     """Return the load between any input and output, with the lags that the record shows."""
     structures = [plain_load(count) for count in ((1, 2) if lags is None else (lags,))]
-    load = identify.identify_any([one for _, one in parts], structures, block=block)
+    load = identify_any([one for _, one in parts], structures, block=block)
     ends_s, left_out = _used(parts, load, block)
-    return RecordLoad(name, "", ends_s, load, {}, {}, identify.time_constants(load), left_out)
+    return RecordLoad(name, "", ends_s, load, {}, {}, time_constants(load), left_out)
 
 
 def _refuse_columns(view: RecordView, kind: str) -> None:

@@ -66,7 +66,7 @@ def bus_kind(bus_type: str, source: Path | str = "configuration") -> BusKind:
 
             return SCPI
         case _:
-            from adaptdrive.devices.modbus.port import MODBUS  # noqa: PLC0415
+            from adaptdrive.devices.modbus import MODBUS  # noqa: PLC0415
 
             return MODBUS
 

@@ -23,9 +23,8 @@ from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.control.signals import Mode, Order, Stage
-from adaptdrive.identification import result
+from adaptdrive.identification import identify, identify_any, result
 from adaptdrive.identification.excerpt import Excerpt
-from adaptdrive.identification.identify import identify, identify_any
 from adaptdrive.util.errors import CommissionError
 
 # The load that an experiment shows.

@@ -25,7 +25,7 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.control.design import pole_placement
 from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.identify import proposed_model
+from adaptdrive.identification import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw

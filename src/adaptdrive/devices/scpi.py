@@ -13,7 +13,8 @@ from adaptdrive.config import Configuration, polled
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices.bus import BusKind, bus_of, polled_cautions, tcp_locks
 from adaptdrive.devices.description import Source
-from adaptdrive.devices.polled import link, mapping, port
+from adaptdrive.devices.polled import Port as PolledPort
+from adaptdrive.devices.polled import link, mapping
 from adaptdrive.devices.polled.registers import Block, Exchange, count, encode_count
 
 _COMPLETE = "*OPC?"
@@ -146,7 +147,7 @@ def describe_supply(config: polled.ScpiBus) -> str:
     return f"scpi {config.host}:{config.port}"
 
 
-class Port(port.Port):
+class Port(PolledPort):
     """One connection to one supply."""
 
     def __init__(

@@ -121,7 +121,7 @@ def test_the_daemon_imports_nothing_heavy() -> None:
     """Nor does it wake up threads of a linear algebra library."""
     code = (
         "import sys, adaptdrive.cli, adaptdrive.app.run, adaptdrive.devices.can.port\n"
-        "import adaptdrive.devices.modbus.port\n"
+        "import adaptdrive.devices.modbus\n"
         "print({'numpy', 'scipy', 'pyarrow'} & sys.modules.keys())"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}

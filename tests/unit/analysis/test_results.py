@@ -20,8 +20,8 @@ from tests.unit.recording.material import INFO, make_batch, record_messages
 
 COMPUTATIONS = {
     "plot": "adaptdrive.analysis.figures.draw_session",
-    "identify": "adaptdrive.identification.identify.identify_any",
-    "whatif": "adaptdrive.identification.identify.identify_any",
+    "identify": "adaptdrive.analysis.record.identify_any",
+    "whatif": "adaptdrive.analysis.record.identify_any",
 }
 FORMS = ["csv", "parquet", "mat", "mdf4", "mcap"]
 ROOM = 1000

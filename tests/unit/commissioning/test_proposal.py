@@ -19,8 +19,8 @@ from adaptdrive.control.design.pole_placement import (
     discrete_model,
 )
 from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.identification import identify
 from adaptdrive.identification.excerpt import Excerpt
-from adaptdrive.identification.identify import identify
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from adaptdrive_sim import parameters

@@ -8,8 +8,8 @@ from scipy.signal import lfilter
 
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.identification import identify
 from adaptdrive.identification.excerpt import Excerpt
-from adaptdrive.identification.identify import identify
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.util.errors import IdentificationError
 from tests.support import sample

@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.config import load_configuration
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.identify import identify, proposed_model
+from adaptdrive.identification import identify, proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.identification.plants import KINDS

@@ -16,7 +16,7 @@ from crccheck.crc import CrcModbus
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.polled import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.modbus import port as modbus_port
+from adaptdrive.devices import modbus
 from adaptdrive.devices.polled.mapping import Poll, map_drive
 from adaptdrive.devices.port import Reading
 from tests.unit.config.modbus_documents import parse
@@ -238,7 +238,7 @@ class Follower(Ear):
 class Bench:
     """A running port between a peer and an ear."""
 
-    def __init__(self, port: modbus_port.Port, peer: Peer) -> None:
+    def __init__(self, port: modbus.Port, peer: Peer) -> None:
         self.port = port
         self.peer = peer
         self.ear = Follower()
@@ -312,11 +312,11 @@ def plan(**changes: str | None) -> Poll:
     return map_drive(configuration.bus, configuration.signals, 1.0 / 120.0, "bench.toml")
 
 
-def build(clock: Callable[[], float] | None = None, /, **changes: str | None) -> modbus_port.Port:
+def build(clock: Callable[[], float] | None = None, /, **changes: str | None) -> modbus.Port:
     """The port of the bench's map, with changes."""
     clock = clock or asyncio.get_running_loop().time
     port = build_port(parse(**{**MAP, **changes}), clock, "bench.toml")
-    assert isinstance(port, modbus_port.Port)
+    assert isinstance(port, modbus.Port)
     return port
 
 

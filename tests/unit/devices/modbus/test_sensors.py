@@ -14,7 +14,7 @@ import pytest
 
 from adaptdrive.config.root import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.devices.description import NO_DEMANDS, Demands
-from adaptdrive.devices.modbus.port import SELDOM_CYCLES, SensorPort, build_modbus_sensors
+from adaptdrive.devices.modbus import SELDOM_CYCLES, SensorPort, build_modbus_sensors
 from adaptdrive.util.errors import ConfigurationError
 from tests.unit.devices.bench import SensorEar, until
 from tests.unit.devices.modbus.bench import Peer, untouched

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.modbus import port as modbus_port
+from adaptdrive.devices import modbus
 from adaptdrive.devices.polled.commander import WritePace
 from adaptdrive.devices.polled.mapping import block_words
 from adaptdrive.devices.polled.registers import Block
@@ -60,7 +60,7 @@ class Drive(ModbusNode):
 @contextlib.asynccontextmanager
 async def running(
     drive: ModbusNode, first: Command | None = None, /, **changes: str | None
-) -> AsyncIterator[tuple[modbus_port.Port, Ear]]:
+) -> AsyncIterator[tuple[modbus.Port, Ear]]:
     """Run a port against a drive, with a first command or none."""
     async with drive.served():
         port, ear = build(bus__port=str(drive.port), bus__heartbeat__daemon=None, **changes), Ear()

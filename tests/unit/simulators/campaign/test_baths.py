@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from adaptdrive_sim.campaign.main import read_any_campaign, run_campaign, run_seed
+from adaptdrive_sim.campaign import read_any_campaign, run_campaign, run_seed
 from adaptdrive_sim.campaign.settings import FOLDER, BathCampaign
 from adaptdrive_sim.campaign.stands import BathScenario, BathStand, draw_bath
 from adaptdrive_sim.plants.bath import Bath

@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from adaptdrive_sim.campaign import repeat_run, run_campaign
 from adaptdrive_sim.campaign.batteries import BatteryCampaign, BatteryScenario, draw_battery
-from adaptdrive_sim.campaign.main import repeat_run, run_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
 
 SHIPPED = Path("battery.toml")

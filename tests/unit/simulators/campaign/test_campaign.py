@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.main import repeat_run, run_campaign, run_seed, workers
+from adaptdrive_sim.campaign import repeat_run, run_campaign, run_seed, workers
 from adaptdrive_sim.campaign.report import claims, failures, judge, shared_failures
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign
 from adaptdrive_sim.campaign.stands import Stand, deployed, draw

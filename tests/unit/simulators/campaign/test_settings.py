@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.util.errors import ConfigurationError
-from adaptdrive_sim.campaign.main import read_any_campaign
+from adaptdrive_sim.campaign import read_any_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, Campaign, LifeRanges, read_campaign
 
 
