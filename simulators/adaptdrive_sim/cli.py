@@ -8,7 +8,7 @@ from cyclopts import App, Parameter
 
 import adaptdrive
 from adaptdrive.cli import FAILED, carry_out, options, print_error
-from adaptdrive_sim.demo.story import DemoSettings
+from adaptdrive_sim.demo import DemoSettings
 from adaptdrive_sim.device import DeviceSettings, parse_address
 
 app = App(

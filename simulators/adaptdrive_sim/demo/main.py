@@ -29,10 +29,10 @@ from adaptdrive.tui.view import DIM, ViewExtras, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import AdaptdriveError, first_error
+from adaptdrive_sim.demo import DemoSettings
 from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.record import TRIPPED, DemoRecord
 from adaptdrive_sim.demo.stages import RealStage, VirtualStage, program
-from adaptdrive_sim.demo.story import DemoSettings, Story, read_story
+from adaptdrive_sim.demo.story import TRIPPED, DemoRecord, Story, read_story
 
 # The view of a demonstration: that of `adaptdrive watch`, with the story and its table.
 

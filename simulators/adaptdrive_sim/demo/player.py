@@ -7,9 +7,9 @@ import msgspec
 from adaptdrive.control.signals import Waveform
 from adaptdrive.mqtt import client, commands
 from adaptdrive.tui.terminal import KeyCommand
-from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.demo import DemoError
 from adaptdrive_sim.demo.stages import RealStage, VirtualStage
-from adaptdrive_sim.demo.story import DemoError, Scene, Story
+from adaptdrive_sim.demo.story import DemoRecord, Scene, Story
 
 START_s = 60.0
 RUNNING_s = 30.0

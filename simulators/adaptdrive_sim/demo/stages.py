@@ -34,8 +34,8 @@ from adaptdrive.runtime.accounts import state_report
 from adaptdrive.tui.main import follow_drive, over_mqtt
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RecordingError, RefusedError
-from adaptdrive_sim.demo.record import DemoRecord
-from adaptdrive_sim.demo.story import DemoError, DemoSettings, Story
+from adaptdrive_sim.demo import DemoError, DemoSettings
+from adaptdrive_sim.demo.story import DemoRecord, Story
 from adaptdrive_sim.device import DeviceSettings, build_world
 from adaptdrive_sim.devices.disturbances import answer, features_of
 from adaptdrive_sim.parameters import EXAMPLES

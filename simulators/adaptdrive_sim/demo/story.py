@@ -1,17 +1,20 @@
-"""Stories as data, one file each, and the settings of a demonstration."""
+"""Stories as data, one file each, and what a demonstration of one learns from its messages."""
 
 import math
 import tomllib
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import msgspec
-from cyclopts import Parameter
+import numpy as np
 
-from adaptdrive.cli.options import Integer
+from adaptdrive.analysis.curves import judge_step
 from adaptdrive.control.signals import Waveform
-from adaptdrive.util.errors import AdaptdriveError, RefusedError
+from adaptdrive.mqtt.commands import number
+from adaptdrive.tui.record import Mark, Payload, WatchRecord
+from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.parameters import example_tables
 
 # Stories as data: one file each, which names what happens when, and the sentence about it.
@@ -175,56 +178,156 @@ def read_story(name: str) -> Story:
     return msgspec.convert(document | {"name": name}, Story)
 
 
-# Command-line settings of a demonstration.
+# What a demonstration learns from its messages: overshoots, values, trips.
 
-SPEED_MAX = 1e6
-"""Times real time: more than any machine reaches."""
+_SETTLED_PERIODS = 12
+"""Slow periods that a half wave must last before its overshoot counts."""
+
+Case = tuple[str, int | None]
+"""Controller and size of the load at the step that begins a half wave."""
 
 
-class DemoError(AdaptdriveError):
-    """The demonstration cannot continue; the message gives the reason."""
+class Halves:
+    """Collects slow samples and finds the overshoot of each half wave.
 
-
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True)
-class DemoSettings:
-    """The options of `adaptdrive-sim demo`.
-
-    Attributes:
-        duration_s: Seconds of the story; the whole story when left out. The last scene of a story
-            lasts until then.
-        headless: Show nothing; print one line of JSON at the end.
-        noise: Standard deviation of each sample of the output, in its unit; the story's own when
-            left out.
-        seed: Seed of the noise.
-        directory: Folder for configuration, logs and sessions; a new one in build/demo when left
-            out.
-        speed: Times real time, for a story in virtual time.
+    It is that of the controller in force at the step, also where another one has ended it.
     """
 
-    duration_s: Annotated[float | None, Parameter(name="--duration")] = None
-    headless: Annotated[bool, Parameter(negative=())] = False
-    noise: float | None = None
-    seed: Integer = 0
-    directory: Path | None = None
-    speed: float | None = None
+    def __init__(self) -> None:
+        self._case: Case | None = None
+        self._before = math.nan
+        self._outputs: list[float] = []
+        self._reference: float | None = None
+        self._found: dict[Case, float] = {}
 
-    def check(self, *, virtual: bool) -> None:
-        """Refuse what cannot be done.
+    def add(self, reference: float, output: float, controller: str, size: int | None) -> None:
+        """Take in one slow period.
 
         Args:
-            virtual: Whether the story passes in virtual time.
-
-        Raises:
-            RefusedError: Which option, and why.
+            reference: Set-point.
+            output: In the same unit.
+            controller: The controller in force.
+            size: Which size the load has, None for one in between.
         """
-        if self.duration_s is not None and not 1.0 <= self.duration_s < math.inf:
-            raise RefusedError(f"--duration {self.duration_s:g} must be at least 1 second")
-        if self.speed is not None and not 0.0 < self.speed <= SPEED_MAX:
-            raise RefusedError(f"--speed {self.speed:g} must lie above 0, and up to 1e6")
-        if self.noise is not None and not 0.0 <= self.noise <= 1.0:
-            raise RefusedError(f"--noise {self.noise:g} must lie in 0…1")
-        unused = "directory" if virtual else "speed"
-        if getattr(self, unused) is not None:
-            time = "virtual time, without processes" if virtual else "real time"
-            raise RefusedError(f"--{unused}: this story passes in {time}")
+        if self._case is not None and size != self._case[1]:
+            self._close()
+        if self._reference is not None and reference != self._reference:
+            self._close()
+            self._case, self._before, self._outputs = (controller, size), self._reference, []
+        self._reference = reference
+        if self._case is not None:
+            self._outputs.append(output)
+
+    def begin(self, reference: float) -> None:
+        """Begin anew, near a reference: something else than a step has moved the output."""
+        self._case, self._reference = None, reference
+
+    def overshoot(self, controller: str, size: int) -> float | None:
+        """The largest overshoot of the half waves of a case, None before the first."""
+        return self._found.get((controller, size))
+
+    def _close(self) -> None:
+        """End a half wave, at its end or when something is changed; a long one counts."""
+        case, self._case = self._case, None
+        if case is None or self._reference is None or len(self._outputs) < _SETTLED_PERIODS:
+            return
+        beyond, _ = judge_step(np.array(self._outputs), self._before, self._reference)
+        self._found[case] = max(beyond, self._found.get(case, 0.0))
+
+
+TRIPPED = "trip"
+_COUNTED = ("ticks", "missed", "held")
+_MARKS = 200
+
+
+@dataclass(slots=True)
+class DemoRecord(WatchRecord):
+    """Received messages, and what follows from them for the end of the demonstration.
+
+    Attributes:
+        story: What is played.
+        trips: Every trip.
+        completed: Whether the load has what it needs.
+        control_s: Time of the drive's clock that was spent running.
+        counts: Ticks, missed and held ones, while the drive ran.
+        slow_periods: Slow periods so far.
+        halves: Overshoots.
+        size: Which of the story's sizes the load had last.
+        values: The story's values.
+    """
+
+    story: Story = field(kw_only=True)
+    trips: list[str] = field(default_factory=list)
+    completed: bool = False
+    control_s: float = 0.0
+    counts: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_COUNTED, 0.0))
+    slow_periods: int = 0
+    halves: Halves = field(default_factory=Halves)
+    size: int | None = None
+    values: dict[str, float] = field(default_factory=dict)
+    marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=_MARKS))
+    _truth_tick: float = 0.0
+
+    @property
+    def running(self) -> bool:
+        """True if the drive is under control."""
+        return self.state.get("state") == "running"
+
+    @property
+    def trip(self) -> str:
+        """The trip that is latched, empty for none."""
+        return str(self.state.get("trip") or "")
+
+    def take(self, name: str, content: Payload) -> None:
+        """Take a message.
+
+        Args:
+            name: Topic below that of the drive.
+            content: Its payload.
+        """
+        fast = self.fast
+        first_s = self.points[-1].time_s if self.points else math.inf
+        WatchRecord.take(self, name, content)
+        match name:
+            case "telemetry/drive" if self.running and self.points:
+                self.control_s += max(0.0, self.points[-1].time_s - first_s)
+                for one in _COUNTED:
+                    self.counts[one] += content.get(one, 0) - fast.get(one, 0)
+            case "telemetry/load":
+                self._take_load(content)
+            case "event":
+                self._take_event(content)
+            case "simulator" if content:
+                self._take_truth(content)
+
+    def _take_load(self, content: Payload) -> None:
+        self.slow_periods += 1
+        values = number(content.get("reference")), number(content.get("output"))
+        if all(map(math.isfinite, values)):
+            self.halves.add(*values, str(content.get("controller")), self.size)
+
+    def _take_event(self, content: Payload) -> None:
+        if content.get("kind") == "trip":
+            self.trips.append(str(content.get("detail")))
+            self.mark(TRIPPED)
+        self.completed = self.completed or content.get("kind") == "complete"
+
+    def _take_truth(self, content: Payload) -> None:
+        """Keep the story's values, and mark a load that has got another size."""
+        known = self.story.overshoot
+        size = known.index(content.get(known.of)) if known else None
+        if known and size is not None and size != self.size and self.size is not None:
+            self.mark(known.names[size])
+        self.size = self.size if size is None else size
+        half_cycles = number(content.get("tick")) - self._truth_tick
+        self._truth_tick += half_cycles
+        since_s = half_cycles * number(content.get("half_cycle_s"))
+        for one in self.story.values:
+            new, old = one.scale * number(content.get(one.of)), self.values.get(one.name, 0.0)
+            if one.keep == "returned":
+                new = old + max(0.0, -new) * since_s
+            self.values[one.name] = max(old, new) if one.keep == "highest" else new
+
+    def mark(self, text: str) -> None:
+        """Mark in the plot what was done."""
+        self.marks.append(Mark(self.now_s, text))

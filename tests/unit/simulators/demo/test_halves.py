@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from adaptdrive_sim.demo.record import Halves
+from adaptdrive_sim.demo.story import Halves
 
 LONG = 20
 Half = tuple[float, list[float]]

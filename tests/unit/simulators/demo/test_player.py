@@ -9,10 +9,10 @@ import msgspec
 import pytest
 
 from adaptdrive.runtime.requests import Disable
+from adaptdrive_sim.demo import DemoError, DemoSettings
 from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.stages import VirtualStage
-from adaptdrive_sim.demo.story import DemoError, DemoSettings, read_story
+from adaptdrive_sim.demo.story import DemoRecord, read_story
 from tests.support import sample
 
 PERIOD_S = 120.0

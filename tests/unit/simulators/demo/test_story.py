@@ -10,11 +10,11 @@ import pytest
 from rich.console import Console
 
 from adaptdrive.util.errors import RefusedError
+from adaptdrive_sim.demo import DemoSettings
 from adaptdrive_sim.demo.main import KEYS, DemoView, summarise
 from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.stages import VirtualStage
-from adaptdrive_sim.demo.story import DemoSettings, Story, read_story, story_names
+from adaptdrive_sim.demo.story import DemoRecord, Story, read_story, story_names
 
 STORIES = [read_story(name) for name in story_names()]
 BY_NAME = pytest.mark.parametrize("story", STORIES, ids=lambda one: one.name)

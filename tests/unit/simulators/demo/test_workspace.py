@@ -12,8 +12,9 @@ import pytest
 
 from adaptdrive.config.file import load_configuration
 from adaptdrive.processes import Ports
+from adaptdrive_sim.demo import DemoError, DemoSettings
 from adaptdrive_sim.demo.stages import RealStage
-from adaptdrive_sim.demo.story import DemoError, DemoSettings, read_story
+from adaptdrive_sim.demo.story import read_story
 
 pytestmark = pytest.mark.usefixtures("outside")
 
